@@ -38,9 +38,10 @@ class CalibrationBoard:
         marker_m: side of a marker in metres, or None for a chessboard.
         dictionary: name of the markers' dictionary in OpenCV, such as DICT_4X4_50, or None for a chessboard.
         inverted: whether dark and bright are exchanged.
-        double_sided: whether the back shows the mirrored pattern, so that each corner is one point on both sides. Only
-            markers distinguish the two sides.
-        legacy_pattern: whether the pattern is that of OpenCV before version 4.6, which differs if ``rows`` is even.
+        double_sided: whether the back shows the mirrored pattern, so that each corner is visible at the same point from
+            both sides. Only boards with markers can be double-sided, because the markers tell front and back apart.
+        legacy_pattern: whether OpenCV before version 4.6 made the pattern. Its pattern is different if ``rows`` is
+            even.
 
     Raises:
         ValueError: if a value is invalid. The message starts with the name of the value.
@@ -104,7 +105,8 @@ class CalibrationBoard:
     def corners(self) -> Array:
         """Positions (N, 3) of the inner corners in metres.
 
-        The order is OpenCV's order of ids for a ChArUco board. For a chessboard, it is by row from the lowest row.
+        The corners of a ChArUco board are in the order of OpenCV's corner ids. The corners of a chessboard are ordered
+        row by row, from the lowest row.
         """
         x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
         if self.dictionary is not None:
@@ -113,7 +115,7 @@ class CalibrationBoard:
         return self.square_m * flat.astype(np.float64)
 
     def describe(self) -> str:
-        """The board in a few words, for messages."""
+        """Short description of the board, for messages."""
         kind = f"ChArUco board ({self.dictionary})" if self.dictionary else "chessboard"
         return f"{kind} of {self.columns} x {self.rows} squares of {1e3 * self.square_m:g} mm"
 
@@ -129,7 +131,8 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def charuco_board(board: CalibrationBoard) -> cv2.aruco.CharucoBoard:
-    """OpenCV's description of a ChArUco board. Its own coordinates start at the upper left, and y points down."""
+    """OpenCV's object for a ChArUco board. In OpenCV's board coordinates, the origin is at the upper left and y points
+    down."""
     assert board.dictionary is not None
     assert board.marker_m is not None
     found = cv2.aruco.CharucoBoard(
@@ -190,9 +193,10 @@ def write_board(path: Path, board: CalibrationBoard) -> None:
 
 
 def ink_rectangles(board: CalibrationBoard) -> Array:
-    """Rectangles (N, 4) of the pattern's ink in board coordinates, as x0, y0, x1, y1 in metres.
+    """Rectangles (N, 4) to print in board coordinates, as x0, y0, x1, y1 in metres.
 
-    The rectangles do not overlap. They are dark on a bright board, or bright on a dark board if the board is inverted.
+    The rectangles do not overlap. They are dark on a bright ground. If the board is inverted, they are bright on a dark
+    ground.
     """
     column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     squares = np.stack([column, row], axis=-1).reshape(-1, 2).astype(np.float64)
@@ -216,7 +220,7 @@ def ink_rectangles(board: CalibrationBoard) -> Array:
 
 
 def draw_board(board: CalibrationBoard, pixels_per_square: int, margin: int = 0) -> Grey:
-    """Draw the front of the board, as an image (H, W) with ``margin`` pixels of the board's ground on each side."""
+    """Draw the front of the board as an image (H, W), with an empty margin of ``margin`` pixels on each side."""
     scale = pixels_per_square / board.square_m
     height, width = (round(scale * side) + 2 * margin for side in board.size_m[::-1])
     picture = np.full((height, width), 255, np.uint8)

@@ -90,7 +90,7 @@ GOOD = 'columns = 4\nrows = 5\nsquare_m = 0.05\nmarker_m = 0.04\ndictionary = "D
     ],
 )
 def test_a_wrong_file_is_one_line(text: str, message: str, tmp_path: Path) -> None:
-    """Catches a board's file whose error has no file, no key or no fix."""
+    """Catches an error about a board's file that does not name the file, the key or the fix."""
     path = tmp_path / "board.toml"
     path.write_text(text)
     with pytest.raises(UserError, match=message) as caught:

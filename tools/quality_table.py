@@ -1,4 +1,5 @@
-"""Measure the image quality of trained runs: scores of unseen and seen views, error by place, specks, jumps, flicker.
+"""Measure the image quality of trained runs: scores of held-out and training views, place of the error, specks, jumps
+and flicker.
 
 python tools/quality_table.py RUN [RUN ...]
 python tools/quality_table.py RUN --orbit 240 --pictures pictures/ --json quality.json
@@ -42,7 +43,7 @@ class Arguments:
     runs: tyro.conf.Positional[list[Path]]
     """Run folders, trained with --test-views."""
     frames: int = 6
-    """Number of frames to measure, spread evenly over the run's frames. Held-out views use all frames with 0."""
+    """Number of frames to measure, spread evenly over the run's frames. 0 measures all frames."""
     orbit: int = 0
     """Number of images of a full orbit at the middle frame, for the jumps. 0 measures no jumps."""
     pictures: Path | None = None
@@ -104,7 +105,7 @@ def main(arguments: Arguments) -> int:
 
 
 def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
-    """Measure a run at some frames, or at all frames if ``arguments.frames`` is 0."""
+    """Measure a run at ``arguments.frames`` frames, or at all frames if this number is 0."""
     count = trained.run.capture.frame_count
     frames = sorted(set(np.linspace(0, count - 1, arguments.frames or count).round().astype(int).tolist()))
     console = Console(stderr=True)
@@ -160,7 +161,8 @@ def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
 
 
 def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
-    """Largest step between neighbouring images of a full orbit at the middle frame, against the median step."""
+    """Largest difference between neighbouring images of a full orbit at the middle frame, divided by the median
+    difference."""
     capture = trained.run.capture
     frame = capture.frame_count // 2
     points, layers = trained.frames.get(frame), trained.run.config.train.layers

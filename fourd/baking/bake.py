@@ -48,7 +48,7 @@ def bake_run(
 
     Args:
         layers: maximum number of points that a pixel composites, stored in the scene.
-        fps: playback rate, frames per second. None selects the rate of the run's frames in the recording, or 30 if
+        fps: playback rate in frames per second. None selects the rate at which the run's frames were recorded, or 30 if
             this rate is not known.
 
     Raises:
@@ -80,7 +80,7 @@ def select_baked_views(run: Run) -> list[int]:
 
 
 def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | None = None) -> SceneManifest:
-    """Return the manifest of a run's scene. The numbers of points are missing, because the writer sets them.
+    """Return the manifest of a run's scene. It contains no numbers of points yet, because the scene writer adds them.
 
     For ``fps``, see :func:`bake_run`.
     """

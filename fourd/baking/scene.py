@@ -145,7 +145,7 @@ class SceneManifest:
         is_fps_known: whether ``fps`` is the recording's frame rate or was set by the user.
         layers: maximum number of points that a pixel composites (K in 4K4D).
         neighbours: number of source views that are blended for an image (N' in 4K4D).
-        fade_views: whether the weight of a source view falls with its angle to the viewer; see
+        fade_views: whether the weight of a source view decreases with its angle to the viewing camera; see
             :func:`fourd.cameras.fading_weights`.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.

@@ -1,8 +1,9 @@
-"""Repair of a given calibration: corrections that are kept only if held-out matches agree better with them.
+"""Repair of a given calibration: corrections that are kept only if they reduce the residuals of held-out matches.
 
-The matches are split by feature tracks: the cameras are fitted to two thirds of the tracks, and judged by the rest. The
-corrections are mirrored principal points (see :mod:`fourd.calibration.principal_points`), and bundle adjustments that
-free the poses, then also the focal lengths, then also the principal points.
+The feature tracks are split into two parts. The cameras are fitted to the matches of two thirds of the tracks. The
+matches of the other third are held out: their residuals decide whether a correction is kept. The first correction
+mirrors principal points (see :mod:`fourd.calibration.principal_points`). Three bundle adjustments follow: the first
+adjusts the poses, the second also the focal lengths, and the third also the principal points.
 """
 
 from __future__ import annotations
@@ -25,21 +26,24 @@ from fourd.calibration.residuals import Pair, compute_residuals
 from fourd.cameras import Camera
 
 Feature = tuple[int, int]
-"""Index of a camera, and number of a feature in it."""
+"""Index of a camera, and number of a feature in the camera's image."""
 
 HELD_OUT = 3
-"""Every third track is held out."""
+"""One of this number of tracks is held out."""
 MIN_MATCHES = 60
 """Minimum number of matches for a repair."""
 MIN_GAIN = 0.9
-"""Maximum ratio of the held-out median with a correction to the median without it."""
+"""A correction is kept only if the median residual of held-out matches is at most this multiple of the previous
+median."""
 BAND = 0.03
 """Maximum distance of a match from its epipolar line, as a share of the longer image side."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
-"""Assumed standard deviations of the given calibration: rotations in degrees, positions as a share of the distance to
-the scene's centre, focal lengths as a share, and principal points as a share of the longer image side."""
+"""Assumed standard deviations of the errors of the given calibration. Rotations are in degrees. Positions are shares of
+the camera's distance from the scene's centre. Focal lengths are shares of the focal length. Principal points are shares
+of the longer image side."""
 DISTORTION_ROUNDS = 3
-"""Number of bundle adjustments with changed intrinsics. Each of them undistorts the matches with the new intrinsics."""
+"""Number of rounds of a bundle adjustment that changes intrinsics. Each round undistorts the matches with the latest
+intrinsics."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +84,7 @@ class Repair:
 
 
 def repair_cameras(cameras: Sequence[Camera], matches: Mapping[Pair, Matches]) -> Repair:
-    """Try corrections of ``cameras`` and keep those with which held-out matches agree better.
+    """Try corrections of ``cameras``, and keep those that reduce the residuals of held-out matches.
 
     Args:
         cameras: the given cameras, with distortion.
@@ -117,13 +121,13 @@ def repair_cameras(cameras: Sequence[Camera], matches: Mapping[Pair, Matches]) -
 
 
 def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[Pair, Matches], dict[Pair, Matches]]:
-    """Split matches into those to fit and those that are held out.
+    """Split matches into a part for the fit and a held-out part.
 
-    No feature is in both parts. A match that connects a track to fit with a held-out track is in neither part.
+    No feature is in both parts. A match that connects tracks of different parts is in neither part.
     """
     _, rows = _index_features(matches, cameras)
     tracks = _label_tracks(rows)
-    # A random order, because tracks that were found one after the other are neighbours in the image.
+    # The order is random, because consecutive tracks are near each other in the image.
     order = np.random.default_rng(0).permutation(max(tracks.values(), default=0) + 1)
     fitted, held_out = {}, {}
     for (i, j), found in matches.items():
@@ -138,8 +142,8 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
 def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
     """Number of the track of each feature.
 
-    Matches join tracks only if no camera is in both, because a camera sees a point once. Otherwise, a few wrong matches
-    would join all tracks.
+    A match joins two tracks only if no camera is in both tracks, because a camera sees each point at most once. Without
+    this condition, a few wrong matches would join all tracks.
     """
     members: list[dict[int, Feature]] = []
     track: dict[Feature, int] = {}
@@ -183,7 +187,7 @@ def _adjust(
 
 
 def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> FrameMatches:
-    """The matches as features that are undistorted with ``cameras``."""
+    """Convert the matches to features, undistorted with the distortion of ``cameras``."""
     frame, rows = _index_features(matches, len(cameras))
     features = tuple(
         Features(undistort_points(camera, each.xy), each.descriptors)

@@ -42,8 +42,8 @@ class Prior:
         position: (V,) standard deviation of each camera's position in world units; 0 keeps all positions fixed.
         focal: standard deviation of the logarithm of the focal length; 0 keeps all focal lengths fixed.
         pixel: standard deviation of a feature's position in pixels. The measured standard deviation is a third of a
-            pixel. The default is larger than this measurement, because errors of features on one surface are
-            correlated. With a small value, the features outweigh the prior, and the adjustment bends rings of cameras.
+            pixel. The default is larger, because errors of features on one surface are correlated. With a smaller
+            value, the adjustment follows these errors and deforms rings of cameras.
         principal_px: standard deviation of the principal point in pixels; 0 keeps all principal points fixed.
     """
 

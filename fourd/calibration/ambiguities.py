@@ -64,8 +64,8 @@ def resolve_ambiguities(
             :func:`fourd.calibration.image_sizes.size_hypotheses`. ``auto`` chooses the name that best fits the images'
             black borders and feature matches.
         centres: ``as-given`` skips the check of principal points. ``auto`` warns if mirrored principal points have
-            clearly smaller residuals. ``mirrored`` uses the mirrored principal points if they have smaller residuals.
-            The check of principal points needs 2 to 5 cameras.
+            clearly smaller residuals. ``mirrored`` mirrors principal points if this reduces the residuals. The check of
+            principal points needs 2 to 5 cameras.
         track: progress callback.
 
     Raises:

@@ -22,12 +22,13 @@ from fourd.cameras import Camera
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MAX_PAIR_PX = 30.0
-"""Largest residual of a camera pair that counts. With a larger residual, the matches of the pair are wrong, and the
+"""Larger residuals of a camera pair count as this value in pixels. The matches of such a pair are wrong, and its
 residual changes at random with the principal points."""
 MIN_GAIN = 2.0
 """Minimum decrease of the mean residual by mirrored principal points, as a multiple of the typical residual."""
 MIN_LEAD = 0.5
-"""Minimum lead over the second best combination, as a multiple of the typical residual."""
+"""Minimum difference between the residuals of the second best and the best combination, as a multiple of the typical
+residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class MirrorChoice:
             median counts as at most MAX_PAIR_PX.
         chosen_px: the same with the chosen combination.
         next_px: the same with the second best combination.
-        given_score: median residual and share of agreeing matches with the given calibration.
+        given_score: median residual, and share of matches within 3 pixels, with the given calibration.
         chosen_score: the same with the chosen combination.
         is_clear: whether the evidence is clear. Let r be the median over the camera pairs of their median residuals
             with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds

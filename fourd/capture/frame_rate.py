@@ -13,7 +13,7 @@ from fourd.files import write_text_atomically
 NAME = "capture.json"
 VERSION = 1
 DEFAULT_FPS = 30.0
-"""Playback rate in 1/s of captures, runs and scenes whose recording has no known frame rate."""
+"""Playback rate in 1/s of captures, runs and scenes if the frame rate of the recording is not known."""
 UNKNOWN_RATE = f"frame rate not known, plays at {DEFAULT_FPS:g} per second"
 """Text of ``fourd check`` and ``fourd info`` for recordings without a known frame rate."""
 MAX_FPS = 1000.0
@@ -23,14 +23,15 @@ STANDARD_RATES = (
     *(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120, 240)),
 )
 STANDARD_TOLERANCE = 2e-4
-"""Relative deviation below which a rate is replaced by the standard rate. 29.97 and 30 differ by 1e-3."""
+"""If a rate deviates from a standard rate by less than this share, the standard rate is used. 29.97 and 30 differ by
+1e-3."""
 
 
 def standard_rate(fps: float | Fraction, tolerance: float = STANDARD_TOLERANCE) -> Fraction:
     """Return the standard frame rate next to ``fps`` in 1/s, such as 30000/1001 for 29.97.
 
-    If no standard rate is within the relative deviation ``tolerance``, the result is ``fps`` as a fraction with a
-    denominator of at most 1001.
+    If the relative deviation from the nearest standard rate is above ``tolerance``, the result is ``fps`` as a fraction
+    with a denominator of at most 1001.
     """
     nearest = min(STANDARD_RATES, key=lambda rate: abs(rate - Fraction(fps)))
     if abs(float(fps) / float(nearest) - 1) < tolerance:

@@ -78,8 +78,8 @@ class Capture:
         frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
-        fps: selected frames per second of the recording, or None if the frame rate is not known. With every S-th frame
-            selected, this is the S-th part of the recording's frame rate.
+        fps: number of selected frames per second of the recording, or None if the frame rate is not known. If every
+            S-th frame is selected, this is the recording's frame rate divided by S.
     """
 
     def __init__(

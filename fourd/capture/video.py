@@ -24,9 +24,10 @@ MAX_JITTER = 0.05
 If a frame deviates more, the index stores the time of every frame.
 """
 MAX_RATE_ERROR = 5e-3
-"""Largest relative deviation of the mean rate of uneven frames from the standard rate that it stands for."""
+"""If the mean rate of uneven frames deviates from a standard rate by less than this share, the standard rate is
+used."""
 GAP = 1.5
-"""Factor on the median frame interval above which an interval contains dropped frames."""
+"""An interval between two frames contains dropped frames if it is longer than the median interval times this factor."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,12 @@ class VideoIndex:
         height: height of the decoded frames in pixels.
         frames: number of frames.
         start: presentation time of frame 0 in seconds.
-        fps: frame rate in 1/s. If the frame times are uneven, it is the rate without dropped frames.
+        fps: frame rate in 1/s. If the frame times are uneven, intervals with dropped frames do not count.
         keyframes: ascending numbers of the frames that can be decoded without earlier frames.
         turn: angle in degrees by which the metadata of the video turns the stored frames counter-clockwise: a multiple
             of 90.
         transfer: "HLG" or "PQ" for HDR video, which is converted to sRGB, otherwise "".
-        scale: factor in (0, 1] by which the decoded frames are reduced.
+        scale: factor in (0, 1] that multiplies width and height of the frames when they are decoded.
         tick: unit in seconds of ``times``.
         times: presentation time of each frame after frame 0, in ticks, if the frame times are uneven; otherwise empty.
     """
@@ -66,7 +67,8 @@ class VideoIndex:
         return (self.height, self.width) if self.turn % 180 else (self.width, self.height)
 
     def reduce(self, scale: float) -> VideoIndex:
-        """The index of the same video, whose frames are reduced by ``scale`` in (0, 1] when they are decoded."""
+        """Return the index of the same video with frames that are reduced by ``scale`` in (0, 1] when they are
+        decoded."""
         width, height = reduced_size(self.width, self.height, scale)
         return replace(self, width=width, height=height, scale=scale)
 
@@ -79,7 +81,8 @@ class VideoIndex:
         return self.times[frame] * self.tick if self.times else frame / self.fps
 
     def nearest(self, seconds: Fraction) -> int:
-        """Number of the frame whose time after frame 0 is nearest to ``seconds``; the later frame of two."""
+        """Number of the frame whose time after frame 0 is nearest to ``seconds``. If two frames are equally near, the
+        later one."""
         if not self.times:
             return min(max(floor(seconds * self.fps + Fraction(1, 2)), 0), self.frames - 1)
         ticks = seconds / self.tick
@@ -108,7 +111,7 @@ def index_video(path: Path) -> VideoIndex:
                 raise UserError(f"{path}: expected a video, got a file without a video stream; remove the file")
             stream = container.streams.video[0]
             declared = stream.frames
-            # The edit list of an MP4 can exclude frames. The decoder discards them.
+            # The edit list of an MP4 file can exclude frames. The decoder discards these frames.
             found = [
                 (packet.pts, packet.is_keyframe, packet.is_discard) for packet in container.demux(stream) if packet.size
             ]
@@ -225,7 +228,7 @@ class VideoReader:
         return None
 
     def _number(self, elapsed: Fraction) -> int:
-        """Frame number from the time after frame 0. It can be outside the video, unlike the result of ``nearest``."""
+        """Frame number from the time after frame 0. Unlike the result of ``nearest``, it can be outside the video."""
         if not self.index.times:
             return round(elapsed * self.index.fps)
         return bisect_left(self.index.times, round(elapsed / self.index.tick))
@@ -264,8 +267,8 @@ def first_frame(path: Path) -> tuple[int, int, int, str]:
 def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fraction, bool]:
     """Frame rate in 1/s from the ascending presentation times of at least 2 frames, and whether the times are even.
 
-    The times may be rounded to the container's ticks ``base``, in seconds. If the times are uneven, as in videos of
-    phones, intervals with dropped frames do not count.
+    The times may be rounded to multiples of the container's time base ``base``, in seconds. If the times are uneven, as
+    in videos of phones, intervals with dropped frames do not count.
 
     Raises:
         UserError: if several frames have the same time.
@@ -279,7 +282,7 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
         return (1 / (step * base)).limit_denominator(1001), True
     usual = steps[steps <= GAP * np.median(steps)]
-    # The jitter of the first and last frame makes the mean interval of a short video inexact.
+    # In a short video, jitter of the first and last frame changes the mean interval.
     tolerance = min(max(2 * float(usual.std()) / float(usual.sum()), STANDARD_TOLERANCE), MAX_RATE_ERROR)
     return standard_rate(1 / (Fraction(int(usual.sum()), len(usual)) * base), tolerance), False
 

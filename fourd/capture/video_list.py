@@ -30,7 +30,7 @@ MAX_OFFSET = 1e9
 FRACTIONS = ("start", "fps", "tick")
 """Fields of an index that are stored as strings with fractions."""
 MAX_DRIFT_FRAMES = 0.5
-"""Largest drift between two videos over their duration at which their frame rates count as equal."""
+"""Two frame rates count as equal if two videos with these rates drift apart by at most this number of frames."""
 
 Entry = dict[str, Any]
 
@@ -42,7 +42,7 @@ class Video:
     Attributes:
         path: the video file.
         index: frame count, times and keyframes of the video.
-        offset: time from the video's first frame to frame 0 of the capture, in frames of the capture; at least 0.
+        offset: time from the video's first frame to frame 0 of the capture, in frames of the capture, at least 0.
         fps: frame rate of the capture in 1/s, or None for the frame rate of the video.
     """
 
@@ -71,7 +71,8 @@ class Video:
         return max(0, floor(last * self.rate - Fraction(self.offset)) + 1)
 
     def clock_error(self, frames: int) -> tuple[float, int]:
-        """Largest difference in seconds between the time of a frame of the capture and of the video's frame.
+        """Largest difference in seconds between the time of a frame of the capture and the time of the video's frame
+        for it.
 
         Args:
             frames: number of frames of the capture.
@@ -121,14 +122,14 @@ def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
 def write_entries(path: Path, entries: Mapping[str, Entry], fps: Fraction | None = None) -> None:
     """Atomically write the entries of videos by camera name to a file in the format of videos.json.
 
-    ``fps`` is the frame rate of the capture in 1/s, or None in a cache file.
+    ``fps`` is the frame rate of the capture in 1/s. With None, the file contains no frame rate, as in ``.fourd/``.
     """
     content = {"version": VERSION, **({} if fps is None else {"fps": str(fps)}), "cameras": entries}
     write_text_atomically(path, json.dumps(content, indent=1) + "\n")
 
 
 def align_offsets(offsets: Mapping[str, float]) -> dict[str, float]:
-    """Shift all offsets by the same number so that the smallest is 0. Offsets have at most 4 decimals."""
+    """Shift all offsets by the same number, so that the smallest is 0, and round them to 4 decimals."""
     least = min(offsets.values(), default=0)
     return {name: round(offset - least, OFFSET_DECIMALS) for name, offset in offsets.items()}
 

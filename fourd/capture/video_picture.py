@@ -28,7 +28,7 @@ Floats = NDArray[np.float32]
 HLG, PQ = "HLG", "PQ"
 TRANSFERS = {int(ColorTrc.ARIB_STD_B67): HLG, int(ColorTrc.SMPTE2084): PQ}
 REFERENCE_WHITE = 203.0
-"""Luminance in cd/m2 of diffuse white in HDR video (ITU-R BT.2408). It becomes the white of the sRGB image."""
+"""Luminance in cd/m2 of diffuse white in HDR video (ITU-R BT.2408). It is the value 1 of the linear colours."""
 HLG_PEAK = 1000.0
 HLG_GAMMA = 1.2
 KNEE = 0.85
@@ -55,7 +55,7 @@ def turn_of(frame: av.VideoFrame) -> int | None:
 
     Returns None if the display matrix of the frame has another angle, or mirrors the frame.
     """
-    side_data: Any = frame.side_data  # PyAV declares other keys than it accepts
+    side_data: Any = frame.side_data  # PyAV accepts this key, but its type annotations do not declare it
     if "DISPLAYMATRIX" in side_data:
         a, b, _, c, d = np.frombuffer(side_data["DISPLAYMATRIX"], np.int32)[:5].tolist()
         if a * d - b * c < 0:
@@ -129,7 +129,8 @@ def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
 
     Returns:
         Linear light by signal, in units of the reference white (for HLG: scene light in [0, 1]). The 8-bit sRGB value
-        by the square root of linear light. For HLG, the OOTF's factor from scene to display light by luminance.
+        by the square root of linear light. For HLG, also the factor of the OOTF from scene to display light, by
+        luminance.
     """
     steps = np.linspace(0, 1, LEVELS)
     if transfer == HLG:

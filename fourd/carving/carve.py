@@ -65,7 +65,8 @@ def carve_frame(
             that see the point. If 20 views see the point, 0.95 tolerates one wrong view.
         least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
             and in at least 3 views. With only 2 views, a hull point must project inside both images.
-        trim: remove protruding parts of the hull that no silhouette needs; see :mod:`fourd.carving.excess`.
+        trim: remove protruding parts of the hull, so that the remaining hull still covers all silhouettes; see
+            :mod:`fourd.carving.excess`.
         inset: distance by which points are moved into the hull, in multiples of ``spacing``. Points in thin parts of
             the hull are moved less.
         seed: random seed of the points' order. Equal inputs and seeds give bitwise equal results.

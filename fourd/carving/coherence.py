@@ -1,9 +1,9 @@
-"""Agreement of mattes: how much of each matte the visual hull of the other views explains.
+"""Agreement of mattes: the share of each matte that the visual hull of the other views covers.
 
 The score needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares silhouettes with the silhouettes
-of the visual hull of all views. Here, each matte is compared with the hull of the other views. A matte that shows too
-much is not explained by the other views. If the matte of one view misses a part of the object, the hull misses this
-part too, and all other mattes get low scores.
+of the visual hull of all views. Here, each matte is compared with the hull of the other views. If a matte contains more
+than the object, the hull of the other views does not cover it, so its score is low. If a matte lacks a part of the
+object, the hull lacks this part too, and the scores of all other mattes are low.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fourd.carving.silhouette import Floats
 Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
-"""Maximum number of cells that are subdivided again."""
+"""Cells are subdivided repeatedly, as long as there are at most this number of cells."""
 THRESHOLD = 128
 
 
@@ -63,7 +63,7 @@ def frame_coherence(
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # A cell of a hull of all views but one is inside this one view or not.
+    # Candidate cells must include the hulls without one view, so one more view may reject a cell.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)
@@ -90,7 +90,8 @@ def frame_coherence(
 
 
 def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:
-    """Two arrays (C, N): whether each view sees each cell's centre, and whether its silhouette excludes the cell."""
+    """Two arrays (C, N): whether each view sees the centre of each cell, and whether the view's silhouette excludes the
+    cell."""
     seen = np.zeros((len(views.views), cells.shape[1]), np.bool_)
     outside = np.zeros_like(seen)
     for index, view in enumerate(views.views):
@@ -116,7 +117,7 @@ def _silhouette(xyz: NDArray[np.float64], size: float, camera: Camera) -> Flags:
     if not sees.any():
         return picture > 0
     picture[row[sees].astype(np.intp), column[sees].astype(np.intp)] = 1
-    # Closing fills the gaps between the projections of neighbouring centres, whose hull the centres do not fill.
+    # Closing fills the gaps between the projections of the centres of neighbouring cells.
     width = int(np.ceil(1.5 * camera.intrinsics[1, 1] * size / float(np.median(depth[sees])))) | 1
     square = np.ones((width, width), np.uint8)
     return np.asarray(cv2.morphologyEx(picture, cv2.MORPH_CLOSE, square) > 0)

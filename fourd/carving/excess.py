@@ -1,15 +1,14 @@
-"""Removal of excess parts of the visual hull: parts that protrude although no silhouette needs them.
+"""Removal of excess parts of the visual hull: protruding parts without which the hull still covers all silhouettes.
 
-The visual hull is the largest shape that agrees with all silhouettes. Between the views, and in concave places that no
-silhouette shows, the hull protrudes from the object. The images can often not remove these parts later. For example, a
-white lump before a white chest has the right colour in every view.
+The visual hull is the largest shape that agrees with all silhouettes. It protrudes from the object in directions
+between the views, and in concave regions, which no silhouette shows. Training often cannot remove these parts. For
+example, a white lump in front of a white chest has the correct colour in every view.
 
-The hull is filled with cells. In each round, each cell whose neighbourhood is mostly empty is removed, unless the
-cell is the most central one of all remaining cells on the ray of a silhouette's pixel. Every ray that starts inside a
-silhouette therefore still meets the remaining cells, and the remaining shape still agrees with all silhouettes.
-Repeated smoothing and thresholding moves a surface by its mean curvature (Merriman, Bence and Osher 1994). A shape of
-small area that satisfies silhouette constraints is also the aim of Kolev and Cremers (2008), who solve a convex
-problem instead.
+The hull is filled with cells. In each round, cells with a mostly empty neighbourhood are removed. One cell is kept on
+the ray of each pixel inside a silhouette: the cell with the fullest neighbourhood. Every such ray therefore still
+intersects the remaining cells, so the remaining shape still covers all silhouettes. Repeated smoothing and thresholding
+moves a surface by its mean curvature (Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape
+of small area that satisfies silhouette constraints. They solve a convex problem.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, SilhouetteView, sample
 
 CELLS_PER_THICKNESS = 6
-"""Number of cells per mean thickness, if the points are dense enough. The mean thickness is the hull's volume divided
-by its area. Cells are at least as large as the distance between points."""
+"""Number of cells across the mean thickness of the hull, which is its volume divided by its area. If the points are too
+sparse for this number, the cells are as large as the distance between points."""
 
 MAX_GRID_CELLS = 1 << 24
 """Maximum number of cells of the grid around the hull. The cells of a larger grid are enlarged."""
@@ -46,8 +45,9 @@ RAY_CELLS = 0.7
 """Distance between neighbouring rays of a silhouette, in cells. With larger distances, the contours would shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""A cell is not needed if its neighbourhood is less full than this share of the fullest neighbourhood on the rays next
-to its own. Such a cell is a crumb of an excess part, on a ray that passes between the centres of the object's cells."""
+"""A cell need not be kept for its ray if its neighbourhood is less full than this share of the fullest neighbourhood on
+the adjacent rays. Such a cell is a small piece of an excess part, on a ray that passes between the centres of the
+object's cells."""
 
 NEAR_CELLS = 1.3
 """A point within this distance of a cell's centre, in cells, belongs to the cell."""
@@ -94,7 +94,8 @@ class FilledHull:
 def replace_excess(
     views: Silhouettes, lower: Array, upper: Array, xyz: Floats, normals: Floats, size: float
 ) -> tuple[Floats, Floats]:
-    """Replace the surface points of the hull's excess parts by points on the surface that remains without these parts.
+    """Remove the surface points of the hull's excess parts, and add points on the surface that remains without these
+    parts.
 
     Args:
         views: the silhouettes.
@@ -171,8 +172,8 @@ def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
 
 
 def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """For each cell centre (3, N), the flat index of the ray that passes the cell, or -1 if the view does not see the
-    cell inside its silhouette; and the shape (rows, columns) of the image of rays."""
+    """Flat index of the ray through each cell centre (3, N), and the shape (rows, columns) of the grid of rays. The
+    index is -1 if the centre is outside the view's silhouette or image."""
     x, y, z = view.project(centres)
     is_inside = view.sees(x, y, z)
     is_inside[is_inside] = sample(view.distance, x[is_inside], y[is_inside], cv2.INTER_LINEAR) >= 0

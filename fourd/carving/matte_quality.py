@@ -1,4 +1,4 @@
-"""Where the mattes of a capture are poor: frames and views in which few other views confirm the matte."""
+"""Detection of poor mattes: views and frames whose matte the visual hull of the other views does not cover."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fourd.files import write_text_atomically
 from fourd.progress import Track, untracked
 
 POOR = 0.7
-"""Share of a matte below which a view and frame are reported."""
+"""A matte is reported if the hull of the other views covers less than this share of it."""
 MIN_KEPT = 1 / 3
-"""Minimum share of the mattes that the hull must keep."""
+"""Minimum share of the mattes' area that the hull of all views must cover."""
 MAX_FRAMES = 48
 MAX_LINES = 8
 
@@ -32,8 +32,9 @@ class MatteQuality:
     Attributes:
         names: camera names.
         frames: numbers of the F measured frames in the whole capture.
-        explained: (F, C) share in [0, 1] of each matte that the hull of the other views explains; NaN if it is empty.
-        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers; NaN if it is empty.
+        explained: (F, C) share in [0, 1] of each matte that the hull of the other views covers; NaN if the matte is
+            empty.
+        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers; NaN if the matte is empty.
         overlap: (F, C) intersection over union of each matte and the hull's silhouette; NaN if the matte is empty.
         area: (F, C) share in [0, 1] of the image that each matte covers.
     """
@@ -52,7 +53,7 @@ class MatteQuality:
         return float(np.nansum(self.kept * self.area)) / total if total else 1.0
 
     def warnings(self) -> list[str]:
-        """One line per view and run of frames in which the other views explain too little of the matte, worst first."""
+        """One line for each view and range of frames with poor mattes. The line with the smallest share comes first."""
         found = sorted(self._poor_runs())
         lines = [
             f"{name}, {_frame_range(first, last)}: the other views explain {share:.0%} of this matte"
@@ -63,7 +64,8 @@ class MatteQuality:
         return lines
 
     def _poor_runs(self) -> Iterator[tuple[float, str, int, int]]:
-        """Yield mean explained share, camera name, first and last frame of each run of poor mattes."""
+        """Yield the mean covered share, the camera name, and the first and last frame of each range of frames with poor
+        mattes."""
         for index, name in enumerate(self.names):
             poor = self.explained[:, index] < POOR
             starts = np.flatnonzero(poor & ~np.r_[False, poor[:-1]])
@@ -73,12 +75,12 @@ class MatteQuality:
                 yield share, name, self.frames[start], self.frames[end]
 
     def require_hull(self, path: Path) -> None:
-        """Raise UserError if the hull keeps less than a third of what the mattes show."""
+        """Raise UserError if the hull covers less than a third of the mattes' area."""
         if self.kept_share >= MIN_KEPT:
             return
         worst = next(iter(self.warnings()), "no view is much worse than the others")
         raise UserError(
-            f"{path}: expected mattes of which carving keeps at least a third, got {self.kept_share:.0%} "
+            f"{path}: expected mattes of which the visual hull covers at least a third, got {self.kept_share:.0%} "
             f"({worst}); fix the mattes (docs/matting.md), check the calibration with fourd check, or continue with "
             "--accept-mattes"
         )
@@ -103,7 +105,7 @@ def measure_mattes(
 ) -> MatteQuality | None:
     """Measure the agreement of the mattes in at most ``max_frames`` evenly spaced frames of a capture.
 
-    The result is None with fewer than three cameras, because two silhouettes nearly always have a common hull. Frames
+    With fewer than three cameras, the result is None, because two silhouettes nearly always have a common hull. Frames
     are read one at a time.
     """
     if len(capture.cameras) < 3 or capture.frame_count == 0:

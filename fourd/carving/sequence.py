@@ -81,7 +81,7 @@ def carve_capture(
             that see the point.
         least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
             and in at least 3 views. With only 2 views, a hull point must project inside both images.
-        trim: remove protruding parts of the hull that no silhouette needs.
+        trim: remove protruding parts of the hull, so that the remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: random seed of the points' order.
         track: progress callback.

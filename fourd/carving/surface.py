@@ -15,8 +15,8 @@ CANDIDATES = 1.3
 """Number of candidate cells per requested point. More candidates make the points' density more even but take more
 time."""
 MIN_DEPTH = 0.7
-"""Minimum distance to the surface of a point that was moved into the hull, as a share of the length of its move. At
-creases of the surface, this distance is shorter than the move."""
+"""After a point was moved into the hull, its distance from the surface must be at least this share of the move's
+length. At creases of the surface, the distance is shorter than the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
@@ -61,8 +61,8 @@ def project_to_surface(
 def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float) -> Floats:
     """Move surface points (N, 3) into the hull, against their outward normals (N, 3).
 
-    In a part of the hull that is too thin for the whole move, the points move by 3, 2 or 1 quarters of ``inset``, or
-    stay where they are. A move is short enough if the point is afterwards about as far from the surface as it moved.
+    In thin parts of the hull, points move by 3/4, 1/2 or 1/4 of ``inset``, or not at all. The longest move is used
+    after which the point's distance from the surface is about as long as the move.
     """
     moved, remaining = xyz.copy(), np.arange(len(xyz))
     for quarters in (4, 3, 2, 1):

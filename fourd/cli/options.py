@@ -27,7 +27,8 @@ def describe(*sentences: str) -> Any:
 
 
 def option(metavar: str, default: str, text: str | None = None) -> Any:
-    """Make an option whose default is computed after parsing. --help shows ``default`` as the default value."""
+    """Make an option with a default that is computed after parsing. --help shows the text ``default`` as the
+    default."""
     return tyro.conf.arg(metavar=metavar, help=text, help_behavior_hint=f"(default: {default})")
 
 

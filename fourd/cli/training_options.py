@@ -35,7 +35,7 @@ CONFIG_KEYS = {
     "max_steps": "max_steps",
     "seed": "seed",
 }
-"""Maps each option to the dotted key of the training config that the option overrides."""
+"""Dotted key of the training config that each option overrides."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
@@ -50,7 +50,7 @@ class TrainingOptions:
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
     """object: reconstruct only the foreground in the mattes, on black. full: also reconstruct a static background. With
-    full, fourd make needs no mattes for captures of one frame or in which nothing moves."""
+    full, captures without motion or with only one frame need no mattes."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
     """YAML file with config keys. docs/configuration.md lists all keys."""
     assignments: Annotated[
@@ -77,7 +77,7 @@ class TrainingOptions:
     points_from: Annotated[Path | None, option("DIR", "points are carved from the mattes")] = None
     """Folder with your own initial points in world units, as one PLY file per frame: 000000.ply and so on."""
     accept_mattes: bool = False
-    """Train even if carving keeps less than a third of what the mattes show."""
+    """Train even if the visual hull covers less than a third of the area of the mattes."""
     max_seconds: Annotated[float | None, option("SECONDS", "1800 for fourd make without --max-steps, else none")] = None
     """Stop after this many seconds of training. fourd train needs --max-steps or --max-seconds."""
     max_steps: Annotated[int | None, option("INT", "none")] = None

@@ -37,7 +37,7 @@ def one_line_of_usage() -> Iterator[None]:
 
 
 def condense(box: str) -> str:
-    """Condense the error box of tyro to one line: the first section of the box and the option that tyro suggests."""
+    """Shorten the error box of tyro to one line: the first section of the box, and the option that tyro suggests."""
     sections: list[list[str]] = [[]]
     for line in COLOUR.sub("", box).splitlines():
         text = line.strip(FRAME)

@@ -1,4 +1,4 @@
-"""Notes of an import on the common clock of videos, and on the conversion of their frames."""
+"""Notes of an import for the user: on the common clock of the videos, and on the conversion of their frames."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from fourd.capture.video_list import Video, common_frames
 from fourd.capture.video_picture import HLG_PEAK, KNEE, REFERENCE_WHITE
 
 LONG_KEYFRAME_INTERVAL = 250
-"""Keyframe interval, in frames, above which a note suggests --unpack. Reading a frame decodes all frames since the last
-keyframe."""
+"""A note suggests --unpack if keyframes are more than this number of frames apart. To read a frame, all frames since
+the last keyframe are decoded."""
 MIN_TOLD_SECONDS = 5e-4
-"""Smallest error of the frame times that a note tells."""
+"""Smaller errors of the frame times are not reported."""
 MIN_TOLD_FRAMES = 0.5
-"""Smallest offset that a note tells."""
+"""Smaller offsets are not reported."""
 
 
 def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
@@ -26,7 +26,7 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
         names = [name for name, video in videos.items() if video.index.turn == turn]
         if names:
             # The display matrix is usually named by the clockwise angle.
-            notes.append(f"{', '.join(names)}: frames are turned by {360 - turn} degrees clockwise, as the video says")
+            notes.append(f"{', '.join(names)}: frames are turned {360 - turn} degrees clockwise, as its metadata says")
     hdr = {name: video.index.transfer for name, video in videos.items() if video.index.transfer}
     if hdr:
         kinds = " and ".join(sorted(set(hdr.values())))

@@ -64,7 +64,7 @@ CALIBRATION_FORMATS = (
     CalibrationFormat("anipose", anipose.is_calibration, anipose.read),
     CalibrationFormat("easymocap", easymocap.is_calibration, easymocap.read),
 )
-"""Formats whose calibration may be in another folder than the frames, in the order of preference."""
+"""Formats whose calibration may be in another folder than the frames. Earlier formats are preferred."""
 VIDEOS = "videos"
 
 

@@ -1,4 +1,4 @@
-"""Calibrations of videos whose frames are turned upright by metadata, or reduced in size."""
+"""Conversion of calibrations for videos with turned or reduced frames."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ from fourd.errors import UserError
 from fourd.importing.imported import ImportedCamera
 
 CalibratedFrames = Literal["auto", "turned", "stored"]
-"""Frames for which a calibration is meant: turned upright by the metadata of the video, or as stored."""
+"""Frames that a calibration belongs to: frames that are turned upright as the video's metadata says, or frames as
+stored in the file."""
 
 
 def turn_camera(camera: Camera, degrees: int) -> Camera:
     """Return the camera whose image is the image of ``camera``, turned counter-clockwise by ``degrees``.
 
     A turn by 90 degrees maps the pixel (x, y) of a W pixels wide image to (y, W - x), and camera axes (X, Y, Z) to
-    (Y, -X, Z). Lens distortion is given by OpenCV's coefficients. The radial coefficients do not change. The tangential
-    coefficients (p2, p1) and the thin prism coefficients (s1, s3) and (s2, s4) are vectors in the image.
+    (Y, -X, Z). Of OpenCV's distortion coefficients, the radial ones do not change. The pairs (p2, p1) of tangential
+    coefficients and (s1, s3), (s2, s4) of thin prism coefficients are turned like vectors in the image.
 
     Raises:
         ValueError: if the camera has skew or a tilted sensor, or ``degrees`` is not a multiple of 90.
@@ -63,7 +64,7 @@ def _turn_distortion(distortion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[str, VideoIndex]:
-    """The indices of videos whose frames are reduced by the factor ``reduce`` in (0, 1]."""
+    """Return the indices of the videos with frames that are reduced by the factor ``reduce`` in (0, 1]."""
     return {name: index if reduce == 1 else index.reduce(reduce) for name, index in indices.items()}
 
 
@@ -72,14 +73,13 @@ def match_calibrations(
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
     """Turn and reduce calibrations like the frames of their videos.
 
-    With "auto", the size of a calibration tells whether it is meant for the turned or for the stored frames of a video
-    that is turned by 90 degrees. Otherwise, a calibration is meant for the turned frames, as players and OpenCV show
-    them.
+    With "auto", a calibration belongs to the stored frames if only these have its orientation, landscape or portrait.
+    Otherwise, it belongs to the turned frames, which OpenCV and video players show.
 
     Args:
         cameras: the source's cameras.
         indices: indices of the videos by camera name; their frames are already reduced.
-        meant: frames for which the calibrations are meant.
+        meant: frames that the calibrations belong to.
         reduce: factor in (0, 1] on the size of the frames.
 
     Returns:
@@ -94,7 +94,7 @@ def match_calibrations(
         if calibration is not None and index is not None:
             if index.turn:
                 is_stored, reason = _is_for_stored(calibration, index, meant)
-                text = f"the calibration is meant for {'the stored' if is_stored else 'the turned'} frames ({reason})"
+                text = f"the calibration belongs to {'the stored' if is_stored else 'the turned'} frames ({reason})"
                 groups.setdefault(text + (", so it is turned too" if is_stored else ""), []).append(camera.name)
                 calibration = _turned(camera.name, calibration, index.turn) if is_stored else calibration
             calibration = calibration if reduce == 1 else calibration.rescale(reduce)
@@ -110,12 +110,12 @@ def _turned(name: str, calibration: Camera, turn: int) -> Camera:
 
 
 def _is_for_stored(calibration: Camera, index: VideoIndex, meant: CalibratedFrames) -> tuple[bool, str]:
-    """Whether a calibration is meant for the stored frames of a turned video, and the reason."""
+    """Whether a calibration belongs to the stored frames of a turned video, and the reason."""
     if meant != "auto":
         return meant == "stored", f"--calibrated-frames {meant}"
     width, height = calibration.width, calibration.height
     stored_width, stored_height = index.stored_size
     if index.turn % 180 == 0 or width == height or stored_width == stored_height:
-        return False, "its size is that of both; change this with --calibrated-frames stored"
+        return False, "both have its orientation; change this with --calibrated-frames stored"
     is_stored = (width > height) == (stored_width > stored_height)
-    return is_stored, f"its size is {width} x {height}"
+    return is_stored, f"its images are {width} x {height}"

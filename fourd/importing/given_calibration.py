@@ -1,4 +1,4 @@
-"""A calibration that the user gives for videos, such as one written by fourd calibrate."""
+"""Use of a calibration that the user specifies for videos, such as the output of fourd calibrate."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from fourd.importing.folders import match_names
 from fourd.importing.imported import Imported
 
 VIDEOS_FORMAT = "videos"
-"""Name of the only format whose sources take a calibration."""
+"""Name of the format of sources without a calibration. Only this format accepts --calibration."""
 REPORT = "report.json"
-"""File that only ``fourd calibrate`` writes beside a calibration."""
+"""``fourd calibrate`` writes this file beside a calibration. Other programs do not."""
 
 
 def is_metric_calibration(folder: Path) -> bool:
-    """Whether ``fourd calibrate`` wrote the calibration in ``folder``, which is then in metres."""
+    """Whether ``fourd calibrate`` wrote the calibration in ``folder``. Its calibrations are in metres."""
     return (folder / REPORT).is_file()
 
 
 def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imported:
-    """Give the cameras of a source without calibration the calibrations in ``folder`` (intri.yml and extri.yml).
+    """Add the calibrations in ``folder`` (intri.yml and extri.yml) to the cameras of a source without a calibration.
 
-    Cameras are matched by :func:`fourd.importing.folders.match_names`. The size of the calibration's images is kept;
-    the import compares it with the size of the videos.
+    Cameras are matched by :func:`fourd.importing.folders.match_names`. The calibrations keep their image size. A later
+    step of the import compares it with the size of the videos.
 
     Raises:
-        UserError: if the format has its own calibration, the folder has no valid calibration, a camera has none, or the
-            calibration has no image sizes.
+        UserError: if the format has its own calibration, if the folder has no valid calibration, if the calibration of
+            a camera is missing, or if the calibration has no image sizes.
     """
     if format_name != VIDEOS_FORMAT:
         raise UserError(

@@ -65,13 +65,14 @@ class ImportOptions:
         sync: estimate the offsets without applying them.
         apply_sync: estimate the offsets and apply those with high confidence.
         fps: frame rate of images in 1/s, or None if it is not known.
-        sync_by: source of the estimate: sound, motion, or sound where all videos have common sound.
-        sound_at: position of the sound in the world, for the correction of its travel time; see
+        sync_by: method of the estimate: "sound", "motion" or "auto". "auto" uses sound if all videos have recorded the
+            same sound, and motion otherwise.
+        sound_at: position of the source of the sound in the world, for the correction of the travel time; see
             :func:`fourd.importing.time_offsets.correct_sound_travel`.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
         reduce: factor in (0, 1] by which the frames of videos are reduced.
-        calibrated_frames: frames of rotated videos for which the calibrations are meant; see
+        calibrated_frames: frames of rotated videos that the calibrations belong to; see
             :func:`fourd.importing.frame_geometry.match_calibrations`.
         distance: known distance between two cameras, which sets the unit.
         board: chessboard in the first frames, which sets the world's origin and axes.
@@ -210,14 +211,15 @@ def _estimate(
     if not (options.sync or options.apply_sync):
         return None
     estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
-    # Offsets from sound are logged after the correction of its travel time, which needs calibrated cameras.
+    # Offsets from sound are logged later, after the correction of the travel time, which needs calibrated cameras.
     for line in describe_offsets(estimate, options.apply_sync) if estimate.method == "motion" else ():
         log(line)
     return estimate
 
 
 def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:
-    """Add the frame rate of images: the value of --fps, or else the rate that the source stores as a capture."""
+    """Add the frame rate of images. It is the value of --fps, or the rate in capture.json if the source is a
+    capture."""
     if options.fps is not None and video_files(imported.cameras):
         raise UserError(f"--fps: {source}: {FPS_IS_FOR_PICTURES}")
     stored = read_rate(source) if source.is_dir() else None
@@ -225,7 +227,7 @@ def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Impo
 
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
-    """Indices of the videos, whose frames are reduced by the option --scale."""
+    """Indices of the videos, with frames that are reduced as the option --scale says."""
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 

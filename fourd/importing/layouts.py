@@ -1,4 +1,4 @@
-"""Search for a calibration and for the frames that it belongs to, when the two are in different folders.
+"""Search for a calibration and its frames if the two are in different folders.
 
 Motion capture programs keep the calibration of a session in a folder beside the recordings, for example
 SESSION/calibration/NAME.qca.txt beside SESSION/TRIAL/videos/. The search covers two levels of folders below the source,
@@ -19,7 +19,7 @@ from fourd.importing.folders import CALIBRATION_FOLDER, find_frames
 from fourd.importing.imported import Imported
 
 MAX_DEPTH = 2
-"""Number of levels of folders below the source, and of parent folders above it, that are searched."""
+"""The search covers this number of folder levels below the source, and of parent folders above it."""
 CALIBRATION_NAME = re.compile(r"calib|camera|intri|extri|\.qca", re.IGNORECASE)
 CALIBRATION_SUFFIXES = (
     *(".toml", ".yml", ".yaml", ".json", ".xml", ".txt", ".csv", ".xcp", ".calib"),
@@ -27,7 +27,7 @@ CALIBRATION_SUFFIXES = (
 )
 PICKLES = (".pickle", ".pkl", ".npy")
 FRAME_STORES = ("images", "masks", "mask", "rgbs")
-"""Folders with images and mattes, which contain many files and no calibration."""
+"""Folders with images and mattes. They are not searched, because they contain many files and no calibration."""
 MAX_LISTED = 8
 
 
@@ -54,7 +54,7 @@ class Layout:
         format: format of the calibration.
         calibration: the calibration file.
         frames: folder from which :func:`~fourd.importing.folders.find_frames` finds the frames.
-        refused: files that look like calibrations but were not taken, with the reasons, one line each.
+        refused: one line for each file that looks like a calibration but is not used, with the reason.
     """
 
     format: CalibrationFormat
@@ -63,7 +63,7 @@ class Layout:
     refused: tuple[str, ...]
 
     def read(self, source: Path) -> Imported:
-        """Read the cameras, with notes that name the calibration, the frames and the files that were not taken."""
+        """Read the cameras. Notes name the calibration, the frames, and the calibration files that are not used."""
         imported = self.format.read(self.calibration, self.frames)
         notes = [f"calibration: {self.calibration}"]
         notes += [f"frames: {self.frames}"] if self.frames != source else []
@@ -72,24 +72,25 @@ class Layout:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames without a calibration: their folder, and the files that look like calibrations; see :class:`Layout`."""
+    """Frames for which no usable calibration was found. The attributes are those of :class:`Layout`."""
 
     folder: Path
     refused: tuple[str, ...]
 
     def notes(self, source: Path) -> tuple[str, ...]:
-        """Notes that name the folder of the frames and the files that were not taken."""
+        """Notes that name the folder of the frames, and the calibration files that are not used."""
         return (*([f"frames: {self.folder}"] if self.folder != source else []), *_listed(self.refused))
 
 
 def find_layout(source: Path, formats: Sequence[CalibrationFormat]) -> Layout | Frames | None:
     """Find the frames of ``source`` and their calibration.
 
-    ``source`` is a folder, or a calibration file. Calibrations inside ``source`` are preferred to calibrations above
-    it. If several formats have a calibration at the same level, the first of ``formats`` is taken.
+    ``source`` is a folder, or a calibration file. Calibrations inside ``source`` are preferred to calibrations in its
+    parent folders. If calibrations of several formats are at the same level, the format that comes first in ``formats``
+    is used.
 
     Returns:
-        The layout, the frames alone if no file above or below ``source`` is a calibration, or None without frames.
+        The layout; only the frames if no calibration is found; or None if no frames are found.
 
     Raises:
         UserError: when ``source`` contains several recordings or an OpenCap session, all calibrations inside
@@ -140,7 +141,7 @@ def describe_refused(source: Path, formats: Sequence[CalibrationFormat]) -> str:
 def _choose(
     paths: Sequence[Path], frames: Path, formats: Sequence[CalibrationFormat], refused: list[str]
 ) -> Layout | None:
-    """Choose a calibration among ``paths``. Appends the reasons for the files that are not taken to ``refused``."""
+    """Choose one of the calibrations ``paths``. Appends the reason for each file that is not used to ``refused``."""
     usable: list[tuple[CalibrationFormat, Path]] = []
     for path in paths:
         form = _recognise(path, formats)
@@ -235,13 +236,13 @@ def _recognise(path: Path, formats: Sequence[CalibrationFormat]) -> CalibrationF
 
 def _is_suspect(path: Path) -> bool:
     if path.name == EXTRINSICS_NAME:
-        # Beside intri.yml, the message for intri.yml covers both files.
+        # If there is an intri.yml too, its message also covers this file.
         return not (path.parent / INTRINSICS_NAME).is_file()
     return CALIBRATION_NAME.search(path.name) is not None
 
 
 def _reason(path: Path) -> str:
-    """Why a file that no format recognises is not taken."""
+    """Reason why a file that no format recognises is not used."""
     if path.suffix.lower() in PICKLES:
         return "fourd never loads pickles, because loading one can run code"
     for own, other in ((INTRINSICS_NAME, EXTRINSICS_NAME), (EXTRINSICS_NAME, INTRINSICS_NAME)):

@@ -76,7 +76,8 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
 
 
 def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, float], reduce: float) -> None:
-    """Raise UserError when the folder's frames were unpacked from other videos, with other offsets or a scale."""
+    """Raise UserError if the folder contains frames that were unpacked from other videos, with other offsets, or with
+    another scale."""
     if before.unpacked and before.files != files:
         raise UserError(
             f"{out}: expected the videos unpacked into this folder, got other videos; import into another folder"

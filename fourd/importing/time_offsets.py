@@ -38,12 +38,12 @@ PLOT = DERIVED / "sync.png"
 
 SyncMethod = Literal["auto", "sound", "motion"]
 SoundPosition = Literal["auto", "none", "centre"] | tuple[float, float, float]
-"""Position of the sound in world units: "centre" is the point that the cameras face. "auto" is the centre if the world
-is in metres, else "none"."""
+"""Position of the source of the sound in world units. "centre" is the point that the cameras face. "none" means no
+correction. "auto" means "centre" if the world is in metres, and "none" otherwise."""
 
 
 class NoCommonSoundError(UserError):
-    """The soundtracks do not give offsets of all cameras."""
+    """Error: the offsets of some cameras cannot be estimated from the soundtracks."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Estimate:
     rate: float
 
     def is_sure(self, name: str) -> bool:
-        """Whether --apply-sync applies the delay of a camera."""
+        """Whether --apply-sync applies the estimated delay of a camera."""
         is_large = self.method == "sound" or abs(round(self.frames[name])) > UNRELIABLE_FRAMES
         return is_large and self.confidence[name] >= MIN_CONFIDENCE
 
@@ -78,12 +78,12 @@ def estimate_offsets_of(
 ) -> Estimate:
     """Estimate the delays of the cameras from sound or motion.
 
-    With "auto", the delays are estimated from sound if all videos have soundtracks with common sound, and from motion
-    otherwise. The log states the choice and its reason.
+    With "auto", the delays are estimated from sound if all videos have recorded the same sound, and from motion
+    otherwise. The log states the method and the reason for it.
 
     Raises:
-        UserError: if there are too few frames, or a frame or soundtrack cannot be decoded. With "sound", also if a
-            soundtrack is missing or silent, or has nothing in common with the others.
+        UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. With "sound", also if a
+            soundtrack is missing, is silent, or has nothing in common with the others.
     """
     rate = float(min((index.fps for index in indices.values()), default=Fraction(1)))
     if method != "motion":
@@ -167,17 +167,18 @@ def find_offsets(
 def correct_sound_travel(
     estimate: Estimate, cameras: Sequence[ImportedCamera], position: SoundPosition, is_metric: bool, log: Log
 ) -> Estimate:
-    """Remove the time that sound travels to the cameras from an estimate, once the cameras are calibrated.
+    """Correct an estimate by the time that sound travels to the calibrated cameras.
 
-    The lags of one source of sound are sums of offsets and travel times, which cannot be separated. The position of the
-    sound is therefore not estimated: it is given, or it is the point that the cameras face.
+    A measured lag is the sum of an offset and a difference of travel times. The two cannot be separated, so the
+    position of the source of the sound cannot be estimated. The user specifies it, or it is the point that the cameras
+    face.
 
     Args:
         estimate: delays of the videos. Delays from motion are returned unchanged.
         cameras: cameras with their calibrations.
-        position: position of the sound.
+        position: position of the source of the sound.
         is_metric: whether one world unit is known to be one metre.
-        log: called with one line that states the correction, or why there is none.
+        log: called with one line that states the correction, or the reason why there is none.
     """
     if estimate.method == "motion" and position not in ("auto", "none"):
         log("--sound-at is not used, because offsets from motion contain no travel time of sound")
@@ -210,14 +211,16 @@ def correct_sound_travel(
 
 
 def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply: bool) -> dict[str, float]:
-    """The offsets in frames to apply: those of the user, or with ``apply`` the sure offsets of the estimate."""
+    """The offsets in frames to apply: the user's offsets, or, with ``apply``, the estimated offsets of high
+    confidence."""
     if estimate is None or not apply:
         return dict(given)
     return {name: round(of, DECIMALS) for name, of in estimate.frames.items() if estimate.is_sure(name)}
 
 
 def describe_offsets(estimate: Estimate, apply: bool) -> Iterator[str]:
-    """Yield one line per camera with its offset and confidence, and with ``apply`` whether the offset is applied."""
+    """Yield one line per camera with its offset and confidence. With ``apply``, the line also states whether the offset
+    is applied."""
     for name, frames in estimate.frames.items():
         state = ""
         if apply:

@@ -35,7 +35,7 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
     The result is empty if ``source`` is already a usable capture.
 
     Raises:
-        UserError: if ``options`` give a calibration for a capture, which has its own calibration.
+        UserError: if ``options`` contain a calibration, but ``source`` is a capture, which has its own calibration.
     """
     if not is_usable(source):
         return (import_stage(source, imported, options),)

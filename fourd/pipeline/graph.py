@@ -38,8 +38,8 @@ class RunRequest:
             points are carved.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        still: whether the scene has no foreground; see :mod:`fourd.pipeline.stages.still`.
-        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
+        still: whether nothing moves in the scene, so that it has no foreground; see :mod:`fourd.pipeline.stages.still`.
+        accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """
 
     capture: Path
@@ -94,7 +94,7 @@ def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage
 
 
 def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> tuple[AnyStage, ...]:
-    """Stages that produce the scene file ``scene`` from a capture whose files were checked."""
+    """Stages that make the scene file ``scene`` from a capture that was already checked."""
     train = request.train
     made: tuple[AnyStage, ...] = ()
     if not has_masks(request.capture):

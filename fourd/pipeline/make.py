@@ -45,10 +45,10 @@ def make_scene(
     """Run every stage from ``source`` to the scene file ``out``.
 
     Intermediate results are kept in a folder beside ``out``. For ``scene.4dv``, this folder is ``scene.work/``. The
-    folder contains ``run/``, ``stages.json`` and, if ``source`` needs an import, ``capture/``. If the images disagree
-    with the calibration and a correction is confirmed, ``repaired/`` contains the capture with the correction. After a
-    change of an input or a setting, the next call repeats the stages that depend on the changed value. An interrupted
-    stage resumes.
+    folder contains ``run/``, ``stages.json`` and, if ``source`` needs an import, ``capture/``. If a correction of the
+    calibration reduces the residuals, ``repaired/`` contains the capture with the corrected calibration. After a change
+    of an input or a setting, the next call repeats the stages that depend on the changed value. An interrupted stage
+    resumes.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read.
@@ -61,7 +61,7 @@ def make_scene(
             :func:`~fourd.training.losses.lpips.load_lpips`.
         imports: options of the import. A frame rate is also stored in a source that needs no import. With None, the
             default options are used.
-        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
+        accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
 
     Raises:
         UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd

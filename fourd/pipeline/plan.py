@@ -17,7 +17,8 @@ from fourd.pipeline.capture_graph import has_masks, is_usable
 from fourd.training.config import TrainConfig
 
 IMPORT_S_PER_MP = 1.2
-"""Seconds to index, sample and match one megapixel of the sampled images. Measured: 32 s for 3 x 8.3 megapixels."""
+"""Seconds to index, sample and match one megapixel of the sampled images. Measured: 32 s for 3 frames of 8.3
+megapixels."""
 MATTE_S_PER_MP = 0.66
 """Core seconds to make the mattes of one megapixel. Measured: 273 s on 2 cores for 400 images of 2.1 megapixels."""
 CARVE_S_PER_FRAME = 0.7
@@ -36,7 +37,7 @@ class SourceFacts:
 
     Attributes:
         cameras: number of cameras.
-        frames: number of selected frames of each camera, or None if the videos do not tell.
+        frames: number of selected frames of each camera, or None if the headers of the videos do not contain it.
         megapixels: size of one image.
         has_mattes: whether the source has mattes for all cameras.
         needs_import: whether the source must be imported as a capture.
@@ -50,7 +51,7 @@ class SourceFacts:
 
 
 def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bool = False) -> str:
-    """One line with the stages from ``source`` to a scene, and the expected duration.
+    """One line that lists the stages from ``source`` to a scene, and the expected duration.
 
     Args:
         source: a capture, or a source that :mod:`fourd.importing` can read.
@@ -73,7 +74,7 @@ def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bo
 
 
 def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_points: bool) -> list[tuple[str, float]]:
-    """Names and expected seconds of the stages in their order."""
+    """Names and expected seconds of the stages, in the order in which they run."""
     frames = facts.frames or 1
     pictures_mp = facts.cameras * frames * facts.megapixels
     stages = []
@@ -105,7 +106,7 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
     if needs_import:
         imported = pick_format(None, source).read(source)
     else:
-        # The check stage reports the errors of a capture.
+        # Errors of a capture are reported later, by the check stage.
         imported = Imported((), ())
         with suppress(UserError):
             imported = pick_format(None, source).read(source)
@@ -121,7 +122,7 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
 
 
 def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:
-    """Number of frames, or None if the header does not tell, and (width, height) of a camera's images."""
+    """Number of frames, or None if the video's header does not contain it, and (width, height) of a camera's images."""
     if isinstance(frames, PictureFiles):
         return len(frames.paths), picture_size(frames.paths[0])
     if isinstance(frames, EncodedPictures):

@@ -1,4 +1,4 @@
-"""Decision whether a capture stands still, and the training config of such a scene."""
+"""Detection of captures in which nothing moves, and the training config of their scenes."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from fourd.training.config import TrainConfig
 SAMPLED_FRAMES = 5
 WIDTH_PX = 320
 MIN_DIFFERENCE = 24.0
-"""Difference in grey levels above which a pixel counts as changed. Sensor noise is smaller after blurring."""
+"""A pixel counts as changed if its grey level changes by more than this value. After blurring, sensor noise is
+smaller."""
 MAX_CHANGED = 1e-4
-"""Largest share of changed pixels in a still capture."""
+"""Largest share of changed pixels in a capture that counts as still."""
 
 
 def stands_still(capture: Path, train: TrainConfig) -> bool:
-    """Whether a capture without mattes has one selected frame, or no image in which anything moves.
+    """Whether a capture has no mattes, and either only one selected frame or no motion in its images.
 
     Raises:
-        UserError: if the capture stands still and ``train.scene`` is ``object``, which needs mattes; and if the capture
-            cannot be opened.
+        UserError: if nothing moves and ``train.scene`` is ``object``, which needs mattes, or if the capture cannot be
+            opened.
     """
     if has_masks(capture) or (capture / MATTES).is_dir():
         return False

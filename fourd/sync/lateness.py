@@ -1,4 +1,4 @@
-"""Cameras of a capture that are late or early, from the motion in all cameras' images."""
+"""Detection of cameras that are late or early, from the motion in the images of all cameras."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fourd.sync.motion import (
 )
 
 MAX_FRAMES = 300
-"""Number of frames whose motion is compared, from the middle of the capture."""
+"""Maximum number of frames that are compared. They are taken from the middle of the capture."""
 MIN_FRAMES = 36
 """Minimum number of frames for the comparison."""
 
 
 def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
-    """Find the cameras whose motion is out of step with the other cameras by more than 3 frames.
+    """Find the cameras in which motion is early or late by more than 3 frames, compared with the other cameras.
 
     Args:
         path: the capture's folder.

@@ -1,4 +1,4 @@
-"""Offsets of cameras from the time lags of pairs of cameras."""
+"""Time offsets of cameras, computed from the time lags of pairs of cameras."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def solve_offsets(
         lags: (P,) offset of camera j minus offset of camera i, in any unit of time.
         pair_weights: (P,) weights in [0, 1].
         count: number of cameras.
-        tolerance: deviation of a lag, in the unit of the lags, below which all deviations have the same weight.
+        tolerance: deviations of lags below this value, in the unit of the lags, all have the same weight.
     """
     if not pairs:
         return np.zeros(count)
@@ -41,7 +41,7 @@ def solve_offsets(
 
 
 def camera_confidence(weights: Sequence[float]) -> float:
-    """Confidence of a camera: the mean of the larger half of the weights of its pairs, or 1 if there is only one
-    camera."""
+    """Confidence of a camera: the mean of the larger half of the weights of its pairs. If there is only one camera, the
+    confidence is 1."""
     better = sorted(weights, reverse=True)[: (len(weights) + 1) // 2]
     return float(np.mean(better)) if better else 1.0

@@ -25,17 +25,18 @@ Samples = NDArray[np.float32]
 RATE = 8000
 """Sampling rate in Hz to which soundtracks are converted."""
 MAX_SECONDS = 300.0
-"""Duration of the part of a soundtrack that is used. It limits the memory to 10 MB per camera."""
+"""Maximum duration in seconds of the used part of a soundtrack. This limits the memory to 10 MB per camera."""
 LOW_HZ, HIGH_HZ = 200.0, 3000.0
-"""Pass band. Wind and handling noise are below, and much of the noise of phones is above."""
+"""Pass band in Hz. Wind and handling noise have lower frequencies, and much of the noise of phones has higher
+frequencies."""
 MAX_LAG_SECONDS = 60.0
 MIN_OVERLAP_SECONDS = 0.25
 MAX_GAP_SECONDS = 0.005
-"""Deviation of the time of a block of sound from its expected time above which silence is inserted."""
+"""If a block of sound is later than expected by more than this number of seconds, silence is inserted."""
 SILENCE_RMS = 1e-4
-"""Level of a soundtrack, relative to full scale, below which it counts as silent (-80 dB)."""
+"""A soundtrack counts as silent if its level is below this share of full scale (-80 dB)."""
 ECHO_SECONDS = 0.06
-"""Distance from the peak within which other peaks count as echoes."""
+"""Peaks within this number of seconds of the highest peak count as its echoes."""
 NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
 """Height of the peak, in standard deviations of the correlation, at which the confidence is 0 and 1.
 
@@ -44,8 +45,8 @@ Without common sound, the highest value of the correlation of short clips was be
 MAX_LAG_ERROR_SECONDS = 0.003
 LAG_TOLERANCE_SECONDS = 2e-4
 MAX_ALL_PAIRS = 6
-"""Number of cameras up to which all pairs are correlated. With more cameras, each camera is correlated with the first
-camera and with its successor."""
+"""With at most this number of cameras, all pairs are correlated. With more cameras, each camera is correlated with the
+first camera and with the next camera."""
 SPEED_OF_SOUND = 343.0
 """Speed of sound in air at 20 degrees Celsius in m/s."""
 
@@ -75,8 +76,9 @@ class SoundOffsets:
         seconds: offsets. A sound at the time t of the first video is at the time t + offset of the camera's video.
         confidence: confidence of each offset in [0, 1]. The confidence of a pair of cameras rises from 0 to 1 while the
             peak of the correlation rises from 10 to 20 standard deviations of the correlation. It is lower if another
-            peak more than 60 ms away is more than 3/4 as high, and 0 if the pair's lag differs by more than 3 ms from
-            the offsets. A camera's confidence is the mean of the better half of its pairs.
+            peak, more than 60 ms away, has more than 3/4 of the height. It is 0 if the pair's lag differs from the
+            difference of the two offsets by more than 3 ms. A camera's confidence is the mean of the larger half of the
+            confidences of its pairs.
         sigmas: height of the highest peak of each camera's pairs, in standard deviations of the correlation.
     """
 
@@ -127,11 +129,11 @@ def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
 
 
 def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:
-    """Estimate each camera's time offset relative to the first camera from the sound that the cameras have in common.
+    """Estimate each camera's time offset relative to the first camera, from sound that all cameras have recorded.
 
-    The soundtracks are correlated by GCC-PHAT from 200 to 3000 Hz for pairs of cameras. A parabola through the peak
-    gives parts of a sample. The offsets are fitted to the lags of the pairs. They contain the time that sound travels
-    from its source to each camera, see :func:`travel_times`.
+    The soundtracks of pairs of cameras are correlated by GCC-PHAT from 200 to 3000 Hz. A parabola through the peak of
+    the correlation gives the lag with sub-sample accuracy. The offsets are fitted to the lags of the pairs. The offsets
+    include the time that sound travels from its source to each camera; see :func:`travel_times`.
 
     Args:
         soundtracks: the soundtrack of each camera, at least one, none of them silent.
@@ -159,11 +161,11 @@ def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:
 
 
 def travel_times(centres: Mapping[str, Array], source: Array) -> dict[str, float]:
-    """Time in seconds that sound travels from ``source`` to each camera, 343 m/s.
+    """Time in seconds that sound travels from ``source`` to each camera, at 343 m/s.
 
     Args:
         centres: (3,) position of each camera in metres, by name.
-        source: (3,) position of the sound in metres.
+        source: (3,) position of the source of the sound in metres.
     """
     return {name: float(np.linalg.norm(centre - source)) / SPEED_OF_SOUND for name, centre in centres.items()}
 
@@ -200,7 +202,7 @@ def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, 
 def _phat(first: Samples, second: Samples, limit: int) -> Array:
     """Correlation (2 limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
 
-    The correlation is 1 at the lag of a delayed copy.
+    For a delayed copy of the same sound, the correlation at the lag of the delay is 1.
     """
     size = next_fast_len(max(len(first) + len(second), 2 * limit + 1), real=True)
     cross = np.conj(rfft(first, size)) * rfft(second, size)

@@ -21,7 +21,7 @@ PIXELS_PER_SQUARE = 96
 BORDER_SQUARES = 0.5
 """Width of the plain border around the pattern, in squares."""
 INK, GROUND, BACKGROUND = 35.0, 215.0, 110.0
-"""Grey values of the board and of the background."""
+"""Grey values of the board's bright and dark parts, and of the background."""
 UNDISTORT_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 
@@ -49,8 +49,8 @@ class Optics:
 class BoardRenderer:
     """Renders one board for one camera.
 
-    Each sample's ray is undistorted numerically and intersected with the board's plane, so that the image is exact up
-    to the sampling of the board's picture (1/96 square).
+    The ray of each sample is undistorted numerically and intersected with the board's plane. The only error of the
+    image is the resolution of the board's pattern, 1/96 of a square.
     """
 
     def __init__(self, board: CalibrationBoard, camera: Camera, optics: Optics) -> None:
@@ -62,7 +62,8 @@ class BoardRenderer:
         self._rays = _sample_rays(camera)
 
     def render(self, poses: Sequence[BoardPose], generator: np.random.Generator) -> Picture:
-        """Render the mean of the images at ``poses``, as a moving board is seen. Returns (H, W) uint8."""
+        """Render the mean of the images at ``poses``, which shows the motion blur of a moving board. Returns (H, W)
+        uint8."""
         exposure = np.mean([self._render_sharp(pose) for pose in poses], axis=0)
         blurred = cv2.GaussianBlur(exposure, (0, 0), self.optics.blur_px)
         noisy = blurred + generator.normal(0, self.optics.noise, blurred.shape)

@@ -29,7 +29,7 @@ SETTINGS_NAME = "synth_board.json"
 VERSION = 1
 FPS = 10
 RADIUS_M = 1.7
-"""Distance of the cameras from the centre of the board's motion."""
+"""Distance in metres of the cameras from the centre of the board's motion."""
 ARC_DEGREES = 110.0
 """Angle at the centre between the first and the last camera. The cameras see the board's front."""
 REACH_M = 0.38
@@ -37,7 +37,7 @@ REACH_M = 0.38
 TILT_DEGREES = 35.0
 """Amplitude of the board's tilts."""
 EXPOSURE = 0.05
-"""Exposure time as a share of the frame interval. A moving board is blurred accordingly."""
+"""Exposure time as a share of the frame interval. It determines the motion blur."""
 EXPOSURE_SAMPLES = 3
 BOARD = CalibrationBoard(7, 5, 0.08, 0.06, "DICT_4X4_50")
 """The default board."""
@@ -120,10 +120,11 @@ def rig_cameras(settings: BoardSettings) -> list[Camera]:
 
 
 def board_pose(settings: BoardSettings, time: float) -> BoardPose:
-    """Pose of the board at a time in frames. It moves smoothly, and its front faces the middle of the arc."""
+    """Pose of the board at a time in frames. The board moves smoothly, and its front faces the middle of the cameras'
+    arc."""
     generator = np.random.default_rng([settings.seed, 2])
     phases, cycles = generator.uniform(0, 2 * np.pi, 6), generator.uniform(2.0, 5.0, 6)
-    # Longer videos move at the same speed, so that motion blur does not depend on the number of frames.
+    # The board's speed does not depend on the number of frames, so motion blur does not depend on it either.
     waves = np.sin(2 * np.pi * cycles * time / 60 + phases)
     tilts = np.radians(TILT_DEGREES) * waves[3:] * (1.0, 1.0, 1.5)
     # Upright, with the board's x axis to the right and its front towards -y.
@@ -160,7 +161,7 @@ def _render_frames(settings: BoardSettings, camera: Camera, index: int, progress
 
 
 def _prepare_folder(out: Path) -> None:
-    """Create the folder ``out``, or remove the videos of an earlier call from it."""
+    """Create the folder ``out``. If it contains videos of an earlier call, remove them."""
     if out.exists() and not out.is_dir():
         raise UserError(f"{out}: expected a folder, got a file; name another folder")
     if out.is_dir() and any(out.iterdir()) and not (out / SETTINGS_NAME).is_file():

@@ -48,9 +48,9 @@ class RateConfig:
     xyz_spacings: float = 0.6
     """Learning rate of point positions before the first update of a point, as a share of the point spacing."""
     xyz_halving_updates: int = 60
-    """Number H of updates of a point after which the learning rate of its position is half as high, in addition to the
-    exponential decay: after n updates, the additional factor is 1 / (1 + n / H). With 0, there is no additional factor.
-    Without this factor, long training moves points that no image constrains at random, and new views become worse."""
+    """Number H of updates after which the learning rate of a point's position is halved, in addition to the exponential
+    decay. After n updates of the point, the rate is multiplied by 1 / (1 + n / H). With 0, there is no such factor.
+    Without this factor, long training moves points that no image constrains at random, which makes new views worse."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
@@ -210,7 +210,8 @@ class TrainConfig:
     points: int = 40_000
     """Maximum number of points in each frame."""
     trim_hull: bool = True
-    """Remove protruding parts of the visual hull that no matte needs, before the initial points are placed."""
+    """Remove protruding parts of the visual hull before the initial points are placed. The remaining hull still covers
+    all mattes."""
     hull_inset: float = 0.9
     """Distance by which the initial points are moved into the visual hull, as a multiple of the point spacing. Discs
     extend beyond their points. Without an inset, the initial silhouettes are too large, and training must first shrink
@@ -238,8 +239,8 @@ class TrainConfig:
     """Move a point back if a step moves the point out of the silhouette in the target view or in a source view. This
     option prevents stray points."""
     smoothing: float = 0.5
-    """Strength with which points are pulled towards the surface on which their neighbours lie. Distances of less than a
-    quarter of the point spacing remain. With 0, points are not pulled."""
+    """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Distances of up to
+    a quarter of the point spacing from this plane remain. With 0, there is no smoothing."""
     neighbour_pool: int = 5
     """Number of views in the pool from which each step samples its source views. The pool contains the views nearest to
     the target view. A larger pool includes wider baselines, which also occur between a novel view and its source

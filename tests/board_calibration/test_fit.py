@@ -78,7 +78,8 @@ def test_known_lenses_are_kept() -> None:
 
 
 def test_cameras_are_joined_through_others() -> None:
-    """Catches a rig that needs a frame that all cameras see: here, the first camera and the last share no frame."""
+    """Catches a fit that needs one frame in which all cameras see the board. In this test, the first and the last
+    camera see the board in no common frame."""
     cameras, views = seen_views(SETTINGS, range(40), {0: range(20), 2: range(20, 40)})
     fit = fit_rig(rig_input(SETTINGS, views), untracked)
     assert sorted((pair.first, pair.second) for pair in fit.pairs) == [(0, 1), (1, 2)]
@@ -126,7 +127,7 @@ def test_too_few_views_are_refused() -> None:
 
 
 def test_rare_views_stay_in_the_fit() -> None:
-    """Catches a frame kept out of the fit that is one of few for a camera or a pair of cameras."""
+    """Catches a fit without a frame that is one of the few frames of a camera or of a pair of cameras."""
     few = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(8)]
     assert choose_kept_out(few, range(8)) == set()
     many = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(30)]

@@ -1,4 +1,4 @@
-"""Repair of a wrong calibration from matches, a third of which can be wrong."""
+"""Repair of a wrong calibration with feature matches, of which a third can be wrong."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_a_good_calibration_is_unchanged(rng: np.random.Generator) -> None:
 
 
 def test_wrong_matches_do_not_join_all_tracks(rng: np.random.Generator) -> None:
-    """Catches a split in which wrong matches connect all tracks, so that all matches are in one part."""
+    """Catches a split that puts all matches into one part, because wrong matches connect all tracks."""
     matches = _project(_true_cameras(6), rng, wrong=0.3)
     total = sum(map(len, matches.values()))
     fitted, held_out = (sum(map(len, part.values())) for part in split_matches(matches, 6))
@@ -85,7 +85,7 @@ def test_wrong_matches_do_not_join_all_tracks(rng: np.random.Generator) -> None:
 
 
 def test_held_out_tracks_are_not_fitted(rng: np.random.Generator) -> None:
-    """Catches a point whose match in one camera pair is fitted and whose match in another pair is held out."""
+    """Catches a point with matches in both parts: one match is fitted, and another match is held out."""
     fitted, held_out = split_matches(_project(_true_cameras(3), rng), 3)
     seen = [set(map(tuple, np.round(part[0, 1].first_px, 2))) for part in (fitted, held_out)]
     other = [set(map(tuple, np.round(part[0, 2].first_px, 2))) for part in (fitted, held_out)]
@@ -99,8 +99,8 @@ def test_held_out_tracks_are_not_fitted(rng: np.random.Generator) -> None:
 def test_wrong_pairs_do_not_hide_mirrored_principal_points(
     rng: np.random.Generator, pairs: list[tuple[int, int]]
 ) -> None:
-    """Catches means over camera pairs that a pair of wrong matches dominates: the recording's mean is large with every
-    calibration."""
+    """Catches scores that are means over camera pairs. One pair with wrong matches dominates the mean, so it is large
+    with every calibration."""
     true = _true_cameras(4)
     matches = _project(true, rng)
     for pair in pairs:

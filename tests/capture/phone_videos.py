@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Picture = NDArray[np.uint8]
 
 MATRIX_OFFSET = 40
-"""Bytes from the end of the tag tkhd to the rotation matrix (ISO 14496-12, version 0)."""
+"""Number of bytes from the end of the tag tkhd to the rotation matrix (ISO 14496-12, version 0)."""
 CLOCKWISE = {90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0)}
 """The values a, b, c, d of display matrices, which map (x, y) to (a x + c y, b x + d y), by clockwise angle."""
 TICKS = 90_000
@@ -42,8 +42,9 @@ def write_phone_video(
 ) -> Path:
     """Write :func:`moving_picture` at ``times`` in seconds.
 
-    The stored frames are turned so that the display matrix, which turns them ``clockwise``, makes them upright. With
-    the transfer "HLG" or "PQ", the video is HDR in 10 bits, in which 203 cd/m2 show the white of the picture.
+    The frames are stored in a turned orientation. The display matrix in the metadata turns them ``clockwise``, so that
+    they are upright again. With the transfer "HLG" or "PQ", the video is HDR in 10 bits. The white of the picture then
+    has 203 cd/m2.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w", options={"video_track_timescale": str(TICKS)}) as container:
@@ -77,7 +78,8 @@ def write_display_matrix(path: Path, matrix: Iterable[float]) -> Path:
 
 
 def make_frame(picture: NDArray[Any], transfer: str) -> av.VideoFrame:
-    """A frame before encoding: RGB, or with a transfer YCbCr in 10 bits. Values above 255 are above white."""
+    """A frame before encoding: RGB, or YCbCr with 10 bits if a transfer function is given. Values above 255 are
+    brighter than white."""
     if not transfer:
         return av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
     signal = encode_hdr(picture, transfer)

@@ -48,7 +48,8 @@ def test_a_stride_divides_the_rate(ball_capture: Path, tmp_path: Path) -> None:
 
 
 def test_videos_give_the_rate(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a capture of videos without a frame rate, and a rate that contradicts the times of videos."""
+    """Catches a capture of videos that has no frame rate, and a frame rate that contradicts the frame times of its
+    videos."""
     for name in "ab":
         write_numbered_video(tmp_path / "videos" / f"{name}.mp4", range(10), fps=50)
     assert check_capture(tmp_path).fps == 50
@@ -79,7 +80,7 @@ def test_rates_out_of_range_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_the_import_stores_the_rate(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an import that loses --fps, or the rate of a capture that is the source."""
+    """Catches an import that ignores --fps, and an import of a capture that loses the capture's frame rate."""
     words = ["import", str(ball_capture), str(tmp_path / "first"), "--centres", "as-given"]
     assert main([*words, "--fps", "29.97"]) == 0
     assert read_rate(tmp_path / "first") == Fraction(30000, 1001)
@@ -96,8 +97,8 @@ def test_the_import_stores_the_rate(ball_capture: Path, tmp_path: Path, capsys: 
 def test_runs_and_scenes_play_at_the_rate_of_the_recording(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a run, a scene or a rendered video that plays at 30 frames per second although the recording has
-    another rate, and a scene with an assumed rate that does not say so."""
+    """Catches a run, a scene or a rendered video that plays at 30 frames per second although the recording has another
+    rate. Also catches a scene that does not state that its rate is assumed."""
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     run = trained_run(capture, tmp_path / "run", with_steps(SMALL, 4)).folder
     for fps, expected in ((None, 30.0), (12.5, 12.5)):

@@ -11,7 +11,8 @@ from tests.capture.phone_videos import make_frame, moving_picture
 
 @pytest.mark.parametrize("transfer", ["HLG", "PQ"])
 def test_hdr_frames_show_the_colours_of_the_scene(transfer: str) -> None:
-    """Catches a wrong transfer function, matrix or range: without an encoder, the picture is almost the same."""
+    """Catches a wrong transfer function, colour matrix or value range. Without an encoder, the picture is almost
+    unchanged."""
     picture = moving_picture(0.3)
     shown = to_rgb(make_frame(picture, transfer), 0, transfer, 1.0)
     assert -10 * np.log10(np.square(shown.astype(np.float64) - picture).mean() / 255**2) > 36
@@ -19,7 +20,7 @@ def test_hdr_frames_show_the_colours_of_the_scene(transfer: str) -> None:
 
 @pytest.mark.parametrize("transfer", ["HLG", "PQ"])
 def test_highlights_keep_their_order_and_hue(transfer: str) -> None:
-    """Catches highlights above white that are clipped to one value or change their hue."""
+    """Catches highlights brighter than white that are clipped to one value, or whose hue changes."""
     levels = np.linspace(0.8, 4.0, 8)
     linear = np.repeat(levels, 8)[None, :, None] * np.ones((32, 1, 1)) * np.array([1.0, 1.0, 1.0])
     encoded = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)

@@ -199,7 +199,7 @@ def test_an_inset_moves_points_below_the_surface(one_ball: MemoryCapture) -> Non
 
 
 def test_points_of_thin_parts_stay_inside() -> None:
-    """Catches an inset that moves the points of a thin part out on its other side."""
+    """Catches an inset that moves the points of a thin part out of the hull on the other side."""
     cameras = tuple(ring_cameras(20, 128))
     masks = [mask(camera, [ball((0.0, 0.0, 0.0), 0.04)]) for camera in cameras]
     carved = carve_frame(masks, cameras, box(), points=40, inset=4.0)

@@ -18,7 +18,7 @@ BALLS = [ball((-0.28, 0.0, 0.0), 0.2), ball((0.28, 0.05, 0.1), 0.16), ball((0.0,
 
 @pytest.fixture(scope="module")
 def views() -> Silhouettes:
-    """Three balls that hide each other from five views. Their hull has parts that belong to no ball."""
+    """Three balls that occlude each other in five views. Their hull has parts that belong to no ball."""
     cameras = ring_cameras(5, 128)
     masks = [mask(camera, BALLS) for camera in cameras]
     return Silhouettes.from_masks(masks, cameras, np.zeros(3), agreement=0.95, least_views=0.5)
@@ -30,8 +30,8 @@ def distance_to_balls(xyz: np.ndarray) -> np.ndarray:
 
 
 def test_excess_is_removed_and_the_object_is_kept(views: Silhouettes) -> None:
-    """Catches a removal that leaves crumbs, and a removal that erodes the object by more than the cells at its
-    surface."""
+    """Catches a removal that leaves small pieces of the excess parts, and a removal of more of the object than the
+    cells at its surface."""
     hull = fill_hull(views, BOX.lower, BOX.upper, 0.01)
     remaining = remove_excess(views, hull)
     before, after = (distance_to_balls(hull.centres(cells)) for cells in (hull.cells, remaining))
@@ -40,7 +40,8 @@ def test_excess_is_removed_and_the_object_is_kept(views: Silhouettes) -> None:
 
 
 def test_every_silhouette_is_still_covered(views: Silhouettes) -> None:
-    """Catches a removal that opens holes in a silhouette. At most a pixel at the contour may be uncovered."""
+    """Catches a removal after which the hull no longer covers a silhouette. Only pixels at the contour may become
+    uncovered."""
     hull = fill_hull(views, BOX.lower, BOX.upper, 0.02)
     remaining = remove_excess(views, hull)
     for view in views.views:
@@ -64,7 +65,7 @@ def test_the_grid_is_limited(views: Silhouettes, monkeypatch: pytest.MonkeyPatch
 
 
 def test_a_ball_keeps_its_points() -> None:
-    """Catches new points inside an object whose hull has no excess parts, and uneven densities where old and new
+    """Catches new points inside an object that has no excess parts. Also catches an uneven density where old and new
     points meet."""
     cameras = ring_cameras(20, 128)
     masks = [mask(camera, [ball((0.1, -0.05, 0.02), 0.35)]) for camera in cameras]

@@ -1,4 +1,4 @@
-"""Agreement of mattes with the hull of the other views."""
+"""Agreement of each matte with the visual hull of the other views."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def test_true_mattes_explain_each_other(count: int) -> None:
 
 
 def test_a_matte_with_background_is_named() -> None:
-    """Catches a score that is symmetric, so that good views are reported instead of the poor one, and runs of frames
-    that are joined across a good frame."""
+    """Catches a report that names good views instead of the poor view. Also catches a range of poor frames that
+    contains a good frame."""
     views = capture(8, 4)
     for frame in (0, 1, 3):
         views.masks[frame][2] = np.full_like(views.masks[frame][2], 255)
@@ -47,14 +47,14 @@ def test_a_matte_with_background_is_named() -> None:
 
 
 def test_contradicting_mattes_stop_carving(tmp_path: Path) -> None:
-    """Catches a scene that is carved from a small part of the mattes without a message."""
+    """Catches carving without an error although the hull covers only a small part of the mattes."""
     views = capture(5)
     small = [mask(view, [ball(CENTRE, 0.1)]) for view in views.cameras]
     views.masks[0][1], views.masks[0][3] = small[1], small[3]
     quality = measure_mattes(views)
     assert quality is not None
     assert quality.kept_share < 1 / 3
-    with pytest.raises(UserError, match=r"carving keeps at least a third, got \d+% \(.*--accept-mattes"):
+    with pytest.raises(UserError, match=r"the visual hull covers at least a third, got \d+% \(.*--accept-mattes"):
         quality.require_hull(tmp_path)
     good = measure_mattes(capture(5))
     assert good is not None
@@ -73,5 +73,6 @@ def test_empty_mattes_are_not_scored(tmp_path: Path) -> None:
 
 
 def test_two_views_have_no_score() -> None:
-    """Catches a warning that two cameras cannot support: two silhouettes nearly always have a common hull."""
+    """Catches a warning for a capture with two cameras. Two silhouettes nearly always have a common hull, so they
+    cannot disagree."""
     assert measure_mattes(capture(2)) is None

@@ -97,8 +97,8 @@ def made(capture: Path, capsys: pytest.CaptureFixture[str]) -> str:
 def test_broken_captures_stop_with_a_message(
     synthetic: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: Break, message: str
 ) -> None:
-    """Catches exchanged calibrations, a view that is upside down and a calibration of other cameras that are reported
-    only as a large residual, or train for half an hour first."""
+    """Catches mistakes that are reported only as a large residual, or only after half an hour of training: exchanged
+    calibrations, a view that is upside down, and a calibration of other cameras."""
     capture = Path(shutil.copytree(synthetic, tmp_path / "capture"))
     damage(capture)
     assert message in checked(capture, capsys)
@@ -128,7 +128,7 @@ def test_broken_captures_are_reported(
 def test_make_warns_of_broken_captures(
     synthetic: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: Break, message: str
 ) -> None:
-    """Catches a run that trains on a broken capture without a word."""
+    """Catches training on a broken capture without a message."""
     capture = Path(shutil.copytree(synthetic, tmp_path / "capture"))
     damage(capture)
     output = made(capture, capsys)
@@ -145,7 +145,8 @@ def test_whole_captures_have_no_warning(synthetic: Path, capsys: pytest.CaptureF
 
 @pytest.mark.slow
 def test_exchanged_cameras_of_a_large_ring_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches cameras that match none of their supposed neighbours and are therefore left out of the check."""
+    """Catches cameras that are not checked because they match none of their neighbours. Their neighbours are wrong,
+    because their calibration is wrong."""
     capture = tmp_path / "capture"
     make_synthetic(capture, frames=1, cameras=24, size=SIZE)
     names = [f"{index:02d}" for index in range(24)]

@@ -93,8 +93,8 @@ def easymocap_board(root: Path) -> Path:
     ],
 )
 def test_calibrations_in_other_folders_are_found(tmp_path: Path, make, trial: str, name: str) -> None:  # type: ignore[no-untyped-def]
-    """Catches a layout whose videos are calibrated from their images although a calibration exists, and videos of
-    boards that are taken for the recording."""
+    """Catches an import that ignores the calibration of a layout and calibrates from the images. Also catches an import
+    of the board videos instead of the recording."""
     root = make(tmp_path / "session")
     for source in (root, root / trial):
         found, imported = read(source)
@@ -107,7 +107,7 @@ def test_calibrations_in_other_folders_are_found(tmp_path: Path, make, trial: st
 
 
 def test_several_recordings_are_named(tmp_path: Path) -> None:
-    """Catches an arbitrary recording that is taken out of several."""
+    """Catches an import that chooses one of several recordings without asking."""
     root = pose2sim(tmp_path)
     write_videos(root / "second" / "videos")
     with pytest.raises(UserError, match=r"expected one recording, got 2: .*second, .*trial; name one of them"):
@@ -116,7 +116,7 @@ def test_several_recordings_are_named(tmp_path: Path) -> None:
 
 
 def test_files_that_are_not_taken_have_reasons(tmp_path: Path) -> None:
-    """Catches a calibration that is ignored without a word, and a pickle that is loaded."""
+    """Catches a calibration that is ignored without a message, and a pickle that is loaded."""
     write_videos(tmp_path / "videos")
     (tmp_path / "calib.pickle").write_bytes(b"cos\nsystem\n(S'false'\ntR.")
     (tmp_path / "Calib.toml").write_text("[int_cam]\nmatrix = 1\n")
@@ -131,7 +131,7 @@ def test_files_that_are_not_taken_have_reasons(tmp_path: Path) -> None:
 
 
 def test_a_calibration_of_other_cameras_is_an_error(tmp_path: Path) -> None:
-    """Catches cameras that are calibrated from their images because the calibration's names do not fit."""
+    """Catches an import that calibrates from the images because the camera names in the calibration do not fit."""
     root = pose2sim(tmp_path)
     shutil.rmtree(root / "trial")
     write_videos(root / "trial" / "videos", ("left", "right", "top"))
@@ -165,7 +165,7 @@ def test_two_calibrations_of_one_format_need_a_choice(tmp_path: Path) -> None:
 
 
 def test_opencap_sessions_are_refused_without_loading_pickles(tmp_path: Path) -> None:
-    """Catches code in a pickle that runs, and a message that does not say how to convert the session."""
+    """Catches an import that runs code in a pickle, and a message that does not say how to convert the session."""
     path = tmp_path / "Videos" / "Cam0" / "cameraIntrinsicsExtrinsics.pickle"
     path.parent.mkdir(parents=True)
     path.write_bytes(b"cos\nsystem\n(S'false'\ntR.")
@@ -176,7 +176,7 @@ def test_opencap_sessions_are_refused_without_loading_pickles(tmp_path: Path) ->
 
 
 def test_two_recordings_in_one_folder_are_refused(tmp_path: Path) -> None:
-    """Catches the videos of a second recording that are taken for more cameras."""
+    """Catches an import that treats the videos of a second recording as additional cameras."""
     root = anipose_session(tmp_path)
     write_videos(root / "videos-raw", ("2019-08-02-vid02-camA",))
     with pytest.raises(UserError, match=r"expected one video of camera 'A', got .*vid01-camA, .*vid02-camA"):

@@ -67,9 +67,9 @@ def test_turned_videos_give_the_same_pictures(unpack: bool, plain: list[float], 
     assert [(camera.width, camera.height) for camera in capture.cameras] == [(64, 48)] * 3
     assert min(mean_psnr(capture)) > plain[0] - 0.3
     for name, angle in zip(NAMES, (90, 180, 270), strict=True):
-        assert f"{name}: frames are turned by {angle} degrees clockwise, as the video says" in lines
-    assert "a, c: the calibration is meant for the turned frames (its size is 64 x 48)" in lines
-    text = "b: the calibration is meant for the turned frames (its size is that of both; change this with "
+        assert f"{name}: frames are turned {angle} degrees clockwise, as its metadata says" in lines
+    assert "a, c: the calibration belongs to the turned frames (its images are 64 x 48)" in lines
+    text = "b: the calibration belongs to the turned frames (both have its orientation; change this with "
     assert text + "--calibrated-frames stored)" in lines
     for ours, theirs in zip(capture.cameras, calibrations(), strict=True):
         assert np.allclose(ours.intrinsics, theirs.intrinsics)
@@ -83,7 +83,7 @@ def test_calibrations_of_stored_frames_are_turned(tmp_path: Path, rng: np.random
     for name, clockwise in zip(NAMES, (90, 180, 270), strict=True):
         write_phone_video(source / "videos" / f"{name}.mp4", PLAIN[:3], clockwise=clockwise)
     lines = run_import(source, tmp_path / "out", calibrated_frames="stored")
-    text = "a, b, c: the calibration is meant for the stored frames (--calibrated-frames stored), so it is turned too"
+    text = "a, b, c: the calibration belongs to the stored frames (--calibrated-frames stored), so it is turned too"
     assert text in lines
     found = open_capture(tmp_path / "out")
     for ours, theirs in zip(found.distorted_cameras, upright, strict=True):
@@ -91,7 +91,7 @@ def test_calibrations_of_stored_frames_are_turned(tmp_path: Path, rng: np.random
             assert np.allclose(getattr(ours, value), getattr(theirs, value))
     lines = run_import(source, tmp_path / "auto")
     assert any(
-        line.startswith("a, c: the calibration is meant for the stored frames (its size is 48 x 64)") for line in lines
+        line.startswith("a, c: the calibration belongs to the stored frames (its images are 48 x 64)") for line in lines
     )
 
 
@@ -114,7 +114,8 @@ def test_turned_cameras_project_to_turned_pixels(rng: np.random.Generator) -> No
 def test_uneven_times_give_the_pictures_of_their_times(
     plain: list[float], tmp_path: Path, rng: np.random.Generator
 ) -> None:
-    """Catches frames that are picked by their numbers although a frame is missing or times jitter."""
+    """Catches frames that are selected by number instead of time, which is wrong if a frame is missing or if frame
+    times jitter."""
     source = write_source(tmp_path / "source")
     jitter = np.array([0, *rng.uniform(-0.002, 0.002, 20)])
     times = [frame / 30 + float(jitter[frame]) for frame in range(21) if frame != 8]

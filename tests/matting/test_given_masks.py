@@ -96,7 +96,8 @@ def test_strokes_are_carried_to_neighbouring_frames(capture: Path, tmp_path: Pat
 
 
 def test_a_painted_mask_changes_its_frame(capture: Path, tmp_path: Path) -> None:
-    """Catches strokes that the hull or the smoothing overrules, and models that are learned again for new strokes."""
+    """Catches painted strokes that have no effect because the hull or the smoothing changes them. Also catches models
+    that are learned again for new strokes."""
     own = tmp_path / "capture"
     shutil.copytree(capture, own)
     shutil.copytree(capture.parent / "truth", tmp_path / "truth")

@@ -44,7 +44,8 @@ def write_photos(capture: Path, folder: Path) -> Path:
 
 
 def test_photos_become_a_whole_scene(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a scene without foreground that fails between photos and scene file, and plates with holes."""
+    """Catches a scene without foreground that fails in any stage from photos to the scene file, and clean plates with
+    holes."""
     photos, out = write_photos(ball_capture, tmp_path / "photos"), tmp_path / "scene.4dv"
     text = io.StringIO()
     context = Context(Console(file=text, width=300))
@@ -60,7 +61,7 @@ def test_photos_become_a_whole_scene(ball_capture: Path, tmp_path: Path) -> None
 
 
 def test_one_frame_without_mattes_needs_a_full_scene(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a message about missing motion that does not say how to make a scene of a single frame."""
+    """Catches an error about missing motion that does not say how to make a scene of a single frame."""
     photos = write_photos(ball_capture, tmp_path / "photos")
     with pytest.raises(
         UserError, match=r"expected a moving subject or mattes, got one frame and no masks/; add --scene"

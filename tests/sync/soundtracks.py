@@ -17,7 +17,7 @@ RATE = 48_000
 
 
 def room_sound(seconds: float, rng: np.random.Generator) -> Samples:
-    """(N,) sound of a stage at 48 kHz: decaying bursts of noise at random times, like claps, over a murmur."""
+    """(N,) synthetic sound at 48 kHz: decaying bursts of noise at random times, like claps, over quiet noise."""
     count = round(seconds * RATE)
     sound = 0.02 * np.cumsum(rng.normal(0, 0.1, count))
     sound -= np.convolve(sound, np.ones(401) / 401, "same")

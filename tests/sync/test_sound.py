@@ -35,8 +35,8 @@ def reduced(samples: Samples) -> Soundtrack:
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("codec", ["aac", "pcm_s16le"])
 def test_offsets_are_within_two_milliseconds(seed: int, codec: str, tmp_path: Path) -> None:
-    """Catches an offset of the wrong sign, the delay of an encoder that counts as an offset, and an echo that is taken
-    for the sound itself. Each soundtrack has noise at 20 dB SNR, two echoes and another level."""
+    """Catches an offset of the wrong sign, an offset that contains the encoder's delay, and an echo that is mistaken
+    for the sound. Each soundtrack has noise at 20 dB SNR, two echoes and its own level."""
     rng = np.random.default_rng(seed)
     soundtracks = []
     for index, samples in enumerate(recordings(4, rng)):
@@ -52,14 +52,14 @@ def test_offsets_are_within_two_milliseconds(seed: int, codec: str, tmp_path: Pa
 
 @pytest.mark.parametrize("seed", range(5))
 def test_other_sounds_have_no_confidence(seed: int) -> None:
-    """Catches an offset between recordings of different events that is reported as sure."""
+    """Catches a high confidence for the offset between recordings of different events."""
     rng = np.random.default_rng(seed)
     soundtracks = [reduced(recorded(room_sound(4, rng), 0, 3, 0.3, rng)) for _ in range(3)]
     assert max(estimate_sound_offsets(soundtracks).confidence) < 0.3
 
 
 def test_one_foreign_recording_does_not_disturb_the_others(rng: np.random.Generator) -> None:
-    """Catches a foreign soundtrack that shifts the offsets of the others."""
+    """Catches a soundtrack of another event that changes the offsets of the other soundtracks."""
     soundtracks = [reduced(samples) for samples in recordings(4, rng)]
     soundtracks[1] = reduced(recorded(room_sound(4, rng), 0, 3, 0.3, rng))
     offsets = estimate_sound_offsets(soundtracks)
@@ -127,7 +127,8 @@ def test_the_travel_time_of_sound_is_corrected(tmp_path: Path, rng: np.random.Ge
 def test_unusable_soundtracks_are_reported(
     tmp_path: Path, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches missing, silent and foreign soundtracks that give offsets, or that are skipped without a message."""
+    """Catches offsets from soundtracks that are missing, silent or of another event, and such soundtracks that are
+    skipped without a message."""
     good = synchronised(rng)[0]
     foreign = recorded(room_sound(3, rng), 0.5, 2, 0.3, rng)
     cases: dict[str, tuple[Samples | None, str]] = {

@@ -1,4 +1,4 @@
-"""Synthetic board videos: their truth, equal bytes for equal settings, and folders with other files."""
+"""Synthetic board videos: their ground truth, equal bytes for equal settings, and folders with other files."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def test_other_folders_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_the_image_is_where_the_projection_is() -> None:
-    """Catches a rendered board that is shifted, mirrored or not distorted: its bounding box is that of its outline."""
+    """Catches a rendered board that is shifted, mirrored or not distorted, because its bounding box is not that of the
+    projected outline."""
     settings = BoardSettings(size=256)
     camera = rig_cameras(settings)[0]
     tilt = board_pose(settings, 4.0).rotation

@@ -85,7 +85,7 @@ def shadowed_config(seeds: Path, steps: int) -> TrainConfig:
     grey = np.full((len(shell), 3), 89, np.uint8)
     write_ply(seeds, np.concatenate([xyz, shell]), np.concatenate([(rgb * 255).astype(np.uint8), grey]))
     background = replace(config.background, points=len(xyz) + len(shell), shadow=True)
-    # The few cameras are far apart: with fading weights, almost every colour of the floor would come from one image.
+    # The cameras are far apart, so with fading weights almost all colours of the floor would come from one image.
     model = replace(config.model, fade_views=False)
     return replace(config, model=model, background=background, points=600, max_steps=steps, checkpoint_steps=steps)
 

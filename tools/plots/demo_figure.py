@@ -76,7 +76,7 @@ def draw(reader: SceneReader, frame: int, camera: Camera) -> Picture:
 
 
 def with_label(label: str, picture: Picture, width: int) -> Picture:
-    """The middle part of ``picture`` in a panel of the given width, below its label."""
+    """The middle part of ``picture`` as a panel of the given width, with its label above."""
     middle = picture.shape[1] // 2
     left = max(0, min(middle - width // 2, picture.shape[1] - width))
     panel = np.full((picture.shape[0] + 40, width, 3), BACKGROUND, np.uint8)

@@ -40,7 +40,7 @@ class Case:
 
 
 def main(out: tyro.conf.Positional[Path]) -> None:
-    """Make a synthetic capture, carve it whole and broken, and write the figure to ``out``."""
+    """Make a synthetic capture, carve it without and with mistakes, and write the figure to ``out``."""
     with tempfile.TemporaryDirectory() as folder:
         make_synthetic(Path(folder) / "capture", frames=FRAMES, cameras=CAMERAS, size=SIZE)
         make_synthetic(Path(folder) / "other", frames=FRAMES, cameras=CAMERAS, size=SIZE, seed=7)
@@ -53,7 +53,7 @@ def main(out: tyro.conf.Positional[Path]) -> None:
 
 
 def cases(capture: Capture, other: Capture) -> list[Case]:
-    """The whole capture, and five broken ones."""
+    """The correct capture, and five captures with one mistake each."""
     cameras = list(capture.cameras)
     masks = [matte(capture, camera, 0) for camera in range(CAMERAS)]
 

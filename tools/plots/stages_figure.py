@@ -45,7 +45,7 @@ class Arguments:
     frame: int = 4
     """Index of the frame in the scene."""
     stride: int = 10
-    """Frames of the capture for each frame of the scene."""
+    """Step between the frames of the scene, in frames of the capture."""
     height: int = 360
     """Height of a panel in pixels."""
 

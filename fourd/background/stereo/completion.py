@@ -80,7 +80,8 @@ def _has_enough_known(surface: Surface, xyz: Array) -> bool:
 
 
 def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
-    """(N,) bool: whether a cell of the depth map has a depth and its point lies on none of the enclosing planes."""
+    """(N,) bool: True for cells of the depth map that have a depth and whose point lies on none of the enclosing
+    planes."""
     cells = np.flatnonzero(surface.known)
     off = np.zeros_like(surface.known)
     off[cells] = ~planes.contains(surface.points(cells))

@@ -1,1 +1,1 @@
-"""Checks of a given calibration with matches between the images."""
+"""Checks of a given calibration with feature matches between the images."""

@@ -40,7 +40,8 @@ MAX_FRAME_PIXELS = 12e6
 Because of this limit on pixels, the check of a ring of cameras takes only seconds.
 """
 MIN_SHARE = 0.5
-"""Minimum share of matches within 3 pixels. With a correct calibration, a third of the matches can still be wrong."""
+"""Minimum share of matches within 3 pixels of their epipolar lines. Even with a correct calibration, a third of the
+matches can be wrong."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +69,10 @@ class Agreement:
             enough matches.
         pairs: number of camera pairs with enough matches.
         matches: total number of matches.
-        mixups: one line for each view that is upside down and each pair of cameras with exchanged calibrations.
-        warnings: the lines of ``mixups``; without mixups, one line for each camera that disagrees with the others, or
-            one line if all cameras disagree.
+        mixups: one line for each view with upside-down images, and for each pair of cameras with exchanged
+            calibrations.
+        warnings: the lines of ``mixups``. If ``mixups`` is empty, one line for each camera that disagrees with the
+            others, or one line if all cameras disagree.
     """
 
     score: MatchScore | None
@@ -117,9 +119,10 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
 def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
-    """Match cameras that match no neighbour with all other cameras, because a wrong calibration has wrong neighbours.
+    """Match each camera that matches no neighbour with all other cameras, because a wrong calibration gives wrong
+    neighbours.
 
-    Cameras are matched in this way only if at least two and at most a quarter of the cameras match no neighbour.
+    This is done only if at least two cameras, and at most a quarter of all cameras, match no neighbour.
     """
     used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
     lone = [index for index in range(len(cameras)) if index not in used]

@@ -1,4 +1,4 @@
-"""Robust summary of epipolar residuals: the median, and the share of matches that agree with the calibration."""
+"""Robust summary of epipolar residuals: the median, and the share of matches with small residuals."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from fourd.cameras import Camera
 class MatchScore:
     """Summary of the distances of matches from their epipolar lines.
 
-    With cameras 90 degrees apart, a third of the feature matches can be wrong. A mean of the distances then says
-    nothing about the calibration.
+    If the cameras are 90 degrees apart, a third of the feature matches can be wrong. The mean of the distances then
+    depends more on the wrong matches than on the calibration.
 
     Attributes:
         median_px: median distance in pixels, or NaN without matches.

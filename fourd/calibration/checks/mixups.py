@@ -1,7 +1,7 @@
-"""Detection of mixed-up captures: cameras with exchanged calibrations, and views whose images are upside down.
+"""Detection of two mistakes in captures: cameras with exchanged calibrations, and views with upside-down images.
 
-Each hypothesis changes the calibration or the matches of one or two cameras. A hypothesis is accepted if the matches of
-these cameras disagree with the calibration as it is, and agree under the hypothesis.
+A hypothesis assumes one of these mistakes for one or two cameras, and corrects it. A hypothesis is accepted if the
+matches of these cameras have large residuals with the given calibration, and small residuals after the correction.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from fourd.cameras import Camera
 
 MIN_MATCHES = 16
 MIN_SHARE = 0.6
-"""Minimum share of agreeing matches under an accepted hypothesis."""
+"""Minimum share of matches with small residuals after the correction of an accepted hypothesis."""
 MAX_SHARE_RATIO = 0.6
-"""Maximum ratio of the share of agreeing matches without the hypothesis to the share with it."""
+"""Maximum share of matches with small residuals before the correction, as a multiple of the share after it."""
 MAX_MIXUPS = 4
 MAX_SUSPECTS = 8
 
@@ -33,7 +33,7 @@ class Mixup:
     Attributes:
         cameras: indices of the camera, or of the two cameras.
         before: score of the matches of these cameras with the calibration as given.
-        after: score of the same matches under the hypothesis.
+        after: score of the same matches after the correction.
     """
 
     cameras: tuple[int, ...]
@@ -46,7 +46,7 @@ class Mixup:
         if len(chosen) == 1:
             return (
                 f"camera '{chosen[0]}': its images look upside down ({self.before}; turned by 180 degrees: "
-                f"{self.after}); turn its images, or calibrate it as it is recorded"
+                f"{self.after}); turn its images, or calibrate it with images of this orientation"
             )
         return (
             f"cameras '{chosen[0]}' and '{chosen[1]}': their calibrations look exchanged ({self.before}; exchanged "
@@ -55,7 +55,7 @@ class Mixup:
 
 
 def find_mixups(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> list[Mixup]:
-    """Find mixed-up cameras, the clearest first.
+    """Find cameras with exchanged calibrations or upside-down images. The clearest case comes first.
 
     Args:
         matches: matches of each camera pair, in pixels of the stored images.
@@ -74,7 +74,8 @@ def find_mixups(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> l
 
 
 def suspects(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> list[int]:
-    """Indices of the cameras with matches that mostly disagree with the calibration, the worst first."""
+    """Indices of the cameras for which most matches have large residuals. The camera with the largest residuals comes
+    first."""
     shares = []
     for index in range(len(cameras)):
         score = score_matches(_touching(matches, (index,)), cameras)

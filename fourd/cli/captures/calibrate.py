@@ -17,15 +17,15 @@ from fourd.cli.options import Frames, option, parse_offsets
 from fourd.errors import UserError
 from fourd.progress import Tracker
 
-VIDEOS_HELP = "Folder with a video, or a folder of images, per camera, in which the board is moved."
+VIDEOS_HELP = "Folder with one video per camera, or one folder of images per camera. They show a moving board."
 OUT_HELP = "Folder to write: intri.yml, extri.yml, report.json and rig.png. An earlier calibration is replaced."
 INTRINSICS_HELP = (
-    "Known lenses, which are kept: a folder with intri.yml, or a TOML file of Caliscope (camera_array.toml), Anipose "
-    "or Pose2Sim."
+    "Known intrinsics and distortion, which are not changed: a folder with intri.yml, or a TOML file of Caliscope "
+    "(camera_array.toml), Anipose or Pose2Sim."
 )
 FLOOR_HELP = (
-    "Number of a frame in which the board lies on the floor. The world's origin is then the board's corner, and z "
-    "points up."
+    "Number of a frame in which the board lies on the floor. The world's origin is then a corner of the board, "
+    "and z points up."
 )
 OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
 PRINT_HELP = "Print the board to a PDF file at true scale, and stop. VIDEOS and -o are not needed."
@@ -33,7 +33,7 @@ PRINT_HELP = "Print the board to a PDF file at true scale, and stop. VIDEOS and 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes intrinsics, distortion and poses in metres, which fourd import and fourd make take by --calibration."""
+    """Writes intrinsics, distortion and poses in metres. fourd import and fourd make read them with --calibration."""
 
     board: Path
     """TOML file that describes the board."""

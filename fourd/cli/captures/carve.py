@@ -48,8 +48,8 @@ class Arguments:
         ),
     ] = 0.5
     trim: bool = True
-    """Remove protruding parts of the visual hull that no matte needs. Without this step, the points cover the whole
-    visual hull."""
+    """Remove protruding parts of the visual hull. The remaining hull still covers all mattes. Without this step, the
+    points cover the whole visual hull."""
     inset: float = 0.0
     """Distance by which points are moved into the visual hull, in multiples of the mean distance between neighbouring
     points. Training uses an inset, because discs extend beyond their points."""
@@ -58,7 +58,7 @@ class Arguments:
     seed: int = 0
     """Random seed for the order in which points are stored."""
     accept_mattes: bool = False
-    """Carve even if the points keep less than a third of what the mattes show."""
+    """Carve even if the visual hull covers less than a third of the area of the mattes."""
     workers: Workers = None
 
 

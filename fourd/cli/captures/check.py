@@ -35,8 +35,8 @@ class Arguments:
     deep: bool = False
     """Decode all images to find damaged files."""
     quick: bool = False
-    """Skip the checks that decode images: epipolar residuals, time offsets between the cameras, and the contours and
-    the agreement of the mattes. They take seconds for 20 cameras of 512 x 512 pixels."""
+    """Skip the checks that decode images, which take seconds for 20 cameras of 512 x 512 pixels. They compute epipolar
+    residuals, time offsets between the cameras, and the agreement of the mattes."""
 
 
 def run(arguments: Arguments) -> None:
@@ -90,7 +90,7 @@ def _facts(path: Path, report: Report, agreement: Agreement | None, quality: Mat
     if agreement is not None:
         table.add_row("residuals", _residuals(agreement))
     coverage = "" if report.coverage is None else f"; {report.coverage:.1%} of the pixels are foreground"
-    kept = "" if quality is None else f"; the hull of all views keeps {quality.kept_share:.0%} of them"
+    kept = "" if quality is None else f"; the visual hull covers {quality.kept_share:.0%} of them"
     table.add_row("mattes", ("yes" if report.has_masks else "none") + coverage + kept)
     table.add_row("size", f"{report.nbytes / 1e6:.1f} MB")
     return table

@@ -36,15 +36,16 @@ OFFSET_HELP = (
 )
 SCALE_HELP = (
     "CAM,CAM=METRES: distance between the optical centres of two cameras. One world unit becomes one metre. "
-    "FACTOR, such as 0.5: the frames of videos and their calibrations are reduced by this factor."
+    "FACTOR, such as 0.5: reduce width and height of video frames by this factor, and scale the calibration."
 )
 CALIBRATION_HELP = (
-    "Calibration of the videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes. SRC is then "
-    "read as videos."
+    "Calibration of the videos: a folder with intri.yml and extri.yml, for example the output of fourd calibrate. "
+    "SRC is then read in the format videos."
 )
 SOUND_HELP = (
-    "Position of the sound in metres, to correct offsets from sound by its travel time to the cameras. centre: the "
-    "point that the cameras face. none: no correction. auto: centre if the calibration is in metres, otherwise none."
+    "Position of the source of the sound in metres. Offsets from sound are corrected by the travel time from this "
+    "position to the cameras. centre: the point that the cameras face. none: no correction. "
+    "auto: centre if the calibration is in metres, otherwise none."
 )
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "
@@ -80,7 +81,7 @@ class Arguments:
         SyncMethod,
         describe(
             "Source of estimated time offsets: the soundtracks, or the motion in the images.",
-            "auto: sound if all videos have common sound, otherwise motion.",
+            "auto: sound if all videos have recorded the same sound, otherwise motion.",
         ),
     ] = "auto"
     sound_at: Annotated[str, tyro.conf.arg(metavar="auto|none|centre|X,Y,Z", help=SOUND_HELP)] = "auto"
@@ -107,8 +108,9 @@ class Arguments:
     calibrated_frames: Annotated[
         CalibratedFrames,
         describe(
-            "Frames for which calibrations of videos with rotation metadata are meant: turned upright, or as stored.",
-            "auto: the size of the calibration decides.",
+            "Which frames the calibration belongs to, if a video has rotation metadata.",
+            "turned: frames that are turned upright. stored: frames as they are stored in the file.",
+            "auto: stored if only the stored frames have the orientation of the calibration, otherwise turned.",
         ),
     ] = "auto"
     scale: Annotated[

@@ -29,8 +29,8 @@ class MatteOptions:
         Literal["motion", "chroma", "rvm", "onnx", "masks"],
         describe(
             "motion: detect the subject by motion and multi-view consistency, without a pretrained network.",
-            "chroma: chroma key (green screen). rvm: Robust Video Matting, a pretrained network that needs --rvm.",
-            "onnx: a network that needs --onnx. masks: masks of another program, which need --masks.",
+            "chroma: chroma key (green screen). rvm: Robust Video Matting, the pretrained network in the file --rvm.",
+            "onnx: the network in the file --onnx. masks: masks of another program in the folder --masks.",
         ),
     ] = "motion"
     screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
@@ -39,8 +39,8 @@ class MatteOptions:
     """TorchScript file of Robust Video Matting, for --method rvm. TorchScript executes code: use only trusted files."""
 
     onnx: Annotated[Path | None, option("FILE", "none")] = None
-    """ONNX file for --method onnx: Robust Video Matting, or a network with one image input and one mask output. Needs
-    fourd[onnx]."""
+    """ONNX file for --method onnx: Robust Video Matting, or a network with one image input and one mask output. The
+    package fourd[onnx] must be installed."""
     masks: Annotated[Path | None, option("FOLDER", "none")] = None
     """Folder with CAM/FRAME.png for --method masks. The masks are aligned with the recorded images."""
     paint: Annotated[
@@ -48,8 +48,8 @@ class MatteOptions:
         tyro.conf.arg(metavar="CAM:FRAME=FILE.png", help_behavior_hint="(repeatable)"),
         tyro.conf.UseAppendAction,
     ] = ()
-    """Correct mattes by motion with a painted image: white is the subject, black the background, grey or transparent
-    unknown. The correction spreads to neighbouring frames and to the other views."""
+    """Correct the mattes of --method motion with a painted image. White is the subject, black is the background, grey
+    and transparent pixels are unknown. The correction spreads to neighbouring frames and to the other views."""
 
     def settings(self, seed: int) -> MatteSettings:
         """Settings of the matting stage. Raises UserError for options of another method."""

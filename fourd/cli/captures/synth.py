@@ -28,13 +28,14 @@ class Arguments:
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Capture folder to write: a new or empty folder, or a synthetic capture, which is replaced."""
     board: bool = False
-    """Make videos of a moving calibration board for fourd calibrate, with the true calibration in OUT/truth/, instead
-    of a capture."""
+    """Instead of a capture, make videos of a moving calibration board for fourd calibrate. The true calibration is
+    written to OUT/truth/."""
     frames: Annotated[str | None, option("0:N|N", "0:24, with --board 0:60", FRAMES_HELP)] = None
     cameras: Annotated[int | None, option("INT", "12, with --board 4", CAMERAS_HELP)] = None
     size: Annotated[int | None, option("INT", "256, with --board 640", SIZE_HELP)] = None
     seed: int = 0
-    """Random seed of the figure's clothes, proportions and gait phase, or of the board's motion, at least 0."""
+    """Random seed, at least 0. It determines the figure's clothes, proportions and gait phase, or the board's
+    motion."""
     gloss: float = 0.3
     """Strength of the specular highlights, 0 to 1."""
     fps: float = DEFAULT_FPS

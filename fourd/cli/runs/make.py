@@ -1,5 +1,5 @@
-"""Make a 4D scene from videos or a capture: import, check, calibration repair, mattes, plates, carving, training and
-baking."""
+"""Make a 4D scene from videos or a capture. The stages are import, check, calibration repair, mattes, plates, carving,
+training and baking."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CALIBRATION_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """Prints the stages and the expected duration first. The result of every stage is cached. Run an interrupted
+    """First prints the stages and the expected duration. The result of every stage is cached. Run an interrupted
     command again to resume it."""
 
     capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]]

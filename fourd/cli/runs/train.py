@@ -34,8 +34,8 @@ class Arguments:
     """Run folder to write: a new folder, or an existing run with --resume."""
     training: TrainingOptions
     resume: bool = False
-    """Continue training from the newest checkpoint. Of all options, only the budget (--max-steps, --max-seconds) may
-    change."""
+    """Continue training from the newest checkpoint. Only the budget (--max-steps, --max-seconds) may differ from the
+    options of the run."""
     workers: Workers = None
 
 

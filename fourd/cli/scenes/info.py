@@ -57,7 +57,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
-    # Scene files are recognised by the bytes PK at the start, so a truncated scene file is recognised too.
+    # Scene files start with the bytes PK. This also detects a truncated scene file.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if head.startswith((b"ply\n", b"ply\r")):

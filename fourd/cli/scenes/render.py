@@ -49,7 +49,7 @@ class Arguments:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
-    """Frames per second of the video. If --frames selects every S-th frame, the default is the S-th part."""
+    """Frames per second of the video. If --frames selects every S-th frame, the default is divided by S."""
 
 
 def run(arguments: Arguments) -> None:

@@ -22,7 +22,7 @@ from fourd.importing.imported import Frames, Imported, PictureFiles
 
 MODEL_FOLDERS = (".", "sparse", "sparse/0")
 PHOTO_FOLDERS = ("images", "input", ".")
-"""Folders that may contain the photos CAM.jpg of a static scene, in the order of preference."""
+"""Folders that may contain the photos CAM.jpg of a static scene. Earlier folders are preferred."""
 LENS_MODELS = {
     "SIMPLE_PINHOLE": (1, 0),
     "PINHOLE": (2, 0),
@@ -93,7 +93,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def _find_photos(source: Path, calibrations: Mapping[str, Camera]) -> dict[str, Frames]:
-    """Photos CAM.jpg of a static scene, each of which is a camera with one frame, by camera name."""
+    """Photos CAM.jpg of a static scene, by camera name. Each photo is one camera with one frame."""
     for folder in PHOTO_FOLDERS:
         found = find_pictures(source / folder)
         photos: dict[str, Frames] = {
@@ -152,7 +152,7 @@ def _load_model(path: Path) -> Any:
     try:
         model = pycolmap.Reconstruction(str(path))
         for image in model.images.values():
-            image.name.encode()  # pycolmap decodes a name only when the name is read
+            image.name.encode()  # pycolmap decodes image names when they are accessed, not when the model is read
         return model
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: expected image names in UTF-8, got other bytes; rename the image") from error

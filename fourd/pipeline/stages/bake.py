@@ -23,7 +23,7 @@ class BakeFiles:
 class BakeSettings:
     """Number of points composited per pixel, and playback rate in frames per second.
 
-    Without a rate, the scene has the rate of the run's capture.
+    If the rate is None, the scene has the frame rate of the run's capture.
     """
 
     layers: int = BAKED_LAYERS
@@ -33,7 +33,7 @@ class BakeSettings:
 def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = None) -> Stage[BakeFiles, BakeSettings]:
     """Create the stage that bakes the newest checkpoint of a run.
 
-    A change of the frame rate that is stored in ``capture`` repeats the stage.
+    The stage runs again if the frame rate that is stored in ``capture`` changes.
     """
     inputs = () if capture is None else (Artefact(capture / NAME),)
     return Stage("bake", run_bake, files, settings, inputs=inputs, outputs=(files.scene,), after=("train",))

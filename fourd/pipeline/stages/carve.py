@@ -16,7 +16,7 @@ from fourd.training.cameras.selection import DECODED_MB, DataSelection, open_run
 from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
 MEASURED_FRAMES = 6
-"""Number of frames whose mattes are measured before carving."""
+"""Number of frames whose mattes are compared with their visual hull before carving."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +44,10 @@ class CarveStageSettings:
         agreement: minimum share in (0, 1]. Of the views that see a point, at least this share must have the point in
             their mattes.
         least_views: minimum share in (0, 1]. At least this share of all views must see a point.
-        trim: whether to remove protruding parts of the hull that no silhouette needs.
+        trim: whether to remove protruding parts of the hull; the remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: random seed for the order of the points.
-        accept_mattes: whether to carve although the hull keeps less than a third of what the mattes show.
+        accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """
 
     selection: DataSelection
@@ -115,9 +115,9 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 
 
 def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
-    """Raise UserError if the hulls of a few frames keep less than a third of what the mattes show.
+    """Raise UserError if the hulls of a few frames cover less than a third of the mattes' area.
 
-    An empty hull is left to carving, whose error names the views that disagree most.
+    An empty hull raises no error here, because carving raises one that names the views that disagree most.
     """
     quality = measure_mattes(
         capture,

@@ -16,7 +16,7 @@ from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 QUALITY = DERIVED / "matte_quality.json"
-"""File with the share of each matte that the other views explain, by frame and camera."""
+"""File with the share of each matte that the hull of the other views covers, by frame and camera."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Repair: correct a calibration with which the images disagree, if held-out matches confirm the correction.
+"""Repair: correct a calibration with large residuals, if the correction reduces the residuals of held-out matches.
 
 The given capture is not changed. A corrected capture is a folder with links to the files of the given capture and with
 corrected calibration files.
@@ -23,9 +23,9 @@ from fourd.sync.lateness import find_late_cameras
 
 RESULT = "repair.json"
 MAX_MEDIAN_PX = 1.0
-"""Median residual in pixels above which corrections are tried."""
+"""Corrections are tried if the median residual is above this value in pixels."""
 MIN_SHARE = 0.5
-"""Share of matches within 3 pixels below which corrections are tried."""
+"""Corrections are tried if the share of matches within 3 pixels of their epipolar lines is below this value."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ def repaired_capture(capture: Path, repaired: Path) -> Path:
 
 
 def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> None:
-    """Match the images, and write a corrected capture if the calibration disagrees and a correction is confirmed.
+    """Match the images. If the residuals are large and a correction reduces them, write a corrected capture.
 
-    Warnings are logged for cameras that are late and for mattes that do not belong to the images.
+    Cameras that are late, and mattes that do not belong to the images, are logged as warnings.
 
     Raises:
         UserError: if two cameras' calibrations are exchanged, or a view is upside down.
@@ -81,7 +81,7 @@ def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> No
     else:
         log(f"calibration: {score} of their epipolar lines; trying corrections")
         repair = repair_cameras(found.cameras, found.matches)
-        # A correction that leaves most matches in disagreement is no repair: the calibration is of other cameras.
+        # If most residuals stay large after a correction, the calibration belongs to other cameras.
         is_changed = repair.is_changed and not is_disagreeing(repair.after)
         for trial in repair.trials:
             kept = "kept" if trial.is_kept else "not kept"
@@ -92,7 +92,7 @@ def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> No
             if (files.capture / MATTES).is_dir():
                 log(f"calibration: mattes in {files.capture / MATTES} do not fit the correction and are made again")
         else:
-            log("calibration: no correction makes the cameras agree on held-out matches; the given calibration is used")
+            log("calibration: not changed, because no correction makes the residuals of held-out matches small")
         for line in () if is_changed else agreement.warnings:
             log(f"warning: {line}")
     write_text_atomically(files.repaired / RESULT, json.dumps({"changed": is_changed}) + "\n")

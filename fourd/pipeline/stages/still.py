@@ -1,7 +1,7 @@
-"""Still scenes: captures of one frame, or in which nothing moves, become a scene of the background alone.
+"""Still scenes: a scene of the background alone, from one frame or from a recording in which nothing moves.
 
-The capture is not changed. A folder with links to its files gets empty mattes, so that each image is its own clean
-plate, and the run gets frames without foreground points.
+The given capture is not changed. A new folder gets links to its files, and empty mattes, so that each image is its own
+clean plate. The run gets frames without foreground points.
 """
 
 from __future__ import annotations

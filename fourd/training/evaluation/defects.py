@@ -15,7 +15,7 @@ CONTOUR_PX = 1.5
 NEAR_PX = 4.0
 """Pixels inside the matte up to this distance from its contour count as near the contour, the others as inside."""
 WRONG_ALPHA = 0.3
-"""Smallest difference between a wrong rendered alpha and the matte."""
+"""A rendered alpha is wrong if it differs from the matte by more than this value."""
 SPECK_ERROR = 0.15
 """Smallest error of a speck's pixels, the largest over the channels, for colours in [0, 1]."""
 SPECK_AREA_PX = 4

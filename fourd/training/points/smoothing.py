@@ -1,8 +1,9 @@
-"""Surface smoothing: pulls points towards the surface on which their neighbours lie, and returns isolated points to it.
+"""Surface smoothing: moves points towards planes through their neighbours, and moves isolated points to their
+neighbours.
 
-The images constrain a point well along the surface, but hardly across the surface. Across the surface, training moves
-points by about half a point spacing at random. In training views the colours make up for these moves. In other views,
-they make contours ragged.
+The images constrain the position of a point well along the surface, but only weakly across the surface. Training
+therefore moves points across the surface at random, by about half a point spacing. In training views, the colours of
+the points compensate for these moves. In other views, the moves make contours ragged.
 """
 
 from __future__ import annotations
@@ -18,35 +19,36 @@ from fourd.training.memory import tensor_outside_heap
 from fourd.training.points.frame_points import FramePoints
 
 NEIGHBOURS = 16
-"""Number of points, including the point itself, to which a point's plane is fitted."""
+"""Number of points to which a point's plane is fitted. The point itself is one of them."""
 TOLERANCE = 0.25
-"""Distance from the plane, as a share of the point spacing, up to which a point is not pulled. Creases and details
-remain as the images determine them."""
+"""Points within this distance of their plane, as a share of the point spacing, are not moved. Creases and details
+therefore remain as the images determine them."""
 REFIT_STEPS = 40
 """Number of training steps of a frame after which its planes are fitted again."""
 ISOLATION_RANK = 8
-"""A point is isolated if even its neighbour of this rank, counted from the nearest, is far away."""
+"""A point is isolated if its neighbour of this rank is far away. The nearest neighbour has rank 1."""
 ISOLATION_SPACINGS = 4.0
 """Distance to the neighbour of rank ISOLATION_RANK, in point spacings, beyond which a point is isolated. On an even
 surface, this distance is about 2 spacings."""
 MAX_SHARE = 0.5
-"""Largest share of the excess distance that is removed in one step."""
+"""Largest share of the distance beyond the tolerance that is removed in one step."""
 
 
 def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:
-    """Pull the points ``rows`` towards the planes of their neighbours, in place.
+    """Move the points ``rows`` towards the planes through their neighbours, in place.
 
-    Whenever the planes are fitted again, isolated points move to the middle of their neighbours. Isolated points appear
-    as specks beside the subject in new views, and no image moves them back, because each image shows only few of them.
+    Whenever the planes are fitted again, isolated points move to the middle of their neighbours. In new views, isolated
+    points are visible as specks beside the subject. The images do not move them back, because each image shows only few
+    of them.
 
     The distance from the plane beyond the tolerance is reduced by the share ``strength`` times the learning rate in
     point spacings. The balance between smoothing and the images therefore does not depend on the learning rate.
 
     Args:
         points: the cloud. Its planes are fitted again every REFIT_STEPS steps.
-        rows: (M,) indices of the points to pull.
+        rows: (M,) indices of the points to move.
         rates: (M, 1) learning rates of the positions in world units.
-        strength: share of the excess distance that is removed if the learning rate is one point spacing.
+        strength: share of the distance beyond the tolerance that is removed if the learning rate is one point spacing.
     """
     if len(points.xyz) < NEIGHBOURS:
         return
@@ -78,7 +80,7 @@ class LocalFit:
 
 
 def fit_planes(xyz: Tensor) -> LocalFit:
-    """Fit a plane to the nearest neighbours of each of the points (N, 3), which are at least NEIGHBOURS.
+    """Fit a plane to the nearest neighbours of each point in ``xyz`` (N, 3), with N at least NEIGHBOURS.
 
     Near neighbours have larger weights than far neighbours. The plane minimises the weighted sum of squared distances
     (principal component analysis).

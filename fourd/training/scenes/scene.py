@@ -111,8 +111,8 @@ class TrainingScene(Protocol):
         """The visible points of each cloud that is rendered in a step. The foreground comes first."""
 
     def xyz_rate(self, points: OptimizedPoints, factor: float) -> Tensor:
-        """Learning rates (M, 1) of the positions of the M points in world units. ``factor`` is the schedule's factor on
-        all learning rates."""
+        """Learning rates (M, 1) of the positions of M points, in world units. The schedule multiplies all learning
+        rates by ``factor``."""
 
     def finish_step(self) -> None:
         """Notify the scene that a training step has updated the parameters."""

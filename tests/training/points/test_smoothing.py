@@ -35,7 +35,7 @@ def smooth(points: FramePoints, rate_spacings: float, steps: int) -> None:
 
 
 def test_planes_through_points_of_a_plane_are_exact(rng: np.random.Generator) -> None:
-    """Catches offsets that do not belong to the normals, and planes that ignore the position of the cloud."""
+    """Catches plane offsets that do not belong to the normals, and planes that ignore the position of the cloud."""
     normal = torch.nn.functional.normalize(torch.tensor([1.0, -2.0, 0.5]), dim=0)
     xyz = torch.from_numpy(rng.normal(size=(300, 3)).astype(np.float32))
     xyz = xyz - ((xyz @ normal) - 3.0)[:, None] * normal
@@ -109,7 +109,8 @@ def test_a_cloud_with_few_points_is_not_smoothed(rng: np.random.Generator) -> No
 
 
 def test_isolated_points_return_to_the_surface(rng: np.random.Generator) -> None:
-    """Catches specks beside the subject: points that training moved away from the surface and cannot move back."""
+    """Catches specks beside the subject, which are points that training moved away from the surface and cannot move
+    back."""
     xyz = sphere(rng, noise=0.2)
     xyz[[5, 700]] *= 1.4
     points = cloud(xyz)

@@ -92,7 +92,7 @@ def test_rates_of_positions_scale_with_the_spacing(ball_capture: Path, tmp_path:
 
 
 def test_rates_of_positions_fall_with_the_updates_of_each_point(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a rate that falls with the steps of the run, although each point is updated in only some of the steps."""
+    """Catches a learning rate that decreases with the steps of the run instead of with the updates of each point."""
     config = full_config(tmp_path / "shell.ply")
     config = replace(config, rates=replace(config.rates, xyz_spacings=0.5, xyz_halving_updates=20))
     scene = full_scene(ball_capture, tmp_path, config)
