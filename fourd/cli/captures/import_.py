@@ -108,7 +108,7 @@ class Arguments:
     calibrated_frames: Annotated[
         CalibratedFrames,
         describe(
-            "Which frames the calibration belongs to, if a video has rotation metadata.",
+            "Which frames the calibration belongs to, if a video has rotation metadata. "
             "turned: frames that are turned upright. stored: frames as they are stored in the file.",
             "auto: stored if only the stored frames have the orientation of the calibration, otherwise turned.",
         ),
