@@ -38,7 +38,7 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Arguments:
-    """The runs, and what to measure beside the scores."""
+    """The runs, and what to measure in addition to the scores."""
 
     runs: tyro.conf.Positional[list[Path]]
     """Run folders, trained with --test-views."""
@@ -70,7 +70,7 @@ class ViewQuality:
 
 @dataclass(frozen=True)
 class RunQuality:
-    """Mean figures of a run: see the columns in :func:`markdown`.
+    """Mean figures of a run. :func:`markdown` names the columns.
 
     Radii are in spacings, at the measured frames.
     """

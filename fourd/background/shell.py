@@ -18,10 +18,10 @@ HORIZONTAL_WEIGHT = 6.0
 """Weight of horizontal neighbours in the interpolation; vertical neighbours have weight 1. Floors, walls and skies
 vary less along the horizon."""
 SMALL_GAP_DEG = 1.5
-"""Size in degrees up to which a gap counts as the normal spacing between points and is closed."""
+"""Gaps of at most this size in degrees are the usual distance between points, so they are closed."""
 RIM_FACTOR = 0.985
-"""Factor on the inverse distances of known cells. The factor places the shell's rim, the known cells beside unknown
-cells, slightly behind the known points."""
+"""Factor on the inverse distances of the shell's rim, which consists of known cells beside unknown cells. The factor
+places the rim slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
 """Angle in degrees from the nearest known cell beyond which only one cell in sixteen gets a point."""
 OCCLUSION_RATIO = 0.9
@@ -140,8 +140,7 @@ def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.
 
 
 def _depth_cells(xyz: Array, camera: Camera, columns: int) -> tuple[NDArray[np.intp], Array]:
-    """Cell (N,) of a coarse depth map to which each point projects, or -1 outside the image, and depth (N,) of each
-    point."""
+    """For each point, the index (N,) of its cell in a coarse depth map, or -1 outside the image, and the depth (N,)."""
     pixels, depth = camera.project(xyz)
     inside = (depth > 1e-6) & (pixels >= 0).all(axis=1) & (pixels < (camera.width, camera.height)).all(axis=1)
     place = np.where(inside[:, None], pixels / DEPTH_CELL_PX, 0).astype(np.intp)

@@ -197,7 +197,7 @@ def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera
 
 
 def _index_features(matches: Mapping[Pair, Matches], cameras: int) -> tuple[FrameMatches, dict[Pair, NDArray[np.intp]]]:
-    """Number the features of each camera. Equal positions in one camera are one feature."""
+    """Number the features of each camera. Matches with equal positions in one camera share one feature."""
     positions = []
     for camera in range(cameras):
         parts = [found.first_px for (i, _), found in matches.items() if i == camera]

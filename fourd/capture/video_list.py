@@ -71,8 +71,8 @@ class Video:
         return max(0, floor(last * self.rate - Fraction(self.offset)) + 1)
 
     def clock_error(self, frames: int) -> tuple[float, int]:
-        """Largest difference in seconds between the time of a frame of the capture and the time of the video's frame
-        for it.
+        """Largest difference in seconds between the time of a capture's frame and the time of the video frame that it
+        shows.
 
         Args:
             frames: number of frames of the capture.

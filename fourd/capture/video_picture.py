@@ -125,12 +125,12 @@ def _tone_map(signal: Floats, transfer: str) -> Picture:
 
 @cache
 def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
-    """Tables of a transfer function and of sRGB.
+    """Lookup tables of an HDR transfer function and of sRGB.
 
     Returns:
-        Linear light by signal, in units of the reference white (for HLG: scene light in [0, 1]). The 8-bit sRGB value
-        by the square root of linear light. For HLG, also the factor of the OOTF from scene to display light, by
-        luminance.
+        Three tables: the linear light for each signal value, in units of the reference white (for HLG: scene light in
+            [0, 1]); the 8-bit sRGB value for each square root of linear light; and, for HLG, the OOTF's factor from
+            scene to display light for each luminance.
     """
     steps = np.linspace(0, 1, LEVELS)
     if transfer == HLG:

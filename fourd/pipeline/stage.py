@@ -23,7 +23,7 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 
 @dataclass(frozen=True)
 class NoSettings:
-    """Settings of a stage without settings."""
+    """Empty settings, for a stage that has no settings."""
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ def pages(path: Path) -> tuple[tuple[float, float], list[list[tuple[str, np.ndar
 
 
 def rasterize(size: tuple[float, float], rectangles: list[tuple[str, np.ndarray]], px_per_mm: int) -> np.ndarray:
-    """The page as an image, by filling the rectangles."""
+    """Draw the rectangles of the page into an image."""
     height, width = (round(side * px_per_mm) for side in size[::-1])
     picture = np.full((height, width), 255, np.uint8)
     for grey, (x, y, w, h) in rectangles:

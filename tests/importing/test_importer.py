@@ -157,7 +157,8 @@ def test_videos_are_read_through_once(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_temporary_files_of_a_killed_import_are_removed(tmp_path: Path) -> None:
-    """Catches a folder that is refused because of an unfinished record, and partial copies that are never removed."""
+    """Catches an import that refuses the folder of an interrupted import, and partial copies of files that are never
+    removed."""
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     (out / ".fourd").mkdir(parents=True)
     (out / ".fourd" / ".unfinished-import-abc.json").write_text("{")

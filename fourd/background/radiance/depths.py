@@ -44,10 +44,10 @@ def add_field_depths(
     """Fill the unknown cells of measured surfaces with the field's median depths if another plate confirms these
     depths.
 
-    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. A confirmed cell must
-    also occlude at most as many surfaces as agree with the cell. Confirmed cells get support 1. Unconfirmed cells take
-    the extrapolated depth of ``continued``. If only one plate sees a surface, colours do not determine the surface's
-    depth, and the field's depth of the surface is noise around the prior.
+    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. In addition, the cell
+    must not occlude more surfaces than agree with it. Confirmed cells get support 1. Unconfirmed cells take the
+    extrapolated depth of ``continued``. If only one plate sees a surface, colours do not determine the surface's depth,
+    and the field's depth of the surface is noise around the prior.
 
     Args:
         field: the optimised field.

@@ -28,7 +28,7 @@ NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, relative to the camera's distance from the centre."""
 MIN_KNOWN = 0.1
 """Share of known depth-map cells below which the room's shape is unreliable. If fewer cells are known, the room is
-enlarged until it contains a hall. The hall is a ball around the centre, cut off by the floor."""
+enlarged until it contains a hall. The hall is a ball around the centre without the part below the floor."""
 HALL_RADIUS = 1.5
 """Radius of the hall, relative to the farthest camera's distance from the centre."""
 FLOOR_PERCENTILE = 2.0
@@ -118,6 +118,7 @@ class Room:
 
 
 def _hall_inverse_distance(sphere: DirectionGrid, radius: float, depth: float) -> Array:
-    """Inverse distances (cells,) of a ball around the centre, cut off by a floor at ``depth`` below the centre."""
+    """Inverse distances (cells,) from the centre to the surface of the hall: a ball around the centre without the part
+    below the floor. The floor is ``depth`` below the centre."""
     down = -(sphere.directions() @ sphere.R_world_sphere[:, 2])
     return np.asarray(np.maximum(1 / radius, down / depth if depth > 0 else 0 * down))

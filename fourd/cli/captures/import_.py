@@ -75,8 +75,8 @@ class Arguments:
     """Estimate the videos' time offsets and print them, but do not apply them. An estimate from motion writes a plot
     to OUT/.fourd/sync.png."""
     apply_sync: bool = False
-    """Estimate the videos' time offsets. Apply each offset that has a confidence of at least 0.5. Of offsets from
-    motion, apply only those of more than 3 frames."""
+    """Estimate the videos' time offsets. Apply each offset that has a confidence of at least 0.5. Offsets from motion
+    are applied only if they exceed 3 frames."""
     sync_by: Annotated[
         SyncMethod,
         describe(

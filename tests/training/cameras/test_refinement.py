@@ -115,8 +115,8 @@ def test_zero_corrections_are_exactly_the_identity(rng: np.random.Generator) -> 
 
 
 def test_colour_corrections_have_mean_identity_and_are_inverted_in_sources(rng: np.random.Generator) -> None:
-    """Catches colour corrections of the cameras whose mean shifts the colours of the scene. Also catches source views
-    that are corrected by the forward map instead of the inverse map."""
+    """Catches a mean of all cameras' colour corrections that differs from the identity, which would change the colours
+    of the scene. Also catches source views that are corrected by the forward map instead of the inverse map."""
     refinement = Refinement(EVERYTHING, ring_cameras(4, 24), [0, 2, 3], np.zeros(3))
     with torch.no_grad():
         for tint in refinement.tints:
