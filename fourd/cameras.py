@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Ratio of the limit angle of :func:`fading_weights` to the largest angle of the chosen cameras.
-
-The ratio is used only if every other camera has a smaller angle than the farthest chosen camera.
+"""The limit angle of :func:`fading_weights` is the largest angle of the chosen cameras times this factor, if all other
+cameras have smaller angles.
 """
 
 
