@@ -1,4 +1,11 @@
 # One call per kernel. docs/guides/adding_a_kernel.md explains how to add a kernel.
+fourd_kernel(antialias
+  CPU cpu/antialias.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx2 EXACT
+  CUDA cuda/antialias.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
+
 fourd_kernel(blend
   CPU cpu/blend.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT

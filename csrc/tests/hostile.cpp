@@ -11,6 +11,7 @@
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
 #include "similarity/similarity.h"
+#include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
@@ -201,6 +202,15 @@ void run_sources(unsigned seed, const char* simd) {
     inputs.expect_finite_results(seed);
 }
 
+void run_antialias(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::AntialiasInputs inputs(random, 70, seed % 2 ? 0.1f : 0.0f);
+    const fourd::antialias::Settings settings{random_int(random, 1, 4), fourd::simd_named(simd)};
+    fourd::antialias::blend(inputs.mesh, inputs.images, settings, inputs.out.data(), inputs.codes.data());
+    fourd::antialias::blend_backward(inputs.mesh, inputs.images, settings, inputs.gradients());
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -216,8 +226,9 @@ int main(int count, char** arguments) {
             run_shade(seed, simd);
             run_similarity(seed, simd);
             run_sources(seed, simd);
+            run_antialias(seed, simd);
         }
-        const char* const what = "points, planes, hash grid, blend, play, shade, similarity and sources";
+        const char* const what = "points, planes, hash grid, blend, play, shade, similarity, sources and antialias";
         std::printf("%s, %s: %u inputs each\n", what, simd, runs);
     }
 }

@@ -5,11 +5,13 @@
 #include <cstdlib>
 #include <vector>
 
+#include "antialias/cuda/antialias.h"
 #include "hashgrid/cuda/encode.h"
 #include "planes/cuda/sample.h"
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
 #include "sources/cuda/sample.h"
+#include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
@@ -127,6 +129,17 @@ void run_sources(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_antialias(unsigned seed) {
+    Random random(seed);
+    fourd::tests::AntialiasInputs inputs(random, 30, seed % 2 ? 0.1f : 0.0f);
+    std::vector<unsigned char> workspace(
+        fourd::antialias::cuda::workspace_bytes(inputs.mesh, inputs.images.count));
+    fourd::antialias::cuda::blend(inputs.mesh, inputs.images, workspace.data(), inputs.out.data(), inputs.codes.data(),
+                                  nullptr);
+    fourd::antialias::cuda::blend_backward(inputs.mesh, inputs.images, inputs.gradients(), nullptr);
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -137,6 +150,7 @@ int main(int count, char** arguments) {
         run_planes(seed);
         run_hashgrid(seed);
         run_sources(seed);
+        run_antialias(seed);
     }
-    std::printf("points, play, planes, hash grid and sources, emulated GPU: %u inputs each\n", runs);
+    std::printf("points, play, planes, hash grid, sources and antialias, emulated GPU: %u inputs each\n", runs);
 }

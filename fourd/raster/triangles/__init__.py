@@ -9,6 +9,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fourd.raster.triangles.antialiasing import Topology, antialias, antialias_construct_topology
     from fourd.raster.triangles.clipping import clip_matrix
     from fourd.raster.triangles.interpolation import interpolate
     from fourd.raster.triangles.peeling import DepthPeeler
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
 _MODULES: dict[str, str] = {
     "DepthPeeler": "peeling",
+    "Topology": "antialiasing",
+    "antialias": "antialiasing",
+    "antialias_construct_topology": "antialiasing",
     "clip_matrix": "clipping",
     "interpolate": "interpolation",
     "rasterize": "rasterization",
@@ -24,6 +28,9 @@ _MODULES: dict[str, str] = {
 
 __all__ = [
     "DepthPeeler",
+    "Topology",
+    "antialias",
+    "antialias_construct_topology",
     "clip_matrix",
     "interpolate",
     "rasterize",

@@ -1,0 +1,43 @@
+// Antialiasing of silhouette edges in a rasterized image. Callers check shapes. Every pointer points to a dense
+// row-major array. Indices of vertices and triangles that are out of range are ignored.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "antialias/maths.h"
+#include "common/simd.h"
+
+namespace fourd::antialias {
+
+// The colours and the rasterization of `count` images.
+struct Images {
+    const float* colours;  // (count, height, width, channels).
+    const float* rast;     // (count, height, width, 4): u, v, z/w and the id of the triangle.
+    std::size_t count;
+    int height, width, channels;
+
+    FOURD_HD FOURD_INLINE std::size_t pixels() const { return static_cast<std::size_t>(height) * width; }
+};
+
+struct Settings {
+    int threads;  // At least 1. The result is the same for any number of threads.
+    Simd simd;    // An instruction set that this machine supports.
+};
+
+// Writes the blended colours to `out` and, for every pixel, the crossings of its pairs (a Code of maths.h) to `codes`.
+void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
+
+// The gradients of blend(). `gradient` has the shape of the colours and is with respect to `out`. Arrays to write may
+// be null.
+struct Gradients {
+    const float* gradient;
+    const std::uint8_t* codes;
+    float boost;       // Factor of the gradient of the positions.
+    float* colours;    // As Images::colours.
+    float* positions;  // As Mesh::positions.
+};
+
+void blend_backward(const Mesh& mesh, const Images& images, const Settings& settings, const Gradients& gradients);
+
+}  // namespace fourd::antialias

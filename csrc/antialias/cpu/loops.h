@@ -1,0 +1,41 @@
+// Loops over the triangles of a mesh and over the rows of an image, compiled once for each instruction set.
+#pragma once
+
+#include "antialias/pairs.h"
+#include "common/dispatch.h"
+
+namespace fourd::antialias {
+
+// Consecutive rows of one image.
+struct Rows {
+    std::size_t image;
+    int begin, end;
+};
+
+// The change of a vertex's gradient by one crossing.
+struct Contribution {
+    std::uint32_t vertex;  // Index in all instances.
+    float x, y, w;
+};
+
+struct Loops {
+    void (*silhouettes)(const Mesh&, std::size_t instance, std::size_t begin, std::size_t end, std::uint8_t* out);
+
+    // Writes the colours and the codes of some rows. `scratch` has three times the width.
+    void (*blend)(const Plan&, const Rows&, std::uint32_t* scratch, float* out, std::uint8_t* codes);
+
+    // The number of crossings of the pixels of some rows with their right and lower neighbours.
+    std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
+
+    // Writes the gradient of the colours of some rows and, for each crossing, two contributions to the gradient of the
+    // positions. `contributions` may be null.
+    void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
+
+    // Sums the contributions to vertices [begin, end) in their order.
+    void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
+};
+
+// The loops are not compiled for AVX-512: they wait for memory and for branches.
+FOURD_DISPATCH(Loops, Simd::avx2)
+
+}  // namespace fourd::antialias

@@ -1,0 +1,16 @@
+// Antialiasing (antialias/antialias.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are
+// in GPU memory. Gradients of positions are sums without a fixed order, so their last bits can differ between calls.
+#pragma once
+
+#include "antialias/antialias.h"
+
+namespace fourd::antialias::cuda {
+
+// The bytes that blend() needs as `workspace`.
+std::size_t workspace_bytes(const Mesh& mesh, std::size_t images);
+
+void blend(const Mesh& mesh, const Images& images, void* workspace, float* out, std::uint8_t* codes, void* stream);
+
+void blend_backward(const Mesh& mesh, const Images& images, const Gradients& gradients, void* stream);
+
+}  // namespace fourd::antialias::cuda

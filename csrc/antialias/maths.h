@@ -1,0 +1,220 @@
+// Silhouette edges and where they cross the segment between the centres of two neighbouring pixels.
+//
+// A vertex (x, y, z, w) in clip space is seen relative to the centre f of a pixel: (a, b, w) with a = x - f_x w and
+// b = y - f_y w. The edge from vertex j to vertex k is the line N = a_j b_k - b_j a_k = 0. N is linear in f, also where
+// w <= 0. After t steps of s along the axis of a, N is N - t D with D = s (w_j b_k - b_j w_k), so that the edge is
+// crossed at t = N / D.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/host_device.h"
+#include "common/inline.h"
+#include "common/triangle_id.h"
+
+namespace fourd::antialias {
+
+// Rasterizers snap vertices to a subpixel grid, so that an edge can be up to this number of pixels away from where its
+// vertices say.
+constexpr float kTolerancePx = 0.0625f;
+constexpr float kMaxSlope = 1.0e18f;  // In pixels per unit of clip space. Edges with larger slopes have no gradient.
+
+struct Mesh {
+    const float* positions;  // (instances, vertices, 4) in clip space.
+    const int* triangles;    // (triangle_count, 3) vertex indices.
+    const int* opposite;     // (triangle_count, 3): the third vertex of the neighbour at the edge opposite to each
+                             // vertex. -1 is an edge that is always a silhouette.
+    std::size_t vertices, triangle_count;
+    bool instanced;  // Whether every image has its own positions. Otherwise all images share them.
+
+    FOURD_HD FOURD_INLINE std::size_t first_vertex(std::size_t image) const { return instanced ? image * vertices : 0; }
+    FOURD_HD FOURD_INLINE bool has(int vertex) const { return static_cast<std::size_t>(vertex) < vertices && vertex >= 0; }
+};
+
+struct Vertex {
+    float x, y, w;
+};
+
+FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vertex, int index) {
+    const float* at = mesh.positions + 4 * (first_vertex + index);
+    return {at[0], at[1], at[3]};
+}
+
+// The side of the plane through the camera and the edge from p to q on which r lies: the sign of a determinant. The
+// differences are exact where vertices coincide in the image.
+FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
+    const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
+    return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
+}
+
+// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette: it has no neighbour, or the neighbour
+// does not lie on the other side.
+FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
+    const int* of = mesh.triangles + 3 * triangle;
+    if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
+    const int* opposite = mesh.opposite + 3 * triangle;
+    const Vertex corners[3] = {vertex_at(mesh, first_vertex, of[0]), vertex_at(mesh, first_vertex, of[1]),
+                               vertex_at(mesh, first_vertex, of[2])};
+    unsigned bits = 0;
+    for (int i = 0; i < 3; ++i) {
+        bool silhouette = true;
+        if (mesh.has(opposite[i])) {
+            const Vertex &p = corners[(i + 1) % 3], &q = corners[(i + 2) % 3];
+            const float own = side_of(p, q, corners[i]);
+            const float other = side_of(p, q, vertex_at(mesh, first_vertex, opposite[i]));
+            silhouette = !((own > 0 && other < 0) || (own < 0 && other > 0));
+        }
+        bits |= static_cast<unsigned>(silhouette) << i;
+    }
+    return static_cast<std::uint8_t>(bits);
+}
+
+// The pair of a pixel with its right neighbour (axis 0) or its lower neighbour (axis 1).
+struct Pair {
+    int row, column, axis;
+};
+
+// What the pairs of one pixel look like, as bits of a byte. Bits 0 and 1 are the number of the edge that crosses the
+// pair with the right neighbour, from 1, or 0. Bit 2 is 1 if the edge belongs to the neighbour's triangle. Bits 3 to 5
+// are the same for the lower neighbour.
+using Code = unsigned;
+constexpr int kBitsPerPair = 3;
+
+FOURD_HD static inline int edge_of(Code code, int axis) { return static_cast<int>(code >> (kBitsPerPair * axis) & 3u); }
+FOURD_HD static inline bool owner_is_neighbour(Code code, int axis) {
+    return (code >> (kBitsPerPair * axis) & 4u) != 0;
+}
+FOURD_HD static inline Code code_of(int edge_number, bool neighbour, int axis) {
+    return (static_cast<Code>(edge_number) | (neighbour ? 4u : 0u)) << (kBitsPerPair * axis);
+}
+
+// How to see vertices from the pixel that owns a pair. The owner is the pixel whose triangle is nearer.
+struct Sight {
+    float along, across;            // The centre of the owner in normalised device coordinates.
+    float step_along, step_across;  // From one pixel to the next; step_along is towards the other pixel of the pair.
+    int axis;
+
+    FOURD_HD FOURD_INLINE Sight(const Pair& pair, bool neighbour, int height, int width) : axis(pair.axis) {
+        const int row = pair.row + (neighbour && axis == 1), column = pair.column + (neighbour && axis == 0);
+        const float x = static_cast<float>(2 * column + 1) / static_cast<float>(width) - 1.0f;
+        const float y = static_cast<float>(2 * row + 1) / static_cast<float>(height) - 1.0f;
+        const float step_x = 2.0f / static_cast<float>(width), step_y = 2.0f / static_cast<float>(height);
+        along = axis == 0 ? x : y;
+        across = axis == 0 ? y : x;
+        step_along = axis == 0 ? step_x : step_y;
+        step_across = axis == 0 ? step_y : step_x;
+        if (neighbour) step_along = -step_along;
+    }
+};
+
+struct Seen {
+    float a, b, w;
+};
+
+FOURD_HD static inline Seen see(const Sight& sight, const Vertex& v) {
+    const float a = sight.axis == 0 ? v.x : v.y, b = sight.axis == 0 ? v.y : v.x;
+    return {a - sight.along * v.w, b - sight.across * v.w, v.w};
+}
+
+// The line of the edge from p to q: its value at the owner, and how much the value falls from pixel to pixel.
+struct Line {
+    float value, fall_along, fall_across;
+
+    FOURD_HD FOURD_INLINE Line(const Sight& sight, const Seen& p, const Seen& q)
+        : value(p.a * q.b - p.b * q.a),
+          fall_along(sight.step_along * (p.w * q.b - p.b * q.w)),
+          fall_across(sight.step_across * (p.a * q.w - p.w * q.a)) {}
+};
+
+FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
+
+// Returns the number, from 1, of the silhouette edge of the triangle through which the segment from the owner to the
+// other pixel leaves the triangle, or 0. Only edges that are more perpendicular than parallel to the segment count, so
+// that every piece of a silhouette is blended along one axis. `silhouettes` is the result of silhouettes_of().
+FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
+                                        unsigned silhouettes) {
+    const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
+    const Seen p = see(sight, vertex_at(mesh, first_vertex, of[0]));
+    const Seen q = see(sight, vertex_at(mesh, first_vertex, of[1]));
+    const Seen r = see(sight, vertex_at(mesh, first_vertex, of[2]));
+    Line lines[3] = {Line(sight, q, r), Line(sight, r, p), Line(sight, p, q)};
+    const float inside = lines[0].value + lines[1].value + lines[2].value;
+    const float sign = inside < 0 ? -1.0f : 1.0f;
+    int edge = 0;
+    float nearest = 1 + kTolerancePx;
+    for (int i = 0; i < 3; ++i) {
+        lines[i].value *= sign;
+        lines[i].fall_along *= sign;
+        const float across = magnitude(lines[i].fall_across);
+        const bool perpendicular =
+            sight.axis == 0 ? lines[i].fall_along >= across : lines[i].fall_along > across;
+        if (!perpendicular || !(lines[i].fall_along > 0)) continue;
+        const float crossing = lines[i].value / lines[i].fall_along;
+        if (!(crossing >= -kTolerancePx && crossing <= nearest)) continue;
+        nearest = crossing;
+        edge = i + 1;
+    }
+    if (edge == 0 || (silhouettes >> (edge - 1) & 1u) == 0) return 0;
+    for (int i = 0; i < 3; ++i) {  // The crossing must lie on the edge, not on the line beyond a vertex.
+        if (i + 1 == edge) continue;
+        const float slack = kTolerancePx * (magnitude(lines[i].fall_along) + magnitude(lines[i].fall_across));
+        if (!(lines[i].value - nearest * lines[i].fall_along >= -slack)) return 0;
+    }
+    return edge;
+}
+
+// Compares the rasterization (u, v, z/w, id) of two neighbouring pixels, and returns whether the triangle of the second
+// is nearer. At equal depths, the smaller id is nearer. `triangle` becomes the nearer triangle, or kNoTriangle if the
+// pair has no silhouette.
+FOURD_HD static inline bool nearer_is_second(const Mesh& mesh, const float* first, const float* second,
+                                             int* triangle) {
+    int one = triangle_of_value(first[3]), two = triangle_of_value(second[3]);
+    if (one >= 0 && static_cast<std::size_t>(one) >= mesh.triangle_count) one = kNoTriangle;
+    if (two >= 0 && static_cast<std::size_t>(two) >= mesh.triangle_count) two = kNoTriangle;
+    *triangle = kNoTriangle;
+    if (one == two) return false;
+    const bool is_second =
+        two != kNoTriangle && (one == kNoTriangle || second[2] < first[2] || (second[2] == first[2] && two < one));
+    *triangle = is_second ? two : one;
+    return is_second;
+}
+
+// The crossing of a pair: which pixel changes by how much, and the derivatives.
+struct Crossing {
+    int vertex[2];        // Of the edge.
+    Vertex slope[2];      // Derivatives of the crossing with respect to x, y and w of the vertices.
+    float weight;         // In [0, 0.5]: the changed pixel moves by weight * (source - changed).
+    bool changes_owner;   // Whether the changed pixel is the owner. The source is the other pixel.
+    bool differentiable;  // Whether all slopes are finite and at most kMaxSlope.
+};
+
+FOURD_HD static inline Crossing crossing_of(const Mesh& mesh, std::size_t first_vertex, const Sight& sight,
+                                            int triangle, int edge_number) {
+    const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
+    const int i = edge_number - 1;
+    Crossing out;
+    out.vertex[0] = of[(i + 1) % 3];
+    out.vertex[1] = of[(i + 2) % 3];
+    const Seen p = see(sight, vertex_at(mesh, first_vertex, out.vertex[0]));
+    const Seen q = see(sight, vertex_at(mesh, first_vertex, out.vertex[1]));
+    const Line line(sight, p, q);
+    const float at = line.value / line.fall_along;
+    const float clamped = at < 0 ? 0.0f : (at > 1 ? 1.0f : at);
+    out.changes_owner = clamped < 0.5f;
+    out.weight = out.changes_owner ? 0.5f - clamped : clamped - 0.5f;
+    const float shift = at * sight.step_along;
+    const Seen to_p{q.b / line.fall_along, (shift * q.w - q.a) / line.fall_along, -shift * q.b / line.fall_along};
+    const Seen to_q{-p.b / line.fall_along, (p.a - shift * p.w) / line.fall_along, shift * p.b / line.fall_along};
+    const Seen* to[2] = {&to_p, &to_q};
+    out.differentiable = true;
+    for (int k = 0; k < 2; ++k) {
+        const float w = to[k]->w - sight.along * to[k]->a - sight.across * to[k]->b;
+        out.slope[k] = sight.axis == 0 ? Vertex{to[k]->a, to[k]->b, w} : Vertex{to[k]->b, to[k]->a, w};
+        const float sizes[3] = {magnitude(to[k]->a), magnitude(to[k]->b), magnitude(w)};
+        for (const float size : sizes) out.differentiable = out.differentiable && size <= kMaxSlope;
+    }
+    return out;
+}
+
+}  // namespace fourd::antialias

@@ -1,0 +1,82 @@
+// The pairs of neighbouring pixels of an image, and what blending changes in them.
+#pragma once
+
+#include "antialias/antialias.h"
+#include "common/inline.h"
+
+namespace fourd::antialias {
+
+struct Plan {
+    Mesh mesh;
+    Images images;
+    const std::uint8_t* silhouettes;  // (instances, triangle_count): results of silhouettes_of().
+
+    FOURD_HD FOURD_INLINE const std::uint8_t* silhouettes_of_image(std::size_t image) const {
+        return silhouettes + (mesh.instanced ? image * mesh.triangle_count : 0);
+    }
+};
+
+// The arrays of one image.
+struct View {
+    Plan plan;
+    std::size_t first_pixel, first_vertex;
+    const std::uint8_t* silhouettes;
+    int height, width, channels;
+
+    FOURD_HD FOURD_INLINE View(const Plan& of, std::size_t image)
+        : plan(of),
+          first_pixel(image * of.images.pixels()),
+          first_vertex(of.mesh.first_vertex(image)),
+          silhouettes(of.silhouettes ? of.silhouettes_of_image(image) : nullptr),
+          height(of.images.height),
+          width(of.images.width),
+          channels(of.images.channels) {}
+
+    FOURD_HD FOURD_INLINE std::size_t pixel(int row, int column) const {
+        return first_pixel + static_cast<std::size_t>(row) * width + column;
+    }
+    FOURD_HD FOURD_INLINE std::size_t neighbour(std::size_t pixel, int axis) const { return pixel + (axis == 0 ? 1 : width); }
+    FOURD_HD FOURD_INLINE const float* rast(std::size_t pixel) const { return plan.images.rast + 4 * pixel; }
+};
+
+// The code of a pair of pixels with different ids.
+FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
+    const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
+    int triangle;
+    const bool is_second = nearer_is_second(view.plan.mesh, view.rast(first), view.rast(second), &triangle);
+    if (triangle == kNoTriangle || view.silhouettes[triangle] == 0) return 0;
+    const Sight sight(pair, is_second, view.height, view.width);
+    const int edge = crossed_edge(view.plan.mesh, view.first_vertex, sight, triangle, view.silhouettes[triangle]);
+    return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
+}
+
+// A crossing with the pixels that it changes and copies from.
+struct Blend {
+    Crossing crossing;
+    std::size_t changed, source;
+    float towards_source;  // 1 if the changed pixel moves towards the source as the crossing moves away from the owner,
+                           // or -1.
+
+    FOURD_HD FOURD_INLINE Blend(const View& view, const Pair& pair, Code code) {
+        const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
+        const bool is_second = owner_is_neighbour(code, pair.axis);
+        const std::size_t owner = is_second ? second : first, other = is_second ? first : second;
+        const Sight sight(pair, is_second, view.height, view.width);
+        crossing = crossing_of(view.plan.mesh, view.first_vertex, sight, triangle_of_value(view.rast(owner)[3]),
+                               edge_of(code, pair.axis));
+        changed = crossing.changes_owner ? owner : other;
+        source = crossing.changes_owner ? other : owner;
+        towards_source = crossing.changes_owner ? -1.0f : 1.0f;
+    }
+};
+
+// The gradient of the colours of a changed pixel with respect to how far the crossing is from the owner.
+FOURD_HD static inline float crossing_gradient(const View& view, const Blend& blend, const float* gradient) {
+    const std::size_t changed = blend.changed * view.channels, source = blend.source * view.channels;
+    const float* colours = view.plan.images.colours;
+    float sum = 0;
+    for (int c = 0; c < view.channels; ++c) sum += gradient[changed + c] * (colours[source + c] - colours[changed + c]);
+    return sum * blend.towards_source;
+}
+
+}  // namespace fourd::antialias

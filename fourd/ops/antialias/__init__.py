@@ -1,0 +1,1 @@
+"""Antialiasing of silhouette edges (``csrc/antialias``)."""

@@ -1,0 +1,38 @@
+"""Neighbours of triangles across their edges."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+NO_VERTEX = -1
+"""Marks edges that have no neighbour or several neighbours."""
+
+
+@torch.no_grad()
+def opposite_vertices(tri: Tensor) -> Tensor:
+    """Return for each edge of each triangle the third vertex of the neighbour, (T, 3) int32.
+
+    Column i belongs to the edge opposite to vertex i. Its value is -1 if the edge belongs to one triangle, or to more
+    than two. The vertices of an edge may have any order. Not differentiable.
+
+    Args:
+        tri: (T, 3) int32 vertex indices.
+    """
+    count = tri.shape[0]
+    corners = tri.long()
+    ends = corners[:, [[1, 2], [2, 0], [0, 1]]].reshape(3 * count, 2).sort(1).values
+    key = (ends[:, 0] << 32) | ends[:, 1]
+    key, order = key.sort()
+    # An edge has a neighbour if its key occurs exactly twice.
+    same = torch.zeros(3 * count + 1, dtype=torch.bool, device=tri.device)
+    same[1:-1] = key[1:] == key[:-1]
+    before, after = same[:-1], same[1:]
+    second = before & ~after
+    second[1:] &= ~before[:-1]
+    at = second.nonzero()[:, 0]
+    one, two = order[at - 1], order[at]
+    out = torch.full((3 * count,), NO_VERTEX, dtype=torch.int32, device=tri.device)
+    vertices = tri.reshape(-1)
+    out[one], out[two] = vertices[two], vertices[one]
+    return out.reshape(count, 3)

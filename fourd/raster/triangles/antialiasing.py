@@ -1,0 +1,131 @@
+"""Antialiasing of silhouette edges (public API)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fourd.ops.antialias import op
+from fourd.ops.antialias.reference import antialias_reference
+from fourd.ops.antialias.topology import opposite_vertices
+from fourd.ops.meshes.backends import Backend, select_backend
+from fourd.ops.meshes.checks import check_resolution, check_tensor, check_triangles
+
+
+@dataclass(frozen=True)
+class Topology:
+    """The neighbours of the triangles of a mesh, for :func:`antialias`.
+
+    Attributes:
+        opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle, and is the third
+            vertex of the neighbour across this edge. -1 marks an edge that belongs to one triangle, or to more than
+            two. Such an edge is always a silhouette.
+    """
+
+    opposite: Tensor
+
+
+def antialias_construct_topology(tri: Tensor) -> Topology:
+    """Find the neighbours of all triangles, to call :func:`antialias` several times with the same triangles.
+
+    Args:
+        tri: (T, 3) int32 vertex indices. Triangles are neighbours if they share two vertex indices, whatever their
+            orientation.
+
+    Raises:
+        TypeError, ValueError: for an invalid ``tri``. The error message names the expected value.
+    """
+    check_triangles(tri, 2**31 - 1, ("tri", tri))
+    return Topology(opposite_vertices(tri))
+
+
+def antialias(
+    color: Tensor,
+    rast: Tensor,
+    pos: Tensor,
+    tri: Tensor,
+    topology: Topology | None = None,
+    pos_gradient_boost: float = 1.0,
+    *,
+    backend: Backend = "auto",
+    threads: int = 0,
+) -> Tensor:
+    """Blend pixels across silhouette edges (Laine et al. 2020, "Modular primitives for high-performance differentiable
+    rendering", section 3.5).
+
+    For each pair of a pixel and its right or lower neighbour that show different triangles, the nearer triangle is the
+    one with the smaller z/w. If one of its silhouette edges crosses the segment between the pixel centres at the
+    distance t, in pixels, from the centre of the triangle's pixel, then the triangle's pixel moves by 0.5 - t towards
+    the colour of the other pixel if t < 0.5. Otherwise the other pixel moves by t - 0.5 towards the colour of the
+    triangle's pixel. Only edges that are more perpendicular than parallel to the segment count. An edge is a silhouette
+    if it belongs to one triangle, if it belongs to two triangles on the same side of it in the image, or if it belongs
+    to more than two triangles.
+
+    The result is differentiable in ``color`` and, through t, in x, y and w of ``pos``. On the CPU, results and
+    gradients have the same bits for any number of threads. On a GPU, the last bits of the gradient of ``pos`` vary
+    between calls.
+
+    Args:
+        color: (B, H, W, C) image to antialias. Values are not checked.
+        rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. Pixels with ids of at least T + 1 count as
+            background.
+        pos: (B, V, 4) vertices in clip space, or (V, 4) for all images ("range mode"). Edges with values that are not
+            finite are not blended.
+        tri: (T, 3) int32 vertex indices. On a GPU, triangles with indices out of range are not blended. On the CPU,
+            such an index is an error.
+        topology: result of :func:`antialias_construct_topology` for ``tri``. None finds the neighbours in each call.
+        pos_gradient_boost: factor of the gradient of ``pos``.
+        backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
+            "auto" for the kernel of the tensors' device.
+        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
+
+    Returns:
+        (B, H, W, C) antialiased image.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        RuntimeError: if the backend is not built.
+    """
+    chosen = _check(color, rast, pos, tri, topology, pos_gradient_boost, backend)
+    opposite = opposite_vertices(tri) if topology is None else topology.opposite
+    if chosen == "reference":
+        return antialias_reference(color, rast, pos, tri, opposite, pos_gradient_boost)
+    return op.antialias(color, rast.detach(), pos, tri, opposite, float(pos_gradient_boost), threads)[0]
+
+
+def _check(
+    color: Tensor,
+    rast: Tensor,
+    pos: Tensor,
+    tri: Tensor,
+    topology: Topology | None,
+    pos_gradient_boost: float,
+    backend: str,
+) -> str:
+    """Check the arguments and select the backend."""
+    if not isinstance(color, Tensor) or color.ndim != 4 or not color.dtype.is_floating_point:
+        check_tensor("color", color, ("B", "H", "W", "C"))
+    chosen = select_backend(backend, "color", color)
+    batch, height, width, _ = color.shape
+    check_resolution((height, width))
+    like = ("color", color)
+    check_tensor("rast", rast, (batch, height, width, 4), like=like)
+    if isinstance(pos, Tensor) and pos.ndim == 2:
+        check_tensor("pos", pos, ("V", 4), like=like)
+    else:
+        check_tensor("pos", pos, (batch, "V", 4), like=like)
+    check_triangles(tri, pos.shape[-2], like, check_values=color.device.type == "cpu")
+    if topology is not None:
+        if not isinstance(topology, Topology):
+            found = type(topology).__name__
+            raise TypeError(f"topology: expected a result of antialias_construct_topology or None, got {found}")
+        check_tensor("topology.opposite", topology.opposite, ("T", 3), like=("tri", tri), dtypes=(torch.int32,))
+        if topology.opposite.shape[0] != tri.shape[0]:
+            expected = f"the topology of the {tri.shape[0]} triangles of tri"
+            raise ValueError(f"topology: expected {expected}, got one of {topology.opposite.shape[0]} triangles")
+    if not math.isfinite(pos_gradient_boost):
+        raise ValueError(f"pos_gradient_boost: expected a finite number, got {pos_gradient_boost}")
+    return chosen
