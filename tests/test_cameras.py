@@ -95,7 +95,8 @@ def test_view_weights_fall_to_zero_at_the_first_view_that_is_left_out() -> None:
 
 
 def test_the_limit_is_beyond_all_chosen_views() -> None:
-    """Catches negative weights in training, where a step skips one of the nearest views."""
+    """Catches negative view weights in training. A training step may leave out one of the nearest views, because it is
+    the target view."""
     sources = [at_degrees(degrees) for degrees in (10, 20, 30, 40, 60)]
     np.testing.assert_allclose(fading_weights(at_degrees(0), sources, [0, 1, 3], np.zeros(3)), [5 / 6, 4 / 6, 2 / 6])
 

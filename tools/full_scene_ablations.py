@@ -51,12 +51,12 @@ class Variant:
 
 REFINED: dict[str, object] = {"refine": {"poses": True, "focal": True}}
 VARIANTS = {
-    "whole": Variant("everything"),
+    "whole": Variant("full method"),
     "visible": Variant("no occlusion test", {"model": {"occlusion": False}}),
     "fixed": Variant("no densification", {"densify": {"on": False}}),
-    "sfm": Variant("sfm instead of ngp", {"background": {"seeding": "sfm"}}, own_seeds=True),
-    "apart": Variant("separate instead of joint", {"background": {"joint": False}}),
-    "open": Variant("nothing closes the background", {"loss": {"closed": 0.0}}),
+    "sfm": Variant("background points from sfm", {"background": {"seeding": "sfm"}}, own_seeds=True),
+    "apart": Variant("foreground and background trained separately", {"background": {"joint": False}}),
+    "open": Variant("no opacity loss", {"loss": {"closed": 0.0}}),
     "shadow": Variant("with shadows", {"background": {"shadow": True}}),
     "refined": Variant("calibration off, refined", REFINED, own_seeds=True, disturbed=True),
     "unrefined": Variant("calibration off, no refinement", own_seeds=True, disturbed=True),

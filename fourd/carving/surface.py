@@ -61,8 +61,9 @@ def project_to_surface(
 def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float) -> Floats:
     """Move surface points (N, 3) into the hull, against their outward normals (N, 3).
 
-    In thin parts of the hull, points move by 3/4, 1/2 or 1/4 of ``inset``, or not at all. The longest move is used
-    after which the point's distance from the surface is about as long as the move.
+    In thin parts of the hull, points move by 3/4, 1/2 or 1/4 of ``inset``, or not at all. The function tries these
+    moves from the longest to the shortest. It accepts the first move after which the point is about as far from the
+    surface as it moved.
     """
     moved, remaining = xyz.copy(), np.arange(len(xyz))
     for quarters in (4, 3, 2, 1):

@@ -13,7 +13,7 @@ from fourd.synth.board_videos import BoardSettings, board_pose, rig_cameras
 
 
 def test_corners_are_precise_in_blurred_images() -> None:
-    """Catches corners that markers shift by up to 3 px, and a bias by half a pixel."""
+    """Catches corners that are shifted by up to 3 px because of nearby markers, and a bias of half a pixel."""
     settings = BoardSettings(size=500)
     camera = rig_cameras(settings)[1]
     renderer, detector = BoardRenderer(settings.board, camera, settings.optics), BoardDetector(settings.board)

@@ -1,4 +1,4 @@
-"""Scenes that stand still: one frame, or images in which nothing moves, without mattes."""
+"""Scenes without mattes in which nothing moves, and scenes of a single frame without mattes."""
 
 from __future__ import annotations
 

@@ -17,8 +17,8 @@ from fourd.synth import SynthSettings, is_finished, make_synthetic
 from fourd.synth.board_videos import BoardSettings, make_board_videos
 
 FRAMES_HELP = "Number N of frames. The figure's motion repeats after N frames."
-CAMERAS_HELP = "Number of cameras on the ring, 3 to 100. With --board: on an arc, 2 to 100."
-SIZE_HELP = "Width and height of the images in pixels, 32 to 4096. With --board: from 128."
+CAMERAS_HELP = "Number of cameras on the ring, 3 to 100. With --board, number of cameras on an arc, 2 to 100."
+SIZE_HELP = "Width and height of the images in pixels, 32 to 4096. With --board, the minimum is 128."
 
 
 @dataclass(frozen=True)
