@@ -167,7 +167,7 @@ def find_offsets(
 def correct_sound_travel(
     estimate: Estimate, cameras: Sequence[ImportedCamera], position: SoundPosition, is_metric: bool, log: Log
 ) -> Estimate:
-    """Correct an estimate by the time that sound travels to the calibrated cameras.
+    """Subtract the travel time of sound to the calibrated cameras from estimated delays.
 
     A measured lag is the sum of an offset and a difference of travel times. The two cannot be separated, so the
     position of the source of the sound cannot be estimated. The user specifies it, or it is the point that the cameras

@@ -59,8 +59,8 @@ def make_scene(
         points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        imports: options of the import. A frame rate is also stored in a source that needs no import. With None, the
-            default options are used.
+        imports: options of the import. If they contain a frame rate, it is stored in ``source`` even if ``source``
+            needs no import. With None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
 
     Raises:

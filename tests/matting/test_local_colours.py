@@ -40,8 +40,8 @@ def test_densities_integrate_to_one() -> None:
 
 
 def test_global_histogram_is_used_without_pixels_nearby() -> None:
-    """Catches a division of zero by zero, and uniform densities instead of the global histogram far from all selected
-    pixels."""
+    """Catches a division of zero by zero. Also catches uniform densities far from all selected pixels, where the global
+    histogram must be used."""
     picture = halves()
     counted = np.zeros(picture.shape[:2], bool)
     counted[:, :20] = True
