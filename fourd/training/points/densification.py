@@ -86,8 +86,8 @@ def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
 
 
 def _choose_partners(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Pair each parent with a random one of the NEIGHBOURS kept points that are nearest to the parent. If two parents
-    choose each other, the pair is included once."""
+    """Pair each parent with one of the NEIGHBOURS kept points nearest to it, chosen at random. If two parents choose
+    each other, the pair is included once."""
     _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEIGHBOURS + 2)))
     drawn = np.asarray(near)[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
     pairs = torch.stack([parents, kept[torch.from_numpy(drawn)]], 1)
