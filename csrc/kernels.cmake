@@ -67,3 +67,8 @@ fourd_kernel(sources
   CUDA cuda/sample.cu
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
+
+fourd_kernel(texture
+  CPU cpu/backward.cpp cpu/sample.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
+  BINDING binding.cpp)

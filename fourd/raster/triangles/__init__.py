@@ -14,26 +14,33 @@ if TYPE_CHECKING:
     from fourd.raster.triangles.interpolation import interpolate
     from fourd.raster.triangles.peeling import DepthPeeler
     from fourd.raster.triangles.rasterization import rasterize
+    from fourd.raster.triangles.textures import Mip, texture, texture_construct_mip
 
 _MODULES: dict[str, str] = {
     "DepthPeeler": "peeling",
     "Topology": "antialiasing",
     "antialias": "antialiasing",
     "antialias_construct_topology": "antialiasing",
+    "Mip": "textures",
     "clip_matrix": "clipping",
     "interpolate": "interpolation",
     "rasterize": "rasterization",
+    "texture": "textures",
+    "texture_construct_mip": "textures",
 }
 """Public names, and the modules of this package that define them."""
 
 __all__ = [
     "DepthPeeler",
+    "Mip",
     "Topology",
     "antialias",
     "antialias_construct_topology",
     "clip_matrix",
     "interpolate",
     "rasterize",
+    "texture",
+    "texture_construct_mip",
 ]
 
 

@@ -1,0 +1,320 @@
+#include "texture/cpu/loops.h"
+
+#include <cstring>
+
+#include "texture/cpu/batch.h"
+#include "texture/cpu/mips.h"
+
+namespace fourd::texture::FOURD_SIMD {
+namespace {
+
+// Loads the coordinates of consecutive pixels, from the coordinates of the first one.
+FOURD_INLINE void load_uv(Batch& b, const float* uv, int coordinates) {
+    for (int axis = 0; axis < coordinates; ++axis) {
+        for (int i = 0; i < b.count; ++i) b.uv[axis][i] = uv[coordinates * i + axis];
+    }
+}
+
+FOURD_INLINE int slots_of(const Query& query) { return query.filter == Filter::linear_mipmap_linear ? 2 : 1; }
+
+// Finds the levels and texels of `count` pixels from the pixel with the index `pixel` in all pictures on.
+template <Boundary boundary, bool with_slopes>
+FOURD_INLINE void prepare(const Query& query, std::size_t pixel, int count, Batch& b) {
+    const int coordinates = boundary == Boundary::cube ? 3 : 2;
+    b.count = count;
+    load_uv(b, query.uv + coordinates * pixel, coordinates);
+    locate<boundary>(b);
+    if (uses_mips(query.filter)) {
+        find_levels<boundary>(query, b, query.uv_da ? query.uv_da + 2 * coordinates * pixel : nullptr,
+                              query.bias ? query.bias + pixel : nullptr);
+        choose_levels(query, b);
+    } else {
+        use_base_level(b);
+    }
+    for (int slot = 0; slot < slots_of(query); ++slot) find_texels<boundary, with_slopes>(query, b, slot);
+}
+
+// Multiplies the weights of the texels by the weight of their level.
+FOURD_INLINE void blend_weights(Batch& b, int slot) {
+    for (int k = 0; k < 4; ++k) {
+        for (int i = 0; i < b.count; ++i) b.texels[slot].weight[k][i] *= b.blend[slot][i];
+    }
+}
+
+// The levels of the texture of a picture.
+struct Bases {
+    const float* level[kMaxLevels];
+
+    FOURD_INLINE Bases(const Texture& texture, std::size_t picture) {
+        for (int k = 0; k < texture.shape.level_count; ++k) {
+            level[k] = texture.item(k, picture);
+        }
+    }
+};
+
+// Adds the weighted texels of one level to a pixel. A fixed number of channels stays in registers.
+template <int Channels>
+FOURD_INLINE void add_texels(const Batch& b, int slot, int i, const Bases& bases, std::size_t channels, float* sum) {
+    const float* level = bases.level[b.slot_level[slot][i]];
+    const BatchTexels& texels = b.texels[slot];
+    for (int k = 0; k < 4; ++k) {
+        const float* from = level + static_cast<std::size_t>(texels.index[k][i]) * channels;
+        const float weight = texels.weight[k][i];
+        for (std::size_t c = 0; c < (Channels ? Channels : channels); ++c) sum[c] += weight * from[c];
+    }
+}
+
+template <int Channels>
+FOURD_INLINE void write_pixels(const Query& query, const Batch& b, const Bases& bases, float* out) {
+    const std::size_t channels = Channels ? Channels : static_cast<std::size_t>(query.texture.shape.channels);
+    const bool is_blended = slots_of(query) == 2;
+    for (int i = 0; i < b.count; ++i, out += channels) {
+        float fixed[Channels ? Channels : 1] = {};
+        float* sum = Channels ? fixed : out;
+        if (!Channels) std::memset(out, 0, channels * sizeof(float));
+        add_texels<Channels>(b, 0, i, bases, channels, sum);
+        if (is_blended && b.blend[1][i] != 0.0f) add_texels<Channels>(b, 1, i, bases, channels, sum);
+        if (Channels) std::memcpy(out, fixed, channels * sizeof(float));
+    }
+}
+
+void sample(const Query& query, const Task& task, float* out) {
+    const Bases bases(query.texture, task.picture);
+    const std::size_t channels = static_cast<std::size_t>(query.texture.shape.channels);
+    with_boundary(query.boundary, [&](auto boundary) FOURD_INLINE_LAMBDA {
+        Batch b;
+        for (int begin = 0; begin < task.count; begin += kRun) {
+            const int count = task.count - begin < kRun ? task.count - begin : kRun;
+            const std::size_t pixel = task.picture * query.pixels + task.begin + static_cast<std::size_t>(begin);
+            prepare<decltype(boundary)::value, false>(query, pixel, count, b);
+            for (int slot = 0; slot < slots_of(query); ++slot) blend_weights(b, slot);
+            with_channels(query.texture.shape.channels, [&](auto fixed) FOURD_INLINE_LAMBDA {
+                write_pixels<decltype(fixed)::value>(query, b, bases, out + pixel * channels);
+            });
+        }
+    });
+}
+
+// The products of the gradient of each pixel with the values of its texels.
+struct Products {
+    float value[2][4][kRun];
+};
+
+template <int Channels>
+FOURD_INLINE void multiply_texels(const Query& query, const Batch& b, const Bases& bases, const float* gradient,
+                                  Products& out) {
+    const std::size_t channels = Channels ? Channels : static_cast<std::size_t>(query.texture.shape.channels);
+    const int slots = slots_of(query);
+    for (int i = 0; i < b.count; ++i, gradient += channels) {
+        for (int slot = 0; slot < slots; ++slot) {
+            const float* level = bases.level[b.slot_level[slot][i]];
+            for (int k = 0; k < 4; ++k) {
+                const float* from = level + static_cast<std::size_t>(b.texels[slot].index[k][i]) * channels;
+                float sum = 0.0f;
+                for (std::size_t c = 0; c < channels; ++c) sum += gradient[c] * from[c];
+                out.value[slot][k][i] = sum;
+            }
+        }
+    }
+}
+
+// The gradients of a batch with respect to s, t and the mip level.
+struct PositionGradients {
+    float s[kRun], t[kRun], level[kRun];
+};
+
+FOURD_INLINE void position_gradients(const Query& query, const Batch& b, const Products& products,
+                                     PositionGradients& out) {
+    for (int i = 0; i < b.count; ++i) out.s[i] = out.t[i] = out.level[i] = 0.0f;
+    const int slots = slots_of(query);
+    for (int slot = 0; slot < slots; ++slot) {
+        const BatchTexels& at = b.texels[slot];
+        const float sign = slot == 0 ? -1.0f : 1.0f;
+        for (int k = 0; k < 4; ++k) {
+            for (int i = 0; i < b.count; ++i) {
+                const float blended = b.blend[slot][i] * products.value[slot][k][i];
+                out.s[i] += blended * at.along_s[k][i];
+                out.t[i] += blended * at.along_t[k][i];
+                out.level[i] += (sign * products.value[slot][k][i]) * at.weight[k][i];
+            }
+        }
+    }
+    for (int i = 0; i < b.count; ++i) out.level[i] = slots == 2 && b.is_between[i] != 0.0f ? out.level[i] : 0.0f;
+}
+
+template <Boundary boundary>
+FOURD_INLINE void write_gradients(const Query& query, const Batch& b, const PositionGradients& from, std::size_t pixel,
+                                  const Gradients& out) {
+    if (out.bias) {
+        for (int i = 0; i < b.count; ++i) out.bias[pixel + i] = from.level[i];
+    }
+    const bool by_level = uses_mips(query.filter) && query.uv_da;
+    if (boundary == Boundary::cube) {
+        for (int i = 0; i < b.count; ++i) {
+            const CubePosition at = cube_position(b.uv[0][i], b.uv[1][i], b.uv[2][i]);
+            float to_uv[3] = {}, to_uv_da[6] = {};
+            cube_position_backward(at, from.s[i], from.t[i], to_uv);
+            if (by_level && from.level[i] != 0.0f) {
+                const float* uv_da = query.uv_da + 6 * (pixel + i);
+                const int size = query.texture.shape.width;
+                const Footprint slopes = level_slopes(cube_footprint(at, uv_da, size));
+                const float g = from.level[i];
+                cube_footprint_backward(at, uv_da, size, {g * slopes.s_x, g * slopes.s_y, g * slopes.t_x, g * slopes.t_y},
+                                        to_uv, to_uv_da);
+            }
+            if (out.uv) std::memcpy(out.uv + 3 * (pixel + i), to_uv, sizeof to_uv);
+            if (out.uv_da) std::memcpy(out.uv_da + 6 * (pixel + i), to_uv_da, sizeof to_uv_da);
+        }
+        return;
+    }
+    if (out.uv) {
+        for (int i = 0; i < b.count; ++i) {
+            out.uv[2 * (pixel + i)] = from.s[i];
+            out.uv[2 * (pixel + i) + 1] = from.t[i];
+        }
+    }
+    if (!out.uv_da) return;
+    if (!by_level) {
+        std::memset(out.uv_da + 4 * pixel, 0, 4 * static_cast<std::size_t>(b.count) * sizeof(float));
+        return;
+    }
+    const float width = static_cast<float>(query.texture.shape.width),
+                height = static_cast<float>(query.texture.shape.height);
+    const float* uv_da = query.uv_da + 4 * pixel;
+    float* to = out.uv_da + 4 * pixel;
+    for (int i = 0; i < b.count; ++i) {
+        const Footprint slopes = level_slopes(footprint_of<boundary>(query, b, uv_da, i));
+        const bool has_gradient = from.level[i] != 0.0f;
+        const float across = from.level[i] * width, down = from.level[i] * height;
+        to[4 * i] = has_gradient ? across * slopes.s_x : 0.0f;
+        to[4 * i + 1] = has_gradient ? across * slopes.s_y : 0.0f;
+        to[4 * i + 2] = has_gradient ? down * slopes.t_x : 0.0f;
+        to[4 * i + 3] = has_gradient ? down * slopes.t_y : 0.0f;
+    }
+}
+
+FOURD_INLINE bool is_zero(const float* values, std::size_t count) {
+    bool is_zero = true;
+    for (std::size_t c = 0; c < count; ++c) is_zero = is_zero && values[c] == 0.0f;
+    return is_zero;
+}
+
+FOURD_INLINE void append(EntryList& list, std::uint32_t band, Entry entry) {
+    list.bands[list.count] = band;
+    list.entries[list.count++] = entry;
+}
+
+// Lists the bands of the texels of each pixel. `first` is the index of the batch's first pixel in its task.
+FOURD_INLINE void list_entries(const Query& query, const Batch& b, const float* gradient, const Bands& bands, int first,
+                               EntryList& list) {
+    const std::size_t channels = static_cast<std::size_t>(query.texture.shape.channels);
+    const int slots = slots_of(query);
+    for (int i = 0; i < b.count; ++i) {
+        if (is_zero(gradient + static_cast<std::size_t>(i) * channels, channels)) continue;
+        for (int slot = 0; slot < slots; ++slot) {
+            if (b.blend[slot][i] == 0.0f || b.is_used[i] == 0.0f) continue;
+            const int level = b.slot_level[slot][i], shift = bands.shift[level];
+            const Entry entry = static_cast<Entry>(2 * (first + i) + slot);
+            std::uint32_t band[4];
+            for (int k = 0; k < 4; ++k) {
+                const int index = b.texels[slot].index[k][i] >> shift;
+                band[k] = static_cast<std::uint32_t>(bands.first[level] + index);
+            }
+            append(list, band[0], entry);
+            if (band[1] != band[0]) append(list, band[1], entry);
+            if (band[2] != band[0] && band[2] != band[1]) append(list, band[2], entry);
+            if (band[3] != band[0] && band[3] != band[1] && band[3] != band[2]) append(list, band[3], entry);
+        }
+    }
+}
+
+void pixel_gradients(const Query& query, const Task& task, const float* gradient, const Gradients& out, float* levels,
+                     const Bands& bands, EntryList* entries) {
+    const Bases bases(query.texture, task.picture);
+    const std::size_t channels = static_cast<std::size_t>(query.texture.shape.channels);
+    const bool to_positions = out.uv || out.uv_da || out.bias;
+    with_boundary(query.boundary, [&](auto boundary) FOURD_INLINE_LAMBDA {
+        constexpr Boundary kBoundary = decltype(boundary)::value;
+        Batch b;
+        for (int begin = 0; begin < task.count; begin += kRun) {
+            const int count = task.count - begin < kRun ? task.count - begin : kRun;
+            const std::size_t pixel = task.picture * query.pixels + task.begin + static_cast<std::size_t>(begin);
+            const float* from = gradient + pixel * channels;
+            prepare<kBoundary, true>(query, pixel, count, b);
+            if (levels) std::memcpy(levels + pixel, b.level, b.count * sizeof(float));
+            if (to_positions) {
+                Products products;
+                PositionGradients positions;
+                with_channels(query.texture.shape.channels, [&](auto fixed) FOURD_INLINE_LAMBDA {
+                    multiply_texels<decltype(fixed)::value>(query, b, bases, from, products);
+                });
+                position_gradients(query, b, products, positions);
+                write_gradients<kBoundary>(query, b, positions, pixel, out);
+            }
+            if (entries) list_entries(query, b, from, bands, begin, *entries);
+        }
+    });
+}
+
+// Gathers the positions and levels of some entries of a task, and finds their texels.
+template <Boundary boundary>
+FOURD_INLINE void prepare_entries(const Query& query, std::size_t first, const Entry* entries, const float* levels,
+                                  int level, Batch& b) {
+    const std::size_t coordinates = boundary == Boundary::cube ? 3 : 2;
+    for (int i = 0; i < b.count; ++i) {
+        const float* uv = query.uv + coordinates * (first + entries[i] / 2);
+        for (std::size_t axis = 0; axis < coordinates; ++axis) b.uv[axis][i] = uv[axis];
+    }
+    locate<boundary>(b);
+    if (uses_mips(query.filter)) {
+        for (int i = 0; i < b.count; ++i) b.level[i] = levels[first + entries[i] / 2];
+        choose_levels(query, b);
+        for (int i = 0; i < b.count; ++i) b.blend[0][i] = b.blend[entries[i] % 2][i];
+        for (int i = 0; i < b.count; ++i) b.slot_level[0][i] = level;
+    } else {
+        use_base_level(b);
+    }
+    find_texels<boundary, false>(query, b, 0);
+    blend_weights(b, 0);
+}
+
+template <int Channels>
+FOURD_INLINE void add_entries(const Query& query, const Batch& b, std::size_t first, const Entry* entries,
+                              const float* gradient, const BandSums& band) {
+    const std::size_t channels = Channels ? Channels : static_cast<std::size_t>(query.texture.shape.channels);
+    const std::size_t stride = Channels == 3 ? 4 : channels;
+    for (int i = 0; i < b.count; ++i) {
+        const float* from = gradient + (first + entries[i] / 2) * channels;
+        float fixed[Channels ? (Channels == 3 ? 4 : Channels) : 1] = {};
+        if (Channels) std::memcpy(fixed, from, channels * sizeof(float));
+        const float* g = Channels ? fixed : from;
+        for (int k = 0; k < 4; ++k) {
+            const int index = b.texels[0].index[k][i];
+            if (index < band.begin || index >= band.end) continue;
+            float* to = band.sums + static_cast<std::size_t>(index - band.begin) * stride;
+            const float weight = b.texels[0].weight[k][i];
+            for (std::size_t c = 0; c < stride; ++c) to[c] += weight * g[c];
+        }
+    }
+}
+
+void scatter(const Query& query, const Task& task, const Entry* entries, std::size_t count, const float* gradient,
+             const float* levels, const BandSums& band) {
+    const std::size_t first = task.picture * query.pixels + task.begin;
+    with_boundary(query.boundary, [&](auto boundary) FOURD_INLINE_LAMBDA {
+        Batch b;
+        for (std::size_t begin = 0; begin < count; begin += kRun) {
+            b.count = static_cast<int>(count - begin < kRun ? count - begin : kRun);
+            prepare_entries<decltype(boundary)::value>(query, first, entries + begin, levels, band.level, b);
+            with_channels(query.texture.shape.channels, [&](auto fixed) FOURD_INLINE_LAMBDA {
+                add_entries<decltype(fixed)::value>(query, b, first, entries + begin, gradient, band);
+            });
+        }
+    });
+}
+
+}  // namespace
+
+const Loops loops = {sample, pixel_gradients, scatter, halve, halve_backward};
+
+}  // namespace fourd::texture::FOURD_SIMD

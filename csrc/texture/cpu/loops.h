@@ -1,0 +1,68 @@
+// Inner loops over the pixels of one picture, compiled once for each instruction set.
+#pragma once
+
+#include <cstdint>
+
+#include "common/dispatch.h"
+#include "texture/texture.h"
+
+namespace fourd::texture {
+
+constexpr int kTaskBits = 14;
+constexpr std::size_t kTaskPixels = std::size_t{1} << kTaskBits;
+
+// A range of at most kTaskPixels pixels of one picture.
+struct Task {
+    std::size_t picture;
+    std::size_t begin;
+    int count;
+};
+
+// The texels of one item, divided into bands of consecutive texels. Each band belongs to one level.
+struct Bands {
+    int first[kMaxLevels];  // Index of the first band of a level.
+    int shift[kMaxLevels];  // A band of the level has 2^shift texels.
+    int count;
+};
+
+// An entry says that a pixel of a task reads texels of a band: twice the index of the pixel in its task, plus 1 for the
+// second of the two levels that the pixel blends.
+using Entry = std::uint16_t;
+constexpr std::size_t kMaxEntries = 8 * kTaskPixels;  // Per task: four texels in each of two levels.
+
+struct EntryList {
+    std::uint32_t* bands;  // (kMaxEntries,).
+    Entry* entries;        // (kMaxEntries,).
+    std::size_t count;
+};
+
+// The sums of the gradients of the texels [begin, end) of a level, which all belong to one band.
+struct BandSums {
+    int level;
+    int begin, end;
+    float* sums;  // (end - begin, stride_of(channels)).
+};
+
+// Number of floats per texel in BandSums. Three channels are padded to a vector of four.
+FOURD_INLINE std::size_t stride_of(int channels) { return channels == 3 ? 4 : static_cast<std::size_t>(channels); }
+
+struct Loops {
+    void (*sample)(const Query&, const Task&, float* out);
+    // Writes the gradients of uv, uv_da and bias, and the clamped mip level of each pixel to `levels` (pictures,
+    // pixels), unless it is null. Lists the entries of the task in `entries`, unless it is null. Pixels with a zero gradient have none.
+    void (*pixel_gradients)(const Query&, const Task&, const float* gradient, const Gradients& out, float* levels,
+                            const Bands&, EntryList* entries);
+    // Adds the contributions of some entries of a task to the sums of a band.
+    void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
+                    const float* levels, const BandSums&);
+    // Computes some rows of a level from the finer level. The image has two rows of the finer level for each row, unless
+    // the finer level has only one row.
+    void (*halve)(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out);
+    // Adds to some rows of the gradient of a level the gradient of the coarser level.
+    void (*halve_backward)(const float* coarse, int fine_width, bool halves_rows, int channels, std::size_t rows,
+                           float* fine);
+};
+
+FOURD_DISPATCH(Loops, Simd::avx512)
+
+}  // namespace fourd::texture

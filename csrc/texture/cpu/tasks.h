@@ -1,0 +1,45 @@
+// The division of work into tasks, which does not depend on the number of threads.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "common/team.h"
+#include "texture/cpu/loops.h"
+
+namespace fourd::texture {
+
+inline std::vector<Task> tasks_of(const Query& query) {
+    std::vector<Task> tasks;
+    for (std::size_t picture = 0; picture < query.pictures; ++picture) {
+        for (std::size_t begin = 0; begin < query.pixels; begin += kTaskPixels) {
+            tasks.push_back({picture, begin, static_cast<int>(std::min(kTaskPixels, query.pixels - begin))});
+        }
+    }
+    return tasks;
+}
+
+// Some rows of a level, as offsets in floats into the level and into the finer level.
+struct HalvedRows {
+    std::size_t fine, coarse, count;
+    int fine_width;
+    bool halves_rows;
+};
+
+// Calls work(rows) for all rows of a level, on all workers of the team. The rows of all faces and items are consecutive.
+template <typename Work>
+void for_halved_rows(const Shape& shape, int level, Team& team, const Work& work) {
+    constexpr std::size_t kFloatsPerTask = std::size_t{1} << 15;
+    const int fine_width = side_at(shape.width, level - 1), fine_height = side_at(shape.height, level - 1);
+    const bool halves_rows = fine_height > 1;
+    const std::size_t rows = shape.items * shape.faces * side_at(shape.height, level);
+    const std::size_t fine_row = static_cast<std::size_t>(fine_width) * shape.channels;
+    const std::size_t row = static_cast<std::size_t>(side_at(shape.width, level)) * shape.channels;
+    const std::size_t per_task = std::max<std::size_t>(1, kFloatsPerTask / row);
+    team.run(static_cast<int>((rows + per_task - 1) / per_task), [&](int task, int) {
+        const std::size_t begin = task * per_task, count = std::min(per_task, rows - begin);
+        work(HalvedRows{begin * fine_row * (halves_rows ? 2 : 1), begin * row, count, fine_width, halves_rows});
+    });
+}
+
+}  // namespace fourd::texture

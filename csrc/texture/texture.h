@@ -1,0 +1,73 @@
+// Filtered texture lookup with mip levels. Callers check shapes. Every pointer points to a dense row-major array.
+// fourd/raster/triangles/textures.py documents the operations.
+#pragma once
+
+#include <cstddef>
+
+#include "common/simd.h"
+#include "texture/cube.h"
+
+namespace fourd::texture {
+
+constexpr int kMaxLevels = 16;
+constexpr int kMaxSide = 1 << (kMaxLevels - 1);
+
+FOURD_HD FOURD_INLINE int side_at(int side, int level) { return side >> level > 1 ? side >> level : 1; }
+
+// The sizes of a texture and its mip levels. Each level has half the size of the level before, rounded down, but at
+// least one texel.
+struct Shape {
+    std::size_t items;          // Number of textures.
+    int faces, height, width;   // Size of level 0. A cube map has 6 faces, all other textures have one.
+    int channels;
+    int level_count;            // From 1 to kMaxLevels.
+
+    FOURD_HD FOURD_INLINE std::size_t texels(int level) const {  // Of one item. Below 2^31.
+        return static_cast<std::size_t>(faces) * side_at(height, level) * side_at(width, level);
+    }
+    FOURD_HD FOURD_INLINE std::size_t floats(int level) const { return texels(level) * channels; }  // Of one item.
+};
+
+struct Texture {
+    Shape shape;
+    const float* levels[kMaxLevels];  // Each (items, faces, height, width, channels).
+
+    FOURD_HD FOURD_INLINE const float* item(int level, std::size_t picture) const {
+        return levels[level] + (shape.items == 1 ? 0 : picture) * shape.floats(level);
+    }
+};
+
+struct Query {
+    Texture texture;  // One item for every picture, or one for all pictures.
+    Filter filter;
+    Boundary boundary;
+    const float* uv;      // (pictures, pixels, 2), or (pictures, pixels, 3) for a cube.
+    const float* uv_da;   // (pictures, pixels, 4), or (pictures, pixels, 6) for a cube. May be null.
+    const float* bias;    // (pictures, pixels). May be null. Only filters with mip levels read uv_da and bias.
+    std::size_t pictures, pixels;
+    int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.
+    Simd simd;    // An instruction set that this machine supports. Only the CPU uses simd.
+
+    FOURD_HD FOURD_INLINE int coordinates() const { return boundary == Boundary::cube ? 3 : 2; }
+};
+
+// Gradients with respect to the inputs, in their shapes. Null pointers are gradients that nobody needs.
+struct Gradients {
+    float* levels[kMaxLevels];  // All levels, or none.
+    float* uv;
+    float* uv_da;
+    float* bias;
+};
+
+// Writes the picture (pictures, pixels, channels).
+void sample(const Query& query, float* out);
+
+// `gradient` is the gradient with respect to the picture. If is_chain, levels 1 and up are functions of level 0, and
+// their gradients are added to the gradient of level 0.
+void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out);
+
+// Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels, or of 2 along an axis of one texel. mips[k]
+// is level k + 1.
+void build_mips(const Shape& shape, const float* base, float* const* mips, int threads, Simd simd);
+
+}  // namespace fourd::texture

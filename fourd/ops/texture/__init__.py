@@ -1,0 +1,1 @@
+"""Filtered texture lookup with mip levels (``csrc/texture``)."""

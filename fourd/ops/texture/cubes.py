@@ -1,0 +1,78 @@
+"""Geometry of cube maps in plain torch."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+# For each face, the directions in space of its s axis, its t axis and its outward normal, as in OpenGL.
+_FACES = (
+    ((0, 0, -1), (0, -1, 0), (1, 0, 0)),
+    ((0, 0, 1), (0, -1, 0), (-1, 0, 0)),
+    ((1, 0, 0), (0, 0, 1), (0, 1, 0)),
+    ((1, 0, 0), (0, 0, -1), (0, -1, 0)),
+    ((1, 0, 0), (0, -1, 0), (0, 0, 1)),
+    ((-1, 0, 0), (0, -1, 0), (0, 0, -1)),
+)
+
+
+def face_axes(like: Tensor) -> Tensor:
+    """Return the axes (6, 3, 3) of the faces: for each face the s axis, the t axis and the normal."""
+    return torch.tensor(_FACES, dtype=like.dtype, device=like.device)
+
+
+def face_of(direction: Tensor) -> Tensor:
+    """Return the index of the face that each direction (..., 3) meets. On an edge, x comes before y, and y before z."""
+    size = direction.detach().abs()
+    x, y, z = size.unbind(-1)
+    axis = torch.where((z > x) & (z > y), 2, torch.where(y > x, 1, 0))
+    along = direction.detach().gather(-1, axis[..., None])[..., 0]
+    return 2 * axis + (along < 0).long()
+
+
+def project(direction: Tensor, face: Tensor) -> Tensor:
+    """Return the positions (..., 2) in [0, 1] where directions (..., 3) meet their faces. Differentiable."""
+    axes = face_axes(direction)[face]
+    a, b, m = (axes @ direction[..., None])[..., 0].unbind(-1)
+    return torch.stack([0.5 * a / m + 0.5, 0.5 * b / m + 0.5], dim=-1)
+
+
+def pad_cube(level: Tensor) -> Tensor:
+    """Surround each face (items, 6, N, N, C) by one row of texels of its neighbours: (items, 6, N + 2, N + 2, C).
+
+    The texel beyond a corner does not exist. It is the mean of the three texels that meet at the corner.
+    """
+    size = level.shape[2]
+    centres = (2 * torch.arange(-1, size + 1, dtype=torch.float64) + 1) / size - 1
+    b, a = torch.meshgrid(centres, centres, indexing="ij")
+    axes = face_axes(centres)
+    s_axis, t_axis, normal = (axes[:, k, None, None, :] for k in range(3))
+    # Beyond an edge, the surface turns by a right angle: the part of the position beyond the edge goes into the cube.
+    beyond = (a.abs().clamp(min=1) - 1) + (b.abs().clamp(min=1) - 1)
+    plane = a.clamp(-1, 1)[..., None] * s_axis + b.clamp(-1, 1)[..., None] * t_axis
+    position = plane + (1 - beyond)[..., None] * normal
+    # A position on an edge belongs to the face that it has been turned onto.
+    position = position + 1e-9 * (a.sign() * (a.abs() > 1))[..., None] * s_axis
+    position = position + 1e-9 * (b.sign() * (b.abs() > 1))[..., None] * t_axis
+    face = face_of(position)
+    column, row = (project(position, face) * size).floor().long().clamp(0, size - 1).unbind(-1)
+    padded = level[:, face.to(level.device), row.to(level.device), column.to(level.device)]
+    return _fill_corners(padded)
+
+
+def _fill_corners(padded: Tensor) -> Tensor:
+    last = padded.shape[2] - 1
+    mask = torch.zeros(last + 1, last + 1, 1, dtype=torch.bool, device=padded.device)
+    corners = torch.zeros_like(padded)
+    for row, inner_row in ((0, 1), (last, last - 1)):
+        for column, inner_column in ((0, 1), (last, last - 1)):
+            three = (
+                padded[:, :, inner_row, column]
+                + padded[:, :, row, inner_column]
+                + padded[:, :, inner_row, inner_column]
+            )
+            corner = torch.zeros_like(mask)
+            corner[row, column] = True
+            corners = torch.where(corner, (three / 3)[:, :, None, None], corners)
+            mask = mask | corner
+    return torch.where(mask, corners, padded)

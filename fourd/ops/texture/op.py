@@ -1,0 +1,197 @@
+"""Filtered texture lookup: the operator ``torch.ops.fourd.sample_texture``, its gradient, and the mip levels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fourd.ops.loading import as_array, load_native, simd_name, thread_count
+
+
+def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]]:
+    """Return (height, width) of all levels. A level has half the size of the level before, but at least one texel."""
+    return [(max(height >> level, 1), max(width >> level, 1)) for level in range(level_count)]
+
+
+@torch.library.custom_op("fourd::build_texture_mips", mutates_args=(), device_types=("cpu", "cuda"))
+def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
+    """Compute levels 1 to ``level_count`` - 1 of a float32 texture (B, H, W, C) or (B, 6, H, H, C).
+
+    A texel is the mean of 2 x 2 texels of the finer level, or of 2 along an axis of one texel. Sides above 1 must be
+    even in all levels but the last. Not differentiable: the gradient of :func:`sample_texture` includes the chain.
+    """
+    mips = _empty_mips(tex, level_count)
+    outputs = [_image(mip).numpy() for mip in mips]
+    load_native().build_mips(as_array(_image(tex)), _threads(threads), simd_name(), outputs)
+    return mips
+
+
+@build_mips.register_fake
+def _(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
+    return _empty_mips(tex, level_count)
+
+
+@torch.library.custom_op("fourd::sample_texture", mutates_args=(), device_types=("cpu", "cuda"))
+def sample_texture(
+    tex: Tensor,
+    mips: Sequence[Tensor],
+    uv: Tensor,
+    uv_da: Tensor | None,
+    bias: Tensor | None,
+    filter_mode: str,
+    boundary_mode: str,
+    is_chain: bool,
+    threads: int,
+) -> Tensor:
+    """Sample a texture. :func:`fourd.raster.triangles.texture` documents the arguments and checks them.
+
+    Args:
+        mips: levels 1 and up.
+        is_chain: whether ``mips`` are the results of :func:`build_mips`. If so, their gradients are added to the
+            gradient of ``tex``. Otherwise, ``mips`` get gradients of their own.
+    """
+    out = _empty_picture(tex, uv)
+    arrays = ([as_array(_image(level)) for level in (tex, *mips)], *_pixel_arrays(uv, uv_da, bias))
+    load_native().sample_texture(
+        *arrays, filter_mode, boundary_mode, _threads(threads), simd_name(), as_array(out.flatten(1, 2))
+    )
+    return out
+
+
+@sample_texture.register_fake
+def _(
+    tex: Tensor,
+    mips: Sequence[Tensor],
+    uv: Tensor,
+    uv_da: Tensor | None,
+    bias: Tensor | None,
+    filter_mode: str,
+    boundary_mode: str,
+    is_chain: bool,
+    threads: int,
+) -> Tensor:
+    return _empty_picture(tex, uv)
+
+
+@torch.library.custom_op("fourd::sample_texture_backward", mutates_args=(), device_types=("cpu", "cuda"))
+def _sample_backward(
+    tex: Tensor,
+    mips: Sequence[Tensor],
+    uv: Tensor,
+    uv_da: Tensor | None,
+    bias: Tensor | None,
+    filter_mode: str,
+    boundary_mode: str,
+    is_chain: bool,
+    threads: int,
+    gradient: Tensor,
+    needs: Sequence[bool],
+) -> list[Tensor]:
+    """Compute the gradients of uv, uv_da, bias, tex and the mips. Gradients that are not in ``needs`` (for uv, uv_da,
+    bias and the texture) are empty tensors. The list of the operator's results has no mips if ``is_chain``."""
+    out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
+    to_uv, to_uv_da, to_bias, *to_levels = out
+    load_native().sample_texture_backward(
+        [as_array(_image(level)) for level in (tex, *mips)],
+        *_pixel_arrays(uv, uv_da, bias),
+        filter_mode,
+        boundary_mode,
+        _threads(threads),
+        simd_name(),
+        as_array(gradient.flatten(1, 2)),
+        is_chain,
+        [_image(level).numpy() for level in to_levels] if needs[3] else [],
+        to_uv.flatten(1, 2).numpy() if needs[0] else None,
+        to_uv_da.flatten(1, 2).numpy() if needs[1] else None,
+        to_bias.flatten(1, 2).numpy() if needs[2] else None,
+    )
+    return out[:4] if is_chain else out
+
+
+@_sample_backward.register_fake
+def _(
+    tex: Tensor,
+    mips: Sequence[Tensor],
+    uv: Tensor,
+    uv_da: Tensor | None,
+    bias: Tensor | None,
+    filter_mode: str,
+    boundary_mode: str,
+    is_chain: bool,
+    threads: int,
+    gradient: Tensor,
+    needs: Sequence[bool],
+) -> list[Tensor]:
+    out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
+    return out[:4] if is_chain else out
+
+
+def _setup(ctx: Any, inputs: tuple[Any, ...], output: Tensor) -> None:
+    tex, mips, uv, uv_da, bias, *settings = inputs
+    ctx.save_for_backward(tex, uv, uv_da, bias, *mips)
+    ctx.settings = tuple(settings)
+
+
+def _backward(ctx: Any, gradient: Tensor) -> tuple[Any, ...]:
+    tex, uv, uv_da, bias, *mips = ctx.saved_tensors
+    is_chain = ctx.settings[2]
+    needs_tex, needs_mips, needs_uv, needs_uv_da, needs_bias, *_ = ctx.needs_input_grad
+    needs_mips = not is_chain and (any(needs_mips) if isinstance(needs_mips, list | tuple) else bool(needs_mips))
+    needs = [bool(needs_uv), bool(needs_uv_da), bool(needs_bias), bool(needs_tex or needs_mips)]
+    found = _sample_backward(tex, mips, uv, uv_da, bias, *ctx.settings, gradient, needs)
+    to_uv, to_uv_da, to_bias, to_tex, *to_mips = found
+    return (
+        to_tex if needs_tex else None,
+        to_mips if needs_mips else [None] * len(mips),
+        to_uv if needs[0] else None,
+        to_uv_da if needs[1] else None,
+        to_bias if needs[2] else None,
+        None,
+        None,
+        None,
+        None,
+    )
+
+
+sample_texture.register_autograd(_backward, setup_context=_setup)
+
+
+def _image(tex: Tensor) -> Tensor:
+    """Return a texture or a level as (items, faces, height, width, channels)."""
+    return tex if tex.ndim == 5 else tex.unsqueeze(1)
+
+
+def _threads(threads: int) -> int:
+    return thread_count(threads, torch.get_num_threads())
+
+
+def _pixel_arrays(uv: Tensor, uv_da: Tensor | None, bias: Tensor | None) -> tuple[Any, Any, Any]:
+    """Return arrays (pictures, pixels, numbers) and, for the bias, (pictures, pixels)."""
+    return tuple(None if value is None else as_array(value.flatten(1, 2)) for value in (uv, uv_da, bias))  # type: ignore[return-value]
+
+
+def _empty_mips(tex: Tensor, level_count: int) -> list[Tensor]:
+    sizes = mip_sizes(tex.shape[-3], tex.shape[-2], level_count)[1:]
+    return [tex.new_empty(*tex.shape[:-3], *size, tex.shape[-1]) for size in sizes]
+
+
+def _empty_picture(tex: Tensor, uv: Tensor) -> Tensor:
+    return tex.new_empty(*uv.shape[:3], tex.shape[-1])
+
+
+def _empty_gradients(
+    tex: Tensor,
+    mips: Sequence[Tensor],
+    uv: Tensor,
+    uv_da: Tensor | None,
+    bias: Tensor | None,
+    needs: Sequence[bool],
+) -> list[Tensor]:
+    """Allocate the gradients of uv, uv_da, bias and all levels. Gradients that nobody needs are empty."""
+    wanted = [*zip((uv, uv_da, bias), needs[:3], strict=True), *((level, needs[3]) for level in (tex, *mips))]
+    return [
+        uv.new_empty(0) if value is None or not needed else value.new_empty(value.shape) for value, needed in wanted
+    ]

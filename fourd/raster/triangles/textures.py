@@ -1,0 +1,206 @@
+"""Filtered texture lookup (public API).
+
+The mip level of a pixel is the base-2 logarithm of the longer axis of its footprint in the texture, in texels (Heckbert
+1989, Fundamentals of Texture Mapping and Image Warping). With A = |d(s, t)/dX|^2, B = |d(s, t)/dY|^2 and
+C = d(s, t)/dX . d(s, t)/dY, where (s, t) = (u W, v H) and (X, Y) is the position in the picture in pixels, the level is
+
+    0.5 log2(0.5 (A + B) + sqrt(0.25 (A - B)^2 + C^2)) + bias,
+
+clamped to the existing levels. For a cube map, u and v are the position on the face.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+from torch import Tensor
+
+from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.ops.meshes.checks import check_tensor
+from fourd.ops.texture import checks
+from fourd.ops.texture.checks import Backend, BoundaryMode, FilterMode
+from fourd.ops.texture.op import build_mips, mip_sizes, sample_texture
+from fourd.ops.texture.reference import build_mips_reference, sample_texture_reference
+
+
+@dataclass(frozen=True)
+class Mip:
+    """The mip levels of a texture, from :func:`texture_construct_mip`.
+
+    Attributes:
+        levels: level 1 and up, without gradients: (B, H / 2, W / 2, C), (B, H / 4, W / 4, C) and so on, or with six
+            faces as the second axis for a cube map.
+        shape: shape of the texture.
+    """
+
+    levels: tuple[Tensor, ...]
+    shape: tuple[int, ...]
+
+
+def texture(
+    tex: Tensor,
+    uv: Tensor,
+    uv_da: Tensor | None = None,
+    mip_level_bias: Tensor | None = None,
+    mip: Mip | Sequence[Tensor] | None = None,
+    filter_mode: FilterMode = "auto",
+    boundary_mode: BoundaryMode = "wrap",
+    max_mip_level: int | None = None,
+    *,
+    backend: Backend = "auto",
+    threads: int = 0,
+) -> Tensor:
+    """Look up a texture at every pixel: (B, H', W', C), with the semantics of ``nvdiffrast.torch.texture``.
+
+    The centre of the texel in column j and row i is at (u, v) = ((j + 0.5) / W, (i + 0.5) / H). The result is
+    differentiable in tex (also through mip levels that are built from it), uv, uv_da, mip_level_bias and in mip levels
+    that are given as tensors. On the CPU, results and gradients have the same bits for any number of threads.
+
+    Args:
+        tex: (B or 1, H, W, C) float32, or (B or 1, 6, N, N, C) for boundary_mode "cube", with faces along +x, -x, +y,
+            -y, +z and -z, oriented as in OpenGL. Sides up to 32,768 texels, C up to 4,096.
+        uv: (B, H', W', 2) positions, or (B, H', W', 3) directions of any length for a cube. Where a position is not
+            finite, or a direction is zero, the result is zero and has no gradient.
+        uv_da: (B, H', W', 4) derivatives per pixel of the picture: du/dX, du/dY, dv/dX, dv/dY. For a cube (B, H', W',
+            6): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY. NaN selects level 0.
+        mip_level_bias: (B, H', W') numbers that are added to the level. Without uv_da, they are the level.
+        mip: None to build the levels in this call, a :class:`Mip` that was built from tex, or a list of tensors for
+            level 1 and up, each with half the sides of the level before, rounded down, but at least 1.
+        filter_mode: "nearest" (the texel at the position; the gradient of uv is zero), "linear" (bilinear in level 0),
+            "linear-mipmap-nearest" (bilinear in the nearest level, which has no gradient), "linear-mipmap-linear"
+            (trilinear), or "auto": "linear-mipmap-linear" if uv_da or mip_level_bias is given, else "linear".
+        boundary_mode: outside [0, 1], "wrap" repeats the texture, "clamp" repeats its border, and "zero" is zero.
+            "cube" is a cube map with seamless edges. At its corners, the missing fourth texel is the mean of three.
+        max_mip_level: number of the last level that is built and used. None means all, down to 1 x 1.
+        backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
+            "auto" for the kernel of the tensors' device.
+        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        RuntimeError: if the backend is not built.
+    """
+    filter_mode = _checked_filter(tex, uv, uv_da, mip_level_bias, filter_mode, boundary_mode, max_mip_level, backend)
+    pixels = (uv, uv_da, mip_level_bias) if "mipmap" in filter_mode else (uv, None, None)
+    levels = _levels(tex, mip, max_mip_level, backend, threads) if "mipmap" in filter_mode else []
+    if _chosen_backend(backend, tex) == "reference":
+        return sample_texture_reference([tex, *levels], *pixels, filter_mode, boundary_mode)
+    is_chain = mip is None or isinstance(mip, Mip)
+    return sample_texture(tex, levels, *pixels, filter_mode, boundary_mode, is_chain, threads)
+
+
+def texture_construct_mip(
+    tex: Tensor,
+    max_mip_level: int | None = None,
+    cube_mode: bool = False,
+    *,
+    backend: Backend = "auto",
+    threads: int = 0,
+) -> Mip:
+    """Build the mip levels of a texture once, for several calls of :func:`texture` with the same ``tex``.
+
+    A texel of a level is the mean of 2 x 2 texels of the level before, or of 2 texels along an axis of one texel. If
+    tex changes, the levels must be built again.
+
+    Args:
+        tex: (B, H, W, C) float32, or (B, 6, N, N, C) with cube_mode. A side above 1 must be even in every level before
+            the last.
+        max_mip_level: number of the last level. None means all levels, down to 1 x 1.
+        cube_mode: whether tex is a cube map.
+        backend: as for :func:`texture`.
+        threads: as for :func:`texture`.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        RuntimeError: if the backend is not built.
+    """
+    checks.check_texture(tex, cube_mode, backend)
+    checks.check_max_level(max_mip_level)
+    return Mip(tuple(_levels(tex.detach(), None, max_mip_level, backend, threads)), tuple(tex.shape))
+
+
+def _checked_filter(
+    tex: Tensor,
+    uv: Tensor,
+    uv_da: Tensor | None,
+    bias: Tensor | None,
+    filter_mode: FilterMode,
+    boundary_mode: BoundaryMode,
+    max_mip_level: int | None,
+    backend: Backend,
+) -> FilterMode:
+    """Check all arguments but ``mip``, and return the filter mode, which is not "auto"."""
+    is_cube = boundary_mode == "cube"
+    checks.check_modes(filter_mode, boundary_mode)
+    checks.check_texture(tex, is_cube, backend)
+    checks.check_pixels(tex, uv, uv_da, bias, is_cube)
+    checks.check_max_level(max_mip_level)
+    has_level = uv_da is not None or bias is not None
+    if filter_mode == "auto":
+        filter_mode = "linear-mipmap-linear" if has_level else "linear"
+    if "mipmap" in filter_mode and not has_level:
+        raise ValueError(f"uv_da: expected uv_da or mip_level_bias for filter_mode {filter_mode!r}, got neither")
+    return "linear" if "mipmap" in filter_mode and max_mip_level == 0 else filter_mode
+
+
+def _levels(
+    tex: Tensor, mip: Mip | Sequence[Tensor] | None, max_mip_level: int | None, backend: Backend, threads: int
+) -> list[Tensor]:
+    """Return the mip levels that the caller gives, or build them. The operator of the kernels adds the gradients of
+    built levels to the gradient of tex, so only levels for the reference have gradients."""
+    is_reference = _chosen_backend(backend, tex) == "reference"
+    if mip is None:
+        level_count = checks.count_levels(tex, max_mip_level)
+        return (
+            build_mips_reference(tex, level_count) if is_reference else build_mips(tex.detach(), level_count, threads)
+        )
+    given = _given_levels(tex, mip, max_mip_level)
+    if not is_reference or not isinstance(mip, Mip):
+        return given
+    chain = build_mips_reference(tex, 1 + len(given))
+    return [level + (one - one.detach()) for level, one in zip(given, chain, strict=True)]
+
+
+def _given_levels(tex: Tensor, mip: Mip | Sequence[Tensor], max_mip_level: int | None) -> list[Tensor]:
+    """Return the mip levels that the caller gives, at most ``max_mip_level``."""
+    if isinstance(mip, Mip):
+        if mip.shape != tuple(tex.shape):
+            raise ValueError(f"mip: expected one built from a texture {tuple(tex.shape)}, got {mip.shape}")
+        levels: Sequence[Tensor] = mip.levels
+    elif isinstance(mip, list | tuple):
+        levels = mip
+    else:
+        raise TypeError(f"mip: expected None, a Mip or a list of tensors, got {type(mip).__name__}")
+    levels = levels[:max_mip_level]
+    sizes = mip_sizes(tex.shape[-3], tex.shape[-2], 1 + len(levels))
+    if len(levels) > 1 and sizes[-2] == (1, 1):
+        most = sizes.index((1, 1))
+        raise ValueError(
+            f"mip: expected at most {most} levels for {sizes[0][0]} x {sizes[0][1]} texels, got {len(levels)}"
+        )
+    for level, (one, size) in enumerate(zip(levels, sizes[1:], strict=True)):
+        check_tensor(f"mip[{level}]", one, (*tex.shape[:-3], *size, tex.shape[-1]), like=("tex", tex))
+    return list(levels)
+
+
+def _chosen_backend(backend: str, tex: Tensor) -> Literal["reference", "native"]:
+    if backend not in get_args(Backend):
+        raise ValueError(f"backend: expected 'auto', 'reference', 'cpu' or 'cuda', got {backend!r}")
+    if backend == "reference":
+        return "reference"
+    device = tex.device.type
+    required = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
+    if required == "cuda" and (missing := cuda_unavailable_reason()):
+        raise RuntimeError(
+            "backend: expected an installed backend, got 'cuda', but fourd was built without CUDA "
+            f"({missing}); install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "
+            "backend='reference', which runs on any device"
+        )
+    if device != required:
+        raise ValueError(
+            f"tex: expected a tensor on {required!r} for backend {backend!r}, got one on {device!r}; "
+            "backend='reference' runs on any device"
+        )
+    return "native"
