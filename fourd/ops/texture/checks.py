@@ -9,7 +9,6 @@ from torch import Tensor
 
 from fourd.ops.meshes.checks import check_tensor
 
-Backend = Literal["auto", "reference", "cpu", "cuda"]
 FilterMode = Literal["auto", "nearest", "linear", "linear-mipmap-nearest", "linear-mipmap-linear"]
 BoundaryMode = Literal["wrap", "clamp", "zero", "cube"]
 

@@ -13,14 +13,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from torch import Tensor
 
-from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.ops.meshes.backends import Backend, select_backend
 from fourd.ops.meshes.checks import check_tensor
 from fourd.ops.texture import checks
-from fourd.ops.texture.checks import Backend, BoundaryMode, FilterMode
+from fourd.ops.texture.checks import BoundaryMode, FilterMode
 from fourd.ops.texture.op import build_mips, mip_sizes, sample_texture
 from fourd.ops.texture.reference import build_mips_reference, sample_texture_reference
 
@@ -85,7 +84,7 @@ def texture(
     filter_mode = _checked_filter(tex, uv, uv_da, mip_level_bias, filter_mode, boundary_mode, max_mip_level, backend)
     pixels = (uv, uv_da, mip_level_bias) if "mipmap" in filter_mode else (uv, None, None)
     levels = _levels(tex, mip, max_mip_level, backend, threads) if "mipmap" in filter_mode else []
-    if _chosen_backend(backend, tex) == "reference":
+    if select_backend(backend, "tex", tex) == "reference":
         return sample_texture_reference([tex, *levels], *pixels, filter_mode, boundary_mode)
     is_chain = mip is None or isinstance(mip, Mip)
     return sample_texture(tex, levels, *pixels, filter_mode, boundary_mode, is_chain, threads)
@@ -150,7 +149,7 @@ def _levels(
 ) -> list[Tensor]:
     """Return the mip levels that the caller gives, or build them. The operator of the kernels adds the gradients of
     built levels to the gradient of tex, so only levels for the reference have gradients."""
-    is_reference = _chosen_backend(backend, tex) == "reference"
+    is_reference = select_backend(backend, "tex", tex) == "reference"
     if mip is None:
         level_count = checks.count_levels(tex, max_mip_level)
         return (
@@ -183,24 +182,3 @@ def _given_levels(tex: Tensor, mip: Mip | Sequence[Tensor], max_mip_level: int |
     for level, (one, size) in enumerate(zip(levels, sizes[1:], strict=True)):
         check_tensor(f"mip[{level}]", one, (*tex.shape[:-3], *size, tex.shape[-1]), like=("tex", tex))
     return list(levels)
-
-
-def _chosen_backend(backend: str, tex: Tensor) -> Literal["reference", "native"]:
-    if backend not in get_args(Backend):
-        raise ValueError(f"backend: expected 'auto', 'reference', 'cpu' or 'cuda', got {backend!r}")
-    if backend == "reference":
-        return "reference"
-    device = tex.device.type
-    required = ("cuda" if device == "cuda" else "cpu") if backend == "auto" else backend
-    if required == "cuda" and (missing := cuda_unavailable_reason()):
-        raise RuntimeError(
-            "backend: expected an installed backend, got 'cuda', but fourd was built without CUDA "
-            f"({missing}); install CUDA's compiler nvcc and then fourd again, move the tensors to the CPU, or use "
-            "backend='reference', which runs on any device"
-        )
-    if device != required:
-        raise ValueError(
-            f"tex: expected a tensor on {required!r} for backend {backend!r}, got one on {device!r}; "
-            "backend='reference' runs on any device"
-        )
-    return "native"
