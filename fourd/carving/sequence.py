@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,9 @@ from fourd.files import remove_unfinished, write_text_atomically
 from fourd.parallel import run_jobs, split_into_blocks
 from fourd.ply import read_ply, write_ply
 from fourd.progress import Track, untracked
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 Corners = tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -132,7 +135,7 @@ def read_bounds(folder: Path | str) -> Bounds:
         ) from error
 
 
-def settings_key(capture: MaskSource, settings: CarveSettings) -> str:
+def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
     """Hash the inputs of carving: settings, cameras, frame numbers, and the files' sizes and modification times."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):

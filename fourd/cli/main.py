@@ -20,6 +20,7 @@ COMMANDS = {
     "check": "captures.check",
     "matte": "captures.matte",
     "carve": "captures.carve",
+    "mesh": "captures.mesh",
     "train": "runs.train",
     "eval": "runs.eval",
     "export": "runs.export",
@@ -44,7 +45,7 @@ FILE_ERRORS = (
 )
 """File system errors that the user can fix."""
 
-TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch")
+TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch", "xatlas")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
 
 HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
@@ -58,6 +59,7 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd check CAPTURE               list a capture's contents and problems
   fourd matte CAPTURE               make mattes and clean plates
   fourd carve CAPTURE               carve initial points of each frame from mattes
+  fourd mesh CAPTURE|RUN -o DIR     make one textured mesh for each frame
   fourd train CAPTURE --out RUN     train a model
   fourd eval RUN                    evaluate a run on held-out views
   fourd export RUN -o scene.4dv     bake a scene for real-time rendering

@@ -1,0 +1,127 @@
+"""Make one textured triangle mesh for each frame of a capture, and an animation of all frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, describe, option, split_names
+from fourd.errors import UserError
+from fourd.mesh.fitting.settings import FitSettings
+from fourd.mesh.settings import MeshFormat, MeshSettings
+from fourd.pipeline.runner import Runner
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.mesh import MeshFiles, MeshStageSettings, mesh_stage, read_scores
+from fourd.training.cameras.selection import DataSelection
+from fourd.training.run import open_run
+from fourd.training.run_layout import CONFIG_NAME
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Writes FRAME.glb for each frame and animation.glb. The mesh of a frame starts as the visual hull of the mattes,
+    and is fitted to mattes and images. Run an interrupted command again to resume it."""
+
+    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE|RUN")]]
+    """Capture folder with masks/ or the output of fourd matte, or run folder. A run gives its capture, its views, and
+    its cameras after refinement."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
+    """Folder to write the meshes to."""
+    views: Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)] = None
+    frames: Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)] = None
+    test_views: Annotated[str | None, option("NAME,NAME", "none, or the run's")] = None
+    """Names of held-out cameras, separated by commas. The meshes do not depend on held-out cameras. The meshes are
+    compared with the images of these cameras, and the scores are written to scores.json."""
+    scale: Annotated[float | None, option("FLOAT", "1, or the run's")] = None
+    """Scale factor of the images. A factor of 0.5 halves width and height."""
+    cells: int = MeshSettings.cells
+    """Number of cells of the grid along the longest side of the subject. The number of triangles grows with the square
+    of this number, and the time with its square or more."""
+    steps: int = FitSettings.steps
+    """Number of gradient steps of each frame. With 0, the meshes are the visual hulls."""
+    texture_size: int = MeshSettings.texture_size
+    """Width and height of the textures in texels."""
+    format: MeshFormat = MeshSettings.format
+    """glb: textured meshes, metres, y up. ply: meshes with colours at the vertices, in world coordinates."""
+    agreement: Annotated[
+        float,
+        describe(
+            "Minimum share of mattes that must contain a point of the hull, in (0, 1]. Choose a lower share if mattes",
+            "have holes.",
+        ),
+    ] = MeshSettings.agreement
+    least_views: Annotated[
+        float,
+        describe(
+            "Minimum share of all views that must see a point of the hull, in (0, 1]. Choose a lower share if each",
+            "camera sees only a part of the scene.",
+        ),
+    ] = MeshSettings.least_views
+    seed: int = 0
+    """Random seed of the order in which the views are fitted."""
+
+
+def run(arguments: Arguments) -> None:
+    """Make the meshes and print the scores of held-out views."""
+    settings = _settings(arguments)
+    capture, selection, adjusted = _source(arguments)
+    console = Console(stderr=True)
+    files = MeshFiles(capture, arguments.out, adjusted)
+    Runner(Context(console)).run([mesh_stage(files, MeshStageSettings(selection, settings))])
+    written = sorted(path.name for path in arguments.out.glob(f"*.{settings.format}"))
+    console.print(f"{arguments.out}: {', '.join(written[:2])} ... {len(written)} files", soft_wrap=True, markup=False)
+    scores = read_scores(arguments.out) if selection.test_views and settings.format == "glb" else None
+    if scores is not None:
+        table = Table(title=f"{arguments.out}: held-out views {', '.join(selection.test_views)}")
+        for column in ("silhouette IoU", "PSNR dB inside the matte's box"):
+            table.add_column(column, justify="right")
+        table.add_row(f"{scores.iou:.4f}", "null" if scores.psnr is None else f"{scores.psnr:.2f}")
+        Console().print(table)
+
+
+def _settings(arguments: Arguments) -> MeshSettings:
+    for name, least in (("cells", 8), ("steps", 0), ("texture_size", 16)):
+        value = getattr(arguments, name)
+        if value < least:
+            raise UserError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}")
+    if arguments.texture_size > 16384:
+        raise UserError(f"--texture-size: expected at most 16384 texels, got {arguments.texture_size}")
+    for name in ("agreement", "least_views"):
+        share = getattr(arguments, name)
+        if not 0 < share <= 1:
+            raise UserError(f"--{name.replace('_', '-')}: expected a share in (0, 1], got {share:g}")
+    return MeshSettings(
+        cells=arguments.cells,
+        texture_size=arguments.texture_size,
+        format=arguments.format,
+        agreement=arguments.agreement,
+        least_views=arguments.least_views,
+        fit=FitSettings(steps=arguments.steps, seed=arguments.seed),
+    )
+
+
+def _source(arguments: Arguments) -> tuple[Path, DataSelection, Path | None]:
+    """The capture's folder, the selected views and frames, and the run whose cameras replace those of the capture."""
+    source, chosen = arguments.source, DataSelection()
+    capture, run_folder = source, None
+    if (source / CONFIG_NAME).is_file():
+        opened = open_run(source)
+        capture, chosen = opened.config.capture, DataSelection.of(opened.config.train)
+        refine = opened.config.train.refine
+        run_folder = source if refine.cameras or refine.colours else None
+    views, test_views = split_names(arguments.views), split_names(arguments.test_views)
+    return (
+        capture,
+        DataSelection(
+            chosen.views if views is None else views,
+            chosen.test_views if test_views is None else test_views,
+            chosen.frames if arguments.frames is None else arguments.frames,
+            chosen.image_scale if arguments.scale is None else arguments.scale,
+        ),
+        run_folder,
+    )

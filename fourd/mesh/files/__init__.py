@@ -1,0 +1,1 @@
+"""Mesh files: GLB with textures and animation, and PLY."""

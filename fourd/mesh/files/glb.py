@@ -1,0 +1,233 @@
+"""GLB files (binary glTF 2.0): writing of textured meshes, and reading of the files that this module writes.
+
+The vertices in a file are in world coordinates. glTF demands metres, right-handed axes and an up axis of +y, so the
+root node rotates the world: the scene's up direction becomes +y. Textures are embedded JPEG images, and the material is
+unlit (KHR_materials_unlit), because the images already contain the light of the scene.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Array
+from fourd.errors import UserError
+from fourd.files import atomic_path
+from fourd.mesh.texturing.texture import TexturedMesh
+
+MAGIC = 0x46546C67
+JSON_CHUNK = 0x4E4F534A
+BINARY_CHUNK = 0x004E4942
+MAX_BYTES = (1 << 32) - 1
+FLOAT, UINT32 = 5126, 5125
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+LINEAR, LINEAR_MIPMAP_LINEAR, CLAMP_TO_EDGE = 9729, 9987, 33071
+JPEG_QUALITY = 95
+UNLIT = "KHR_materials_unlit"
+ASSET = {"version": "2.0", "generator": "fourd mesh"}
+
+
+@dataclass(frozen=True, eq=False)
+class GlbFile:
+    """The JSON part of a GLB file, and where its binary part is.
+
+    Attributes:
+        path: the file.
+        document: the glTF document.
+        start: offset in bytes of the binary part in the file.
+        length: length in bytes of the binary part.
+    """
+
+    path: Path
+    document: dict[str, Any]
+    start: int
+    length: int
+
+    def view(self, index: int) -> bytes:
+        """The bytes of the buffer view ``index``."""
+        view = self.document["bufferViews"][index]
+        with self.path.open("rb") as stream:
+            stream.seek(self.start + view.get("byteOffset", 0))
+            return stream.read(view["byteLength"])
+
+
+def write_glb(path: Path, mesh: TexturedMesh, up: Array) -> None:
+    """Write one textured mesh atomically.
+
+    Args:
+        path: the file.
+        mesh: the mesh in world coordinates.
+        up: (3,) up direction of the scene in world coordinates, not zero.
+    """
+    image = encode_texture(mesh.texture)
+    parts = [
+        np.ascontiguousarray(mesh.xyz, "<f4").tobytes(),
+        np.ascontiguousarray(mesh.normals, "<f4").tobytes(),
+        np.ascontiguousarray(mesh.uv, "<f4").tobytes(),
+        np.ascontiguousarray(mesh.triangles, "<u4").tobytes(),
+        image,
+    ]
+    document = _document(mesh, parts, up)
+    binary = b"".join(pad(part, b"\0") for part in parts)
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        write_header(stream, document, len(binary), str(path))
+        stream.write(binary)
+
+
+def read_glb(path: Path) -> GlbFile:
+    """Read the JSON part of a GLB file.
+
+    Raises:
+        UserError: if the file is missing, damaged or no GLB file.
+    """
+    try:
+        with path.open("rb") as stream:
+            magic, version, total = struct.unpack("<III", stream.read(12))
+            length, kind = struct.unpack("<II", stream.read(8))
+            if magic != MAGIC or version != 2 or kind != JSON_CHUNK or total != path.stat().st_size:
+                raise ValueError("no GLB file of version 2, or a file of another length than it states")
+            document = json.loads(stream.read(length).decode("utf-8"))
+            binary_length, kind = struct.unpack("<II", stream.read(8))
+            if kind != BINARY_CHUNK or not isinstance(document, dict):
+                raise ValueError("no binary part")
+            return GlbFile(path, document, stream.tell(), binary_length)
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: expected a GLB file, got no such file; run fourd mesh") from error
+    except (struct.error, ValueError) as error:
+        raise UserError(f"{path}: expected an intact GLB file, got {error}; delete it and run fourd mesh") from error
+
+
+def read_mesh(path: Path) -> TexturedMesh:
+    """Read the first mesh of a GLB file that :func:`write_glb` wrote.
+
+    Raises:
+        UserError: if the file is missing or damaged, or its mesh has not the attributes that fourd writes.
+    """
+    file = read_glb(path)
+    try:
+        primitive = file.document["meshes"][0]["primitives"][0]
+        attributes = primitive["attributes"]
+        source = file.document["images"][0]["bufferView"]
+        texture = cv2.imdecode(np.frombuffer(file.view(source), np.uint8), cv2.IMREAD_COLOR_RGB)
+        if texture is None:
+            raise ValueError("no readable texture")
+        return TexturedMesh(
+            _floats(file, attributes["POSITION"], 3),
+            np.frombuffer(_accessor_bytes(file, primitive["indices"]), "<u4").astype(np.int32).reshape(-1, 3),
+            _floats(file, attributes["NORMAL"], 3),
+            _floats(file, attributes["TEXCOORD_0"], 2),
+            np.asarray(texture, np.uint8),
+        )
+    except (KeyError, IndexError, TypeError, ValueError) as error:
+        raise UserError(
+            f"{path}: expected a textured mesh of fourd mesh, got none ({error}); run fourd mesh again"
+        ) from error
+
+
+def encode_texture(texture: NDArray[np.uint8]) -> bytes:
+    """Encode an RGB texture (S, S, 3) as JPEG without chroma subsampling."""
+    flags = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, cv2.IMWRITE_JPEG_SAMPLING_FACTOR]
+    ok, code = cv2.imencode(".jpg", texture[..., ::-1], [*flags, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444])
+    if not ok:
+        raise RuntimeError("OpenCV could not encode the texture as JPEG")
+    return code.tobytes()
+
+
+def up_rotation(up: Array) -> list[float]:
+    """Unit quaternion (x, y, z, w) of the shortest rotation of ``up`` (3,), not zero, to the axis +y."""
+    x, y, z = np.asarray(up, np.float64) / np.linalg.norm(up)
+    if y < -1 + 1e-12:
+        return [1.0, 0.0, 0.0, 0.0]
+    quaternion = np.array([-z, 0.0, x, 1 + y])
+    return [float(value) for value in quaternion / np.linalg.norm(quaternion)]
+
+
+def pad(part: bytes, filler: bytes) -> bytes:
+    """Append ``filler`` until the length is a multiple of 4, which glTF demands of every part."""
+    return part + filler * (-len(part) % 4)
+
+
+def write_header(stream: BinaryIO, document: Mapping[str, Any], binary_length: int, name: str) -> None:
+    """Write everything before the binary part, whose length in bytes is a multiple of 4.
+
+    Raises:
+        UserError: if the file would be larger than 4 GiB, the limit of the format. ``name`` is used in the message.
+    """
+    content = pad(json.dumps(document, separators=(",", ":")).encode("utf-8"), b" ")
+    total = 12 + 8 + len(content) + 8 + binary_length
+    if total > MAX_BYTES:
+        raise UserError(
+            f"{name}: expected at most 4 GiB, the limit of GLB files, got {total / 2**30:.1f} GiB; choose fewer --frames"
+        )
+    stream.write(struct.pack("<III", MAGIC, 2, total))
+    stream.write(struct.pack("<II", len(content), JSON_CHUNK) + content)
+    stream.write(struct.pack("<II", binary_length, BINARY_CHUNK))
+
+
+def _document(mesh: TexturedMesh, parts: list[bytes], up: Array) -> dict[str, Any]:
+    views: list[dict[str, Any]] = []
+    offset = 0
+    targets = (ARRAY_BUFFER, ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, None)
+    for part, target in zip(parts, targets, strict=True):
+        view = {"buffer": 0, "byteOffset": offset, "byteLength": len(part)}
+        views.append(view if target is None else view | {"target": target})
+        offset += len(part) + -len(part) % 4
+    count = len(mesh.xyz)
+    lower, upper = mesh.xyz.min(axis=0), mesh.xyz.max(axis=0)
+    accessors: list[dict[str, Any]] = [
+        {"bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3"}
+        | {"min": [float(v) for v in lower], "max": [float(v) for v in upper]},
+        {"bufferView": 1, "componentType": FLOAT, "count": count, "type": "VEC3"},
+        {"bufferView": 2, "componentType": FLOAT, "count": count, "type": "VEC2"},
+        {"bufferView": 3, "componentType": UINT32, "count": mesh.triangles.size, "type": "SCALAR"},
+    ]
+    attributes = {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}
+    return {
+        "asset": ASSET,
+        "extensionsUsed": [UNLIT],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"name": "world", "rotation": up_rotation(up), "children": [1]}, {"name": "frame", "mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}],
+        "materials": [material(0)],
+        "textures": [{"source": 0, "sampler": 0}],
+        "samplers": [sampler()],
+        "images": [{"bufferView": 4, "mimeType": "image/jpeg"}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": offset}],
+    }
+
+
+def material(texture: int) -> dict[str, Any]:
+    """An unlit material with a texture. Programs without support for unlit materials show a rough material."""
+    return {
+        "pbrMetallicRoughness": {"baseColorTexture": {"index": texture}, "metallicFactor": 0, "roughnessFactor": 1},
+        "extensions": {UNLIT: {}},
+    }
+
+
+def sampler() -> dict[str, int]:
+    """Trilinear sampling, clamped at the texture's border."""
+    return {
+        "magFilter": LINEAR,
+        "minFilter": LINEAR_MIPMAP_LINEAR,
+        "wrapS": CLAMP_TO_EDGE,
+        "wrapT": CLAMP_TO_EDGE,
+    }
+
+
+def _accessor_bytes(file: GlbFile, index: int) -> bytes:
+    return file.view(file.document["accessors"][index]["bufferView"])
+
+
+def _floats(file: GlbFile, index: int, columns: int) -> NDArray[np.float32]:
+    return np.frombuffer(_accessor_bytes(file, index), "<f4").astype(np.float32).reshape(-1, columns)

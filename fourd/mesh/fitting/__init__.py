@@ -1,0 +1,1 @@
+"""Fitting the surface of one frame to the mattes and images of its views."""

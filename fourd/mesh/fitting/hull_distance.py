@@ -1,0 +1,151 @@
+"""The signed distance to the visual hull on a tetrahedral grid around the hull's surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+from torch import Tensor
+
+from fourd.cameras import Array, Camera
+from fourd.carving.bounds import Bounds, empty_hull_error
+from fourd.carving.excess import FilledHull, fill_hull, remove_excess
+from fourd.carving.hull import Silhouettes
+from fourd.carving.surface import surface_cells
+from fourd.mesh.surface.grid import TetrahedralGrid, cube_grid
+
+BAND_CELLS = 2
+"""Number of cubes on each side of the surface that the grid contains beside the cubes that the surface cuts."""
+
+SMOOTHING_CELLS = 1.2
+"""Standard deviation in cubes of the Gaussian that smooths the hull without its excess parts."""
+
+DISTANCE_CELLS = 1.5
+"""Limit of the absolute distances, in cubes."""
+
+
+@dataclass(frozen=True, eq=False)
+class DistanceGrid:
+    """A signed distance function on a tetrahedral grid.
+
+    Attributes:
+        grid: the grid, a band of a few cubes around the surface.
+        sdf: (V,) float32 signed distance of each vertex in world units, positive inside, limited to DISTANCE_CELLS
+            cubes.
+    """
+
+    grid: TetrahedralGrid
+    sdf: Tensor
+
+
+def hull_distance_grid(
+    masks: Sequence[NDArray[np.uint8]],
+    cameras: Sequence[Camera],
+    bounds: Bounds,
+    *,
+    cells: int,
+    agreement: float = 0.95,
+    least_views: float = 1 / 2,
+    trim: bool = True,
+    names: Sequence[str] | None = None,
+    label: str = "masks",
+) -> DistanceGrid:
+    """Compute the signed distance to the visual hull of one frame.
+
+    Args:
+        masks: mattes (H, W) uint8, one per camera; 255 is the object.
+        cameras: undistorted pinhole cameras.
+        bounds: box that contains the hull.
+        cells: number of cubes along the longest side of ``bounds``, at least 1.
+        agreement: share in (0, 1]. Of the views that see a point, this share must have the point in their mattes.
+        least_views: share in (0, 1]. A point must project inside the image in at least this share of all views.
+        trim: remove protruding parts of the hull that no silhouette needs; see :mod:`fourd.carving.excess`.
+        names: camera names for messages.
+        label: name of the masks for messages.
+
+    Raises:
+        UserError: if the hull is empty. The message names the views that remove most of the hull of the other views.
+        ValueError: if ``cells`` is below 1, or masks, cameras and shares do not fit (see :class:`Silhouettes`).
+    """
+    if cells < 1:
+        raise ValueError(f"cells: expected at least 1, got {cells}")
+    views = Silhouettes.from_masks(masks, cameras, bounds.centre, agreement=agreement, least_views=least_views)
+    lower, upper = bounds.lower - bounds.centre, bounds.upper - bounds.centre
+    side = float(bounds.extent.max()) / cells
+    removed = _removed_parts(views, lower, upper, side) if trim else None
+    near = surface_cells(views, lower, upper, side)
+    if near.shape[1]:
+        near = near[:, np.abs(views.distance(near)[0]) <= 2 * side]
+    if near.shape[1] == 0:
+        raise empty_hull_error(views, float(bounds.extent.max()) / 2, names, label)
+    centres = near if removed is None else np.concatenate([near, removed.surface], axis=1)
+    cubes, first = _band(centres.T.astype(np.float64), near.T[0].astype(np.float64), side)
+    grid = cube_grid(cubes, first, side)
+    xyz = np.ascontiguousarray(grid.xyz.numpy().T)
+    limit = DISTANCE_CELLS * side
+    sdf = views.distance(xyz)[0].clip(-limit, limit)
+    if removed is not None:
+        sdf = (sdf - removed.depth(xyz, limit)).clip(-limit, limit)
+    placed = TetrahedralGrid(
+        grid.xyz + torch.from_numpy(bounds.centre.astype(np.float32)), grid.tetrahedra, grid.is_border, side
+    )
+    return DistanceGrid(placed, torch.from_numpy(sdf.astype(np.float32)))
+
+
+@dataclass(frozen=True, eq=False)
+class _RemovedParts:
+    """Excess parts of a hull, as the share of each cell's neighbourhood that was removed.
+
+    Attributes:
+        hull: the grid of cells.
+        share: removed share of the neighbourhood of each cell, in [0, 1], in the shape of the grid.
+        surface: (3, N) centres of cells next to the surface that remains, relative to the origin of the silhouettes.
+    """
+
+    hull: FilledHull
+    share: NDArray[np.float32]
+    surface: NDArray[np.float32]
+
+    def depth(self, xyz: NDArray[np.float32], limit: float) -> NDArray[np.float32]:
+        """Decrease (N,) of the signed distance at points (3, N) because of the removed parts.
+
+        The distance of points at most ``limit`` from the surface decreases by at most twice this limit. The smoothed
+        occupancy has the slope 1 / (sigma sqrt(2 pi)) at a flat surface, so this factor converts shares to distances.
+        """
+        index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
+        share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)
+        return np.asarray(share * (SMOOTHING_CELLS * self.hull.side * np.sqrt(2 * np.pi)), np.float32).clip(0, 2 * limit)
+
+
+def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) -> _RemovedParts | None:
+    """Find the hull's excess parts with cells of side ``side``; return None if there are none."""
+    hull = fill_hull(views, lower, upper, side)
+    if len(hull.cells) == 0:
+        return None
+    remaining = remove_excess(views, hull)
+    if len(remaining) == len(hull.cells):
+        return None
+    rest = hull.smoothed(remaining, SMOOTHING_CELLS)
+    share = hull.smoothed(hull.cells, SMOOTHING_CELLS) - rest
+    is_surface = (np.abs(rest - 0.5) < 0.25) & (share > 1e-3)
+    return _RemovedParts(hull, share, hull.centres(np.flatnonzero(is_surface)).T)
+
+
+def _band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np.int64], Array]:
+    """Cubes (N, 3) of a band around points (P, 3), and the lower corner of the cube (0, 0, 0).
+
+    The lattice of the cubes is placed so that ``anchor`` (3,) is the centre of a cube.
+    """
+    index = np.unique(np.rint((centres - anchor) / side).astype(np.int64), axis=0)
+    reach = np.arange(-BAND_CELLS, BAND_CELLS + 1)
+    steps = np.stack(np.meshgrid(reach, reach, reach, indexing="ij"), axis=-1).reshape(-1, 3)
+    first = index.min(axis=0) - BAND_CELLS
+    shape = index.max(axis=0) + BAND_CELLS + 1 - first
+    band = np.zeros(shape, np.bool_)
+    for step in steps:
+        band[tuple((index + step - first).T)] = True
+    return np.stack(np.nonzero(band), axis=1), anchor + (first - 0.5) * side

@@ -1,0 +1,91 @@
+"""Photo-consistency: the views of the same surface point show the same colour."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+
+MIN_COSINE = 0.25
+"""Points at a smaller cosine between normal and viewing direction are not compared: their pixels are stretched."""
+
+DEPTH_TOLERANCE_PX = 3.0
+"""A point is visible in a view if it is at most this many pixels behind the depth image."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoView:
+    """A view as tensors.
+
+    Attributes:
+        camera: pinhole camera.
+        rgb: (1, 3, H, W) float32 image in [0, 1].
+        matte: (H, W) float32 matte in [0, 1].
+        depth: (1, 1, H, W) float32 depth of the current mesh; a large number where the view shows no mesh.
+        rotation: (3, 3) float32 R_camera_world.
+        translation: (3,) float32 T_camera_world.
+        intrinsics: (3, 3) float32, in pixels.
+    """
+
+    camera: Camera
+    rgb: Tensor
+    matte: Tensor
+    depth: Tensor
+    rotation: Tensor
+    translation: Tensor
+    intrinsics: Tensor
+
+
+def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, sources: Sequence[PhotoView]) -> Tensor:
+    """Mean colour difference between a target view and the source views that see the same surface points.
+
+    A source view sees a point if it faces the camera and no other part of the mesh hides it. The difference of a point
+    is the smaller half of the differences to the source views that see it: highlights and wrong visibilities are then
+    often ignored.
+
+    Args:
+        xyz: (P, 3) surface points, differentiable.
+        normals: (P, 3) unit normals, constant.
+        pixels: (P, 2) int64 row and column of each point in the target view.
+        target: the view whose pixels show the points.
+        sources: views to compare with, at least one.
+
+    Returns:
+        scalar, 0 if no source view sees a point.
+    """
+    wanted = target.rgb[0][:, pixels[:, 0], pixels[:, 1]].T
+    differences, seen = [], []
+    for source in sources:
+        rgb, visible = _sample_view(xyz, normals, source)
+        differences.append((rgb - wanted).abs().sum(dim=1))
+        seen.append(visible)
+    stacked, visible = torch.stack(differences), torch.stack(seen)
+    ranked = torch.where(visible, stacked, torch.inf).sort(dim=0)
+    kept = torch.arange(len(sources))[:, None] < (visible.sum(dim=0) + 1) // 2
+    total = torch.where(kept, ranked.values, torch.zeros(())).sum()
+    return total / max(int(kept.sum()), 1)
+
+
+def _sample_view(xyz: Tensor, normals: Tensor, view: PhotoView) -> tuple[Tensor, Tensor]:
+    """Colours (P, 3) of the points in a view, and (P,) bool: whether the view sees each point."""
+    in_camera = xyz @ view.rotation.T + view.translation
+    depth = in_camera[:, 2].clamp(min=1e-6)
+    projected = in_camera @ view.intrinsics.T
+    height, width = view.matte.shape
+    grid = projected[:, :2] / depth[:, None] / torch.tensor([width / 2, height / 2]) - 1
+    rgb = torch.nn.functional.grid_sample(view.rgb, grid[None, None], align_corners=False, padding_mode="border")
+    with torch.no_grad():
+        rays = torch.from_numpy(view.camera.centre.astype(np.float32)) - xyz
+        cosine = (rays * normals).sum(dim=1) / rays.norm(dim=1).clamp(min=1e-12)
+        nearest = torch.nn.functional.grid_sample(
+            view.depth, grid[None, None], mode="nearest", align_corners=False, padding_mode="border"
+        )[0, 0, 0]
+        tolerance = DEPTH_TOLERANCE_PX * depth / view.intrinsics[1, 1] / cosine.clamp(min=MIN_COSINE)
+        visible = (grid.abs() < 1).all(dim=1) & (in_camera[:, 2] > 0) & (cosine > MIN_COSINE)
+        visible &= depth <= nearest + tolerance
+    return rgb[0, :, 0].T, visible

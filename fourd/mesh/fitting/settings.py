@@ -1,0 +1,42 @@
+"""Settings of mesh fitting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How the surface of a frame is fitted to its views.
+
+    Attributes:
+        steps: number of gradient steps, 0 or more. With 0, the surface is the visual hull.
+        rate: learning rate of distances and offsets, in cubes, more than 0. It falls to a tenth until the last step.
+        silhouette: weight of the squared difference between rendered and given mattes.
+        photo: weight of the colour difference between views of the same surface point.
+        laplacian: weight of the squared Laplacian in squared cubes.
+        normal: weight of the normal consistency.
+        sources: number of views with which each target view is compared.
+        seed: random seed of the order of the views.
+    """
+
+    steps: int = 200
+    rate: float = 0.03
+    silhouette: float = 1.0
+    photo: float = 1.0
+    laplacian: float = 0.1
+    normal: float = 0.01
+    sources: int = 3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value that is out of range."""
+        if self.steps < 0:
+            raise ValueError(f"steps: expected 0 or more, got {self.steps}")
+        if not self.rate > 0:
+            raise ValueError(f"rate: expected more than 0, got {self.rate}")
+        if self.sources < 1:
+            raise ValueError(f"sources: expected at least 1, got {self.sources}")
+        for name in ("silhouette", "photo", "laplacian", "normal"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name}: expected a weight of 0 or more, got {getattr(self, name)}")

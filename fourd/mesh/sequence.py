@@ -1,0 +1,142 @@
+"""Meshes of a whole capture: one file for each frame, and an animation.
+
+Frames are processed one at a time, and an interrupted run can be resumed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fourd.cameras import Array, Camera
+from fourd.capture import Capture
+from fourd.capture.layout import refuse_symlinks
+from fourd.carving.bounds import hull_bounds
+from fourd.carving.mask_source import frame_masks
+from fourd.carving.sequence import settings_key
+from fourd.errors import UserError
+from fourd.files import remove_unfinished, write_text_atomically
+from fourd.mesh.files.animation import write_animation
+from fourd.mesh.files.glb import write_glb
+from fourd.mesh.files.ply import write_mesh_ply
+from fourd.mesh.fitting.fit import fit_mesh
+from fourd.mesh.fitting.hull_distance import hull_distance_grid
+from fourd.mesh.settings import MeshSettings
+from fourd.mesh.surface.components import drop_crumbs
+from fourd.mesh.texturing.texture import colour_mesh, texture_mesh
+from fourd.mesh.views import mesh_views
+from fourd.progress import Track, untracked
+
+STATE_NAME = "meshes.json"
+ANIMATION_NAME = "animation.glb"
+VERSION = 1
+BOUNDS_MARGIN = 0.03
+"""Margin of the box around the hull of a frame, as a share of its longest side."""
+DEFAULT_FPS = 30.0
+"""Frame rate of the animation if the capture's frame rate is unknown."""
+
+
+def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: Track = untracked) -> list[Path]:
+    """Make one mesh for each frame of a capture; write FRAME.glb or FRAME.ply, and animation.glb.
+
+    FRAME is the six-digit number of the frame in the capture. Files are written atomically, and memory does not grow
+    with the number of frames. If the capture and the settings did not change since the last call, finished frames are
+    kept. After a change, all frames are made again.
+
+    Args:
+        capture: cameras, images and mattes; held-out views must not be among them.
+        folder: folder for the files; it is created if missing.
+        settings: grid, texture and fit.
+        track: progress callback.
+
+    Returns:
+        the files of the frames, in the order of time.
+
+    Raises:
+        UserError: if the capture has no mattes, a frame's hull is empty, or a file cannot be written.
+    """
+    if not capture.has_masks:
+        raise UserError(
+            f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
+            f"make mattes with: fourd matte {capture.path}"
+        )
+    refuse_symlinks(capture.path, folder)
+    paths = [folder / f"{number:06d}.{settings.format}" for number in capture.frame_numbers]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(folder)
+        _remove_stale(folder, _key(capture, settings))
+        up = scene_up(capture.cameras)
+        for frame in track(range(len(paths)), len(paths), "meshes"):
+            if not paths[frame].exists():
+                _make_frame(capture, frame, paths[frame], settings, up)
+        if settings.format == "glb" and not (folder / ANIMATION_NAME).exists():
+            write_animation(folder / ANIMATION_NAME, paths, capture.fps or DEFAULT_FPS, up)
+    except OSError as error:
+        raise UserError(
+            f"{folder}: expected a writable folder, got '{error.strerror}'; free disk space or choose another folder"
+        ) from error
+    return paths
+
+
+def scene_up(cameras: Sequence[Camera]) -> Array:
+    """Up direction (3,) of a scene in world coordinates: the mean of the cameras' up directions.
+
+    If the cameras' up directions cancel, the world's y axis is used, as glTF does.
+    """
+    up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
+    return up if float(np.linalg.norm(up)) > 1e-6 else np.array([0.0, 1.0, 0.0])
+
+
+def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings, up: Array) -> None:
+    """Fit, texture and write the mesh of one frame."""
+    masks = frame_masks(capture, frame)
+    cameras, names = capture.cameras, capture.names
+    label = f"{capture.path} frame {capture.frame_numbers[frame]}"
+    agreement, least_views = settings.agreement, settings.least_views
+    bounds = hull_bounds(
+        masks, cameras, agreement=agreement, least_views=least_views, names=names, label=label
+    ).padded(BOUNDS_MARGIN)
+    start = hull_distance_grid(
+        masks,
+        cameras,
+        bounds,
+        cells=settings.cells,
+        agreement=agreement,
+        least_views=least_views,
+        trim=settings.trim,
+        names=names,
+        label=label,
+    )
+    views = mesh_views([capture.image(camera, frame) for camera in range(len(cameras))], masks, cameras)
+    fitted = fit_mesh(start, views, settings.fit)
+    xyz, triangles = drop_crumbs(fitted.xyz, fitted.triangles)
+    if settings.format == "ply":
+        normals, rgb = colour_mesh(xyz, triangles, views)
+        write_mesh_ply(path, xyz, normals, rgb, triangles)
+    else:
+        write_glb(path, texture_mesh(xyz, triangles, views, settings.texture_size), up)
+
+
+def _key(capture: Capture, settings: MeshSettings) -> str:
+    """Hash of everything on which the meshes depend: settings, cameras, and the files' sizes and times."""
+    return hashlib.sha256(f"{VERSION} {capture.fps} {settings_key(capture, settings)}".encode()).hexdigest()
+
+
+def _remove_stale(folder: Path, key: str) -> None:
+    """Remove the meshes in ``folder`` if they have another key, and store the key."""
+    state = folder / STATE_NAME
+    try:
+        known = json.loads(state.read_text(encoding="utf-8"))["key"]
+    except (FileNotFoundError, ValueError, KeyError, TypeError):
+        known = None
+    if known == key:
+        return
+    for pattern in ("[0-9]" * 6 + ".glb", "[0-9]" * 6 + ".ply", ANIMATION_NAME):
+        for path in folder.glob(pattern):
+            path.unlink()
+    write_text_atomically(state, json.dumps({"version": VERSION, "key": key}, indent=1) + "\n")

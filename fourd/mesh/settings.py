@@ -1,0 +1,42 @@
+"""Settings of the meshes of a capture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from fourd.mesh.fitting.settings import FitSettings
+
+MeshFormat = Literal["glb", "ply"]
+
+
+@dataclass(frozen=True)
+class MeshSettings:
+    """How the meshes of a capture are made.
+
+    Attributes:
+        cells: number of cubes of the grid along the longest side of the subject, at least 8.
+        texture_size: side of the texture in texels, at least 16.
+        format: "glb" for textured meshes in GLB files and an animation, "ply" for meshes with vertex colours.
+        agreement: share in (0, 1]. Of the views that see a point of the hull, this share must have it in their mattes.
+        least_views: share in (0, 1]. At least this share of all views must see a point of the hull.
+        trim: whether to remove protruding parts of the hull that no silhouette needs before fitting.
+        fit: settings of the fit.
+    """
+
+    cells: int = 96
+    texture_size: int = 1024
+    format: MeshFormat = "glb"
+    agreement: float = 0.95
+    least_views: float = 1 / 2
+    trim: bool = False
+    fit: FitSettings = field(default_factory=FitSettings)
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value that is out of range."""
+        if self.cells < 8:
+            raise ValueError(f"cells: expected at least 8, got {self.cells}")
+        if not 16 <= self.texture_size <= 16384:
+            raise ValueError(f"texture_size: expected 16 to 16384 texels, got {self.texture_size}")
+        if self.format not in ("glb", "ply"):
+            raise ValueError(f"format: expected glb or ply, got {self.format}")

@@ -1,0 +1,1 @@
+"""Differentiable surfaces: tetrahedral grids, marching tetrahedra, mesh losses and remeshing."""

@@ -1,0 +1,48 @@
+"""Connected parts of a mesh."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+Floats = NDArray[np.float32]
+
+
+def drop_crumbs(
+    xyz: Floats, triangles: NDArray[np.integer], min_share: float = 0.01
+) -> tuple[Floats, NDArray[np.int64]]:
+    """Remove small connected parts and closed cavities of a mesh.
+
+    Args:
+        xyz: (N, 3) vertices.
+        triangles: (M, 3) vertex indices, counter-clockwise seen from outside.
+        min_share: smallest area of a part that is kept, as a share of the area of the largest part, in [0, 1].
+
+    Returns:
+        the vertices and triangles of the remaining parts, in the same order. Unused vertices are removed. Parts of
+        negative volume are cavities. If all parts have negative volumes, nothing is removed as a cavity.
+
+    Raises:
+        ValueError: if ``min_share`` is outside [0, 1].
+    """
+    if not 0 <= min_share <= 1:
+        raise ValueError(f"min_share: expected a share in [0, 1], got {min_share}")
+    triangles = np.asarray(triangles, np.int64)
+    if len(triangles) == 0:
+        return xyz[:0], triangles
+    rows, columns = triangles[:, [0, 1]].T, triangles[:, [1, 2]].T
+    edges = np.concatenate([rows, columns], axis=1)
+    graph = coo_array((np.ones(edges.shape[1], np.bool_), (edges[0], edges[1])), shape=(len(xyz), len(xyz)))
+    count, label = connected_components(graph, directed=False)
+    part = label[triangles[:, 0]]
+    a, b, c = (xyz[triangles[:, corner]].astype(np.float64) for corner in range(3))
+    area = np.bincount(part, np.linalg.norm(np.cross(b - a, c - a), axis=1), count)
+    volume = np.bincount(part, np.einsum("ij,ij->i", a, np.cross(b, c)), count)
+    keep = (area > 0) & (area >= min_share * area.max())
+    if (volume[keep] > 0).any():
+        keep &= volume > 0
+    kept = triangles[keep[part]]
+    used, index = np.unique(kept, return_inverse=True)
+    return xyz[used], index.reshape(-1, 3)

@@ -1,0 +1,112 @@
+"""Differentiable marching tetrahedra (DMTet, Shen et al. 2021, sec. 3.1.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+_EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
+"""Corners of the six edges of a tetrahedron."""
+
+_CUTS = (
+    (-1, -1, -1, -1, -1, -1),
+    (0, 1, 2, -1, -1, -1),
+    (0, 4, 3, -1, -1, -1),
+    (1, 2, 4, 1, 4, 3),
+    (1, 3, 5, -1, -1, -1),
+    (3, 5, 2, 3, 2, 0),
+    (0, 4, 5, 0, 5, 1),
+    (2, 4, 5, -1, -1, -1),
+    (2, 5, 4, -1, -1, -1),
+    (0, 1, 5, 0, 5, 4),
+    (2, 5, 3, 2, 3, 0),
+    (1, 5, 3, -1, -1, -1),
+    (1, 3, 4, 1, 4, 2),
+    (0, 3, 4, -1, -1, -1),
+    (0, 2, 1, -1, -1, -1),
+    (-1, -1, -1, -1, -1, -1),
+)
+"""Cut edges of the one or two triangles, for each set of inside corners. Bit i of the row is set if corner i is inside.
+The triangles are counter-clockwise seen from outside, if the determinant of the tetrahedron is positive."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A triangle mesh that marching tetrahedra extracted.
+
+    Attributes:
+        xyz: (N, 3) positions of the vertices, differentiable.
+        triangles: (M, 3) int64 vertex indices, counter-clockwise seen from outside.
+        edges: (N, 2) int64 indices of the two grid vertices whose edge contains each mesh vertex.
+    """
+
+    xyz: Tensor
+    triangles: Tensor
+    edges: Tensor
+
+
+def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface:
+    """Extract the surface where the linear interpolation of ``sdf`` is zero.
+
+    A cut edge with the ends a and b gives the vertex (x_a s_b - x_b s_a) / (s_b - s_a), with the positions x and the
+    distances s (DMTet, eq. 1). Tetrahedra that share an edge share its vertex, so the surface is closed if no
+    triangle lies on the border of the grid.
+
+    Args:
+        xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.
+        sdf: (V,) signed distances of the same dtype, more than 0 inside, differentiable. 0 counts as outside. Only the
+            signs and the ratios of the distances matter.
+        tetrahedra: (T, 4) int64 vertex indices with positive determinants, as in
+            :class:`fourd.mesh.surface.grid.TetrahedralGrid`.
+
+    Returns:
+        The surface. It has no vertices if all distances have the same sign. The set of triangles is constant in the
+        gradient.
+
+    Raises:
+        TypeError, ValueError: for a wrong dtype or shape, with a message that names the argument.
+    """
+    _check(xyz, sdf, tetrahedra)
+    inside = sdf.detach() > 0
+    corner_bits = torch.tensor([1, 2, 4, 8], device=sdf.device)
+    code = (inside[tetrahedra] * corner_bits).sum(dim=1)
+    is_cut = (code > 0) & (code < 15)
+    tetrahedra, code = tetrahedra[is_cut], code[is_cut]
+    ends = tetrahedra[:, torch.tensor(_EDGES, device=sdf.device)]
+    ends = torch.stack([ends.amin(dim=2), ends.amax(dim=2)], dim=2)
+    crosses = inside[ends[..., 0]] != inside[ends[..., 1]]
+    keys = ends[..., 0] * len(sdf) + ends[..., 1]
+    unique, index = torch.unique(keys[crosses], return_inverse=True)
+    vertex_of_edge = torch.full_like(keys, -1)
+    vertex_of_edge[crosses] = index
+    edges = torch.stack([unique // max(len(sdf), 1), unique % max(len(sdf), 1)], dim=1)
+    cuts = torch.tensor(_CUTS, device=sdf.device)[code]
+    triangles = torch.gather(vertex_of_edge, 1, cuts.clamp(min=0)).reshape(-1, 2, 3)
+    exists = cuts.reshape(-1, 2, 3)[..., 0] >= 0
+    return Surface(_cut_points(xyz, sdf, edges), triangles[exists], edges)
+
+
+def _cut_points(xyz: Tensor, sdf: Tensor, edges: Tensor) -> Tensor:
+    """Zero crossings (N, 3) of the distances along the edges (N, 2)."""
+    first, second = edges.unbind(dim=1)
+    share = sdf[first] / (sdf[first] - sdf[second])
+    return xyz[first] + share[:, None] * (xyz[second] - xyz[first])
+
+
+def _check(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> None:
+    if xyz.ndim != 2 or xyz.shape[1] != 3:
+        raise ValueError(f"xyz: expected shape (V, 3), got {tuple(xyz.shape)}")
+    if sdf.shape != xyz.shape[:1]:
+        raise ValueError(f"sdf: expected shape ({len(xyz)},), got {tuple(sdf.shape)}")
+    if tetrahedra.ndim != 2 or tetrahedra.shape[1] != 4:
+        raise ValueError(f"tetrahedra: expected shape (T, 4), got {tuple(tetrahedra.shape)}")
+    if not sdf.dtype.is_floating_point or xyz.dtype != sdf.dtype:
+        raise TypeError(f"sdf: expected the floating-point dtype of xyz, {xyz.dtype}, got {sdf.dtype}")
+    if tetrahedra.dtype != torch.int64:
+        raise TypeError(f"tetrahedra: expected dtype int64, got {tetrahedra.dtype}; use tetrahedra.long()")
+    if tetrahedra.numel() and (int(tetrahedra.min()) < 0 or int(tetrahedra.max()) >= len(sdf)):
+        raise ValueError(f"tetrahedra: expected vertex indices from 0 to {len(sdf) - 1}, got others")
+    if not bool(torch.isfinite(sdf.detach()).all()):
+        raise ValueError("sdf: expected finite distances, got NaN or infinity")

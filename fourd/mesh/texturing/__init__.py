@@ -1,0 +1,1 @@
+"""Texture atlases, and their colours from source views."""

@@ -1,0 +1,63 @@
+"""Colours for the parts of a mesh that no view sees, and for the texels between charts."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse import coo_array, diags_array
+from scipy.sparse.linalg import spsolve
+
+Floats = NDArray[np.float32]
+
+GREY = 0.5
+"""Colour of connected parts of a mesh that no view sees at all."""
+
+
+def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.integer]) -> Floats:
+    """Spread the colours of known vertices over the mesh to the other vertices.
+
+    The colours of the other vertices are harmonic: each is the mean of its neighbours' colours (membrane inpainting on
+    the surface). Neighbours are found on the mesh and not in the texture, where neighbouring charts may belong to
+    different parts of the surface.
+
+    Args:
+        rgb: (N, 3) colours.
+        known: (N,) bool: whether the colour of a vertex is known.
+        triangles: (M, 3) vertex indices.
+
+    Returns:
+        (N, 3) colours; the known ones are unchanged. Parts without a known colour become grey.
+    """
+    count = len(rgb)
+    if known.all():
+        return rgb
+    rows = np.concatenate([triangles[:, a] for a in (0, 1, 2, 1, 2, 0)])
+    columns = np.concatenate([triangles[:, a] for a in (1, 2, 0, 0, 1, 2)])
+    adjacency = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+    adjacency.data[:] = 1
+    # A weak pull to grey makes the system regular for parts without a known colour.
+    pull = 1e-6
+    degree = np.asarray(adjacency.sum(axis=1)).ravel() + pull
+    unknown = np.flatnonzero(~known)
+    system = (diags_array(degree) - adjacency).tocsr()[unknown]
+    target = pull * GREY - system[:, np.flatnonzero(known)] @ rgb[known].astype(np.float64)
+    filled = rgb.copy()
+    solution = spsolve(system[:, unknown].tocsc(), target)
+    filled[unknown] = np.asarray(solution).reshape(-1, 3).clip(0, 1)
+    return filled
+
+
+def fill_between_charts(texture: Floats, covered: NDArray[np.bool_]) -> Floats:
+    """Copy to each texel outside the charts the colour of the nearest texel in a chart.
+
+    Bilinear samples at the borders of charts, and coarser mip levels, then contain no foreign colour.
+
+    Args:
+        texture: (S, S, 3) colours.
+        covered: (S, S) bool: whether a texel lies in a chart.
+    """
+    if covered.all() or not covered.any():
+        return texture
+    rows, columns = distance_transform_edt(~covered, return_distances=False, return_indices=True)
+    return np.asarray(texture[rows, columns], np.float32)

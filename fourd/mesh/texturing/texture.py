@@ -1,0 +1,124 @@
+"""The texture of one mesh from the images of its frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fourd.mesh.surface.losses import vertex_normals
+from fourd.mesh.texturing.atlas import build_atlas, find_texels
+from fourd.mesh.texturing.blending import SourceView, blend_views
+from fourd.mesh.texturing.inpainting import fill_between_charts, fill_vertices
+from fourd.mesh.views import MeshView, depth_image
+
+
+@dataclass(frozen=True, eq=False)
+class TexturedMesh:
+    """A triangle mesh with a texture. Vertices at the borders of charts occur once for each chart.
+
+    Attributes:
+        xyz: (N, 3) float32 vertices in world units.
+        triangles: (M, 3) int32 vertex indices, counter-clockwise seen from outside.
+        normals: (N, 3) float32 outward unit normals.
+        uv: (N, 2) float32 texture coordinates in [0, 1]. (0, 0) is the upper left corner of the texture.
+        texture: (S, S, 3) uint8 RGB colours.
+    """
+
+    xyz: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    normals: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    texture: NDArray[np.uint8]
+
+
+def texture_mesh(
+    xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView], size: int
+) -> TexturedMesh:
+    """Colour a mesh from the views of its frame.
+
+    Each texel is blended from the views that see it (:func:`fourd.mesh.texturing.blending.blend_views`). Texels that no
+    view sees get colours from their surroundings on the surface.
+
+    Args:
+        xyz: (N, 3) vertices in world units.
+        triangles: (M, 3) vertex indices, at least one triangle.
+        views: views of the frame, at least one.
+        size: side of the texture in texels, at least 16.
+
+    Raises:
+        ValueError: if the mesh or ``views`` is empty, a vertex is not finite or ``size`` is too small.
+    """
+    if not views:
+        raise ValueError("views: expected at least one view, got none")
+    atlas = build_atlas(xyz, triangles, size)
+    texels = find_texels(atlas, size)
+    normals, sources = _prepare(xyz, triangles, views)
+    corners = atlas.source[atlas.triangles]
+    rgb, weight = blend_views(texels.interpolate(xyz, corners), _unit(texels.interpolate(normals, corners)), sources)
+    unseen = weight <= 0
+    if unseen.any():
+        rgb[unseen] = texels.interpolate(_vertex_colours(xyz, normals, triangles, sources), corners)[unseen]
+    texture = np.zeros((size, size, 3), np.float32)
+    texture[texels.covered] = rgb
+    texture = fill_between_charts(texture, texels.covered)
+    return TexturedMesh(
+        xyz[atlas.source],
+        atlas.triangles,
+        normals[atlas.source],
+        atlas.uv,
+        _to_bytes(texture),
+    )
+
+
+def colour_mesh(
+    xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Colour the vertices of a mesh from the views of its frame, as :func:`texture_mesh` colours texels.
+
+    Args:
+        xyz: (N, 3) vertices in world units.
+        triangles: (M, 3) vertex indices.
+        views: views of the frame, at least one.
+
+    Returns:
+        outward unit normals (N, 3) and colours (N, 3) uint8 of the vertices.
+
+    Raises:
+        ValueError: if ``views`` is empty.
+    """
+    if not views:
+        raise ValueError("views: expected at least one view, got none")
+    normals, sources = _prepare(xyz, triangles, views)
+    return normals, _to_bytes(_vertex_colours(xyz, normals, triangles, sources))
+
+
+def _prepare(
+    xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
+) -> tuple[NDArray[np.float32], list[SourceView]]:
+    """Normals (N, 3) of the vertices, and the views with depth images of the mesh."""
+    vertices, faces = torch.from_numpy(xyz), torch.from_numpy(np.asarray(triangles, np.int64))
+    sources = [SourceView(view, depth_image(vertices, faces, view.camera)) for view in views]
+    return vertex_normals(vertices, faces).numpy(), sources
+
+
+def _vertex_colours(
+    xyz: NDArray[np.float32],
+    normals: NDArray[np.float32],
+    triangles: NDArray[np.integer],
+    sources: Sequence[SourceView],
+) -> NDArray[np.float32]:
+    """Colours (N, 3) of the vertices in [0, 1], also of those that no view sees."""
+    rgb, weight = blend_views(xyz, normals, sources)
+    return fill_vertices(rgb, weight > 0, triangles)
+
+
+def _to_bytes(rgb: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.rint(rgb.clip(0, 1) * 255).astype(np.uint8)
+
+
+def _unit(vectors: NDArray[np.float32]) -> NDArray[np.float32]:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), np.float32(1e-12))

@@ -1,0 +1,145 @@
+"""The command fourd mesh on a small synthetic capture: results, resuming, scores and bad input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from fourd.cli.main import main
+from fourd.mesh.files.glb import read_mesh
+
+SMALL = ["--cells", "24", "--steps", "12", "--texture-size", "128"]
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("mesh") / "capture"
+    assert main(["synth", str(folder), "--frames", "3", "--cameras", "9", "--size", "96"]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def made(capture: Path) -> Path:
+    out = capture.parent / "meshes"
+    words = ["mesh", str(capture), "-o", str(out), "--frames", "0:2", "--test-views", "02,05", *SMALL]
+    assert main(words) == 0
+    return out
+
+
+def test_each_frame_has_a_closed_textured_mesh(made: Path) -> None:
+    """Catches missing files, empty textures, and meshes that other programs cannot open."""
+    assert sorted(path.name for path in made.iterdir()) == [
+        "000000.glb", "000001.glb", "animation.glb", "meshes.json", "scores.json",
+    ]  # fmt: skip
+    for name in ("000000.glb", "000001.glb"):
+        mesh = read_mesh(made / name)
+        assert mesh.texture.shape == (128, 128, 3)
+        assert mesh.texture.std() > 5
+        joined = trimesh.Trimesh(mesh.xyz, mesh.triangles, process=True, merge_norm=True, merge_tex=True)
+        assert joined.is_watertight
+        assert joined.volume > 0
+    assert len(trimesh.load(made / "animation.glb").geometry) == 2
+
+
+def test_held_out_views_are_scored(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches scores of training views, and meshes that do not match the images."""
+    scores = json.loads((made / "scores.json").read_text())
+    assert {picture["camera"] for picture in scores["pictures"]} == {"02", "05"}
+    assert {picture["frame"] for picture in scores["pictures"]} == {0, 1}
+    assert scores["mean"]["iou"] > 0.9
+    assert scores["mean"]["psnr"] > 18
+
+
+def test_finished_frames_are_kept_and_new_settings_replace_them(capture: Path, made: Path, tmp_path: Path) -> None:
+    """Catches a resumed command that makes finished frames again, and one that keeps frames of other settings."""
+    out = tmp_path / "meshes"
+    shutil.copytree(made, out)
+    (out / "000001.glb").unlink()
+    (out / "animation.glb").unlink()
+    before = (out / "000000.glb").stat().st_mtime_ns
+    words = ["mesh", str(capture), "-o", str(out), "--frames", "0:2", "--test-views", "02,05"]
+    assert main([*words, *SMALL]) == 0
+    assert (out / "000000.glb").stat().st_mtime_ns == before
+    assert (out / "animation.glb").read_bytes() == (made / "animation.glb").read_bytes()
+    assert main([*words, *SMALL, "--steps", "0"]) == 0
+    assert (out / "000000.glb").stat().st_mtime_ns != before
+
+
+def test_ply_files_are_in_world_coordinates(capture: Path, made: Path, tmp_path: Path) -> None:
+    """Catches PLY meshes in the axes of glTF, and PLY files without colours."""
+    words = ["mesh", str(capture), "-o", str(tmp_path), "--frames", "0:1", "--format", "ply", *SMALL]
+    assert main([*words, "--test-views", "02,05"]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["000000.ply", "meshes.json"]
+    mesh = trimesh.load(tmp_path / "000000.ply", process=False)
+    assert mesh.is_watertight
+    other = read_mesh(made / "000000.glb").xyz
+    np.testing.assert_allclose(mesh.bounds, [other.min(axis=0), other.max(axis=0)], atol=0.02)
+    assert mesh.visual.vertex_colors[:, :3].std() > 5
+
+
+def test_runs_give_their_views_and_frames(capture: Path, tmp_path: Path) -> None:
+    """Catches a run whose held-out views are used for its meshes."""
+    run, overlay = tmp_path / "run", tmp_path / "small.yaml"
+    overlay.write_text("points: 1000\nmodel: {hidden: 16, planes: {levels: 2, features: 4, base_resolution: 16}}\n")
+    words = ["train", str(capture), "--out", str(run), "--config", str(overlay), "--frames", "1:2"]
+    assert main([*words, "--test-views", "02", "--max-steps", "2"]) == 0
+    assert main(["mesh", str(run), "-o", str(tmp_path / "meshes"), *SMALL]) == 0
+    scores = json.loads((tmp_path / "meshes" / "scores.json").read_text())
+    assert {(picture["camera"], picture["frame"]) for picture in scores["pictures"]} == {("02", 1)}
+    assert (tmp_path / "meshes" / "000001.glb").exists()
+
+
+def test_captures_without_masks_are_refused(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches a message that differs from that of fourd carve, and files that are written before the check."""
+    bare = tmp_path / "bare"
+    shutil.copytree(capture, bare, ignore=shutil.ignore_patterns("masks", ".fourd"))
+    assert main(["mesh", str(bare), "-o", str(tmp_path / "meshes")]) == 2
+    ours = capsys.readouterr().err
+    assert main(["carve", str(bare)]) == 2
+    assert ours.removeprefix("fourd mesh: ") == capsys.readouterr().err.removeprefix("fourd carve: ")
+    assert "expected masks/CAM/FRAME.png or mattes, got none" in ours
+    assert not (tmp_path / "meshes").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--cells", "4"], "--cells: expected at least 8, got 4"),
+        (["--steps", "-1"], "--steps: expected at least 0, got -1"),
+        (["--texture-size", "8"], "--texture-size: expected at least 16, got 8"),
+        (["--texture-size", "32768"], "--texture-size: expected at most 16384 texels, got 32768"),
+        (["--agreement", "1.5"], "--agreement: expected a share in (0, 1], got 1.5"),
+        (["--format", "obj"], "--format: expected"),
+        (["--test-views", "77"], "--test-views: expected"),
+        (["--frames", "9:12"], "--frames: expected"),
+    ],
+)
+def test_bad_options_are_named(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
+) -> None:
+    """Catches a wrong option that ends in a traceback or is ignored."""
+    assert main(["mesh", str(capture), "-o", str(tmp_path / "meshes"), *words]) == 2
+    printed = capsys.readouterr().err
+    assert message in printed
+    assert printed.count("\n") == 1
+    assert not (tmp_path / "meshes").exists()
+
+
+def test_empty_frames_are_named(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a subject that leaves the scene and ends in a traceback."""
+    import cv2
+
+    copied = tmp_path / "capture"
+    shutil.copytree(capture, copied)
+    for path in copied.glob("masks/*/000001.png"):
+        assert cv2.imwrite(str(path), np.zeros((96, 96), np.uint8))
+    assert main(["mesh", str(copied), "-o", str(tmp_path / "meshes"), *SMALL]) == 2
+    assert "frame 1: expected an object in the masks, got none in any view" in capsys.readouterr().err
+    assert (tmp_path / "meshes" / "000000.glb").exists()
