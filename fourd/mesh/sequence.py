@@ -98,9 +98,9 @@ def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings
     cameras, names = capture.cameras, capture.names
     label = f"{capture.path} frame {capture.frame_numbers[frame]}"
     agreement, least_views = settings.agreement, settings.least_views
-    bounds = hull_bounds(
-        masks, cameras, agreement=agreement, least_views=least_views, names=names, label=label
-    ).padded(BOUNDS_MARGIN)
+    bounds = hull_bounds(masks, cameras, agreement=agreement, least_views=least_views, names=names, label=label).padded(
+        BOUNDS_MARGIN
+    )
     start = hull_distance_grid(
         masks,
         cameras,

@@ -37,7 +37,9 @@ class MeshView:
     matte: NDArray[np.float32]
 
     @staticmethod
-    def cropped(image: NDArray[np.uint8], matte: NDArray[np.uint8], camera: Camera, margin: int = MARGIN_PX) -> MeshView:
+    def cropped(
+        image: NDArray[np.uint8], matte: NDArray[np.uint8], camera: Camera, margin: int = MARGIN_PX
+    ) -> MeshView:
         """Crop an undistorted image (H, W, 3) and its matte (H, W) to the subject.
 
         The crop of an empty matte is the whole image: such a view shows that the subject is not there.

@@ -128,20 +128,20 @@ def test_ply_opens_in_other_programs(tmp_path: Path) -> None:
 def test_damaged_files_are_named(tmp_path: Path) -> None:
     """Catches a traceback, or a message without the file's name, for files that are missing, cut or of another kind."""
     path = tmp_path / "a.glb"
-    with pytest.raises(UserError, match="a.glb: expected a GLB file, got no such file"):
+    with pytest.raises(UserError, match=r"a\.glb: expected a GLB file, got no such file"):
         read_mesh(path)
     write_glb(path, textured_box(), Z_UP)
     whole = path.read_bytes()
     for content in (b"", b"no mesh at all, but text", whole[:-7], whole[:30], b"\0" + whole[1:]):
         path.write_bytes(content)
-        with pytest.raises(UserError, match="a.glb: expected an intact GLB file"):
+        with pytest.raises(UserError, match=r"a\.glb: expected an intact GLB file"):
             read_mesh(path)
     length = struct.unpack("<I", whole[12:16])[0]
     other = json.loads(whole[20 : 20 + length])
     other["meshes"] = []
     text = json.dumps(other, separators=(",", ":")).encode().ljust(length)
     path.write_bytes(whole[:20] + text + whole[20 + length :])
-    with pytest.raises(UserError, match="a.glb: expected a textured mesh of fourd mesh"):
+    with pytest.raises(UserError, match=r"a\.glb: expected a textured mesh of fourd mesh"):
         read_mesh(path)
     with pytest.raises(ValueError, match="frames: expected at least one"):
         write_animation(tmp_path / "b.glb", [], 10.0, Z_UP)

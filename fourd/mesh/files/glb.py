@@ -165,7 +165,8 @@ def write_header(stream: BinaryIO, document: Mapping[str, Any], binary_length: i
     total = 12 + 8 + len(content) + 8 + binary_length
     if total > MAX_BYTES:
         raise UserError(
-            f"{name}: expected at most 4 GiB, the limit of GLB files, got {total / 2**30:.1f} GiB; choose fewer --frames"
+            f"{name}: expected at most 4 GiB, the limit of GLB files, got {total / 2**30:.1f} GiB; "
+            "choose fewer --frames"
         )
     stream.write(struct.pack("<III", MAGIC, 2, total))
     stream.write(struct.pack("<II", len(content), JSON_CHUNK) + content)

@@ -157,7 +157,9 @@ def _to_photo_view(view: MeshView) -> PhotoView:
     rotation, translation, intrinsics = (torch.from_numpy(matrix) for matrix in matrices)
     rgb = torch.from_numpy(np.ascontiguousarray(view.rgb.transpose(2, 0, 1)))[None]
     matte = torch.from_numpy(view.matte)
-    return PhotoView(camera, rgb, matte, torch.full_like(matte, NO_DEPTH)[None, None], rotation, translation, intrinsics)
+    return PhotoView(
+        camera, rgb, matte, torch.full_like(matte, NO_DEPTH)[None, None], rotation, translation, intrinsics
+    )
 
 
 def _nearby_views(views: Sequence[MeshView], count: int, focus: NDArray[np.float32]) -> list[list[int]]:

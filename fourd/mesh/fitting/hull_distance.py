@@ -118,7 +118,9 @@ class _RemovedParts:
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)
-        return np.asarray(share * (SMOOTHING_CELLS * self.hull.side * np.sqrt(2 * np.pi)), np.float32).clip(0, 2 * limit)
+        return np.asarray(share * (SMOOTHING_CELLS * self.hull.side * np.sqrt(2 * np.pi)), np.float32).clip(
+            0, 2 * limit
+        )
 
 
 def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) -> _RemovedParts | None:

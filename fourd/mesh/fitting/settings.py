@@ -22,10 +22,10 @@ class FitSettings:
 
     steps: int = 200
     rate: float = 0.03
-    silhouette: float = 1.0
-    photo: float = 1.0
-    laplacian: float = 0.1
-    normal: float = 0.01
+    silhouette: float = 4.0
+    photo: float = 2.0
+    laplacian: float = 0.3
+    normal: float = 0.03
     sources: int = 3
     seed: int = 0
 

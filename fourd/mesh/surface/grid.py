@@ -76,7 +76,9 @@ def cube_grid(cubes: NDArray[np.integer], lower: NDArray[np.floating], side: flo
     if not side > 0:
         raise ValueError(f"side: expected more than 0, got {side}")
     if cubes.size and (cubes.min() < 0 or cubes.max() > 1 << (_KEY_BITS - 2)):
-        raise ValueError(f"cubes: expected positions from 0 to {1 << (_KEY_BITS - 2)}, got {cubes.min()}..{cubes.max()}")
+        raise ValueError(
+            f"cubes: expected positions from 0 to {1 << (_KEY_BITS - 2)}, got {cubes.min()}..{cubes.max()}"
+        )
     corners = np.concatenate([_tetrahedra_along(cubes, axis) for axis in range(3)])
     if len(corners) == 0:
         raise ValueError(f"cubes: expected two cubes that share a face, got {len(cubes)} cubes without such a pair")

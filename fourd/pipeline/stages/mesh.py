@@ -119,9 +119,7 @@ class MeanScore:
 def mean_score(scores: Sequence[MeshScore]) -> MeanScore:
     """Mean of the scores of at least one image."""
     decibels = [score.psnr for score in scores if score.psnr is not None]
-    return MeanScore(
-        float(np.mean([score.iou for score in scores])), float(np.mean(decibels)) if decibels else None
-    )
+    return MeanScore(float(np.mean([score.iou for score in scores])), float(np.mean(decibels)) if decibels else None)
 
 
 def read_scores(folder: Path) -> MeanScore:
