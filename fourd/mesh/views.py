@@ -60,8 +60,8 @@ class MeshView:
         part = np.s_[top:bottom, left:right]
         return MeshView(
             camera.crop(left, top, right - left, bottom - top),
-            image[part].astype(np.float32) / 255,
-            matte[part].astype(np.float32) / 255,
+            image[part].astype(np.float32) / np.float32(255),
+            matte[part].astype(np.float32) / np.float32(255),
         )
 
 
@@ -74,7 +74,7 @@ def clip_positions(xyz: Tensor, camera: Camera) -> Tensor:
     in_front = depth[depth > 0]
     far = 2 * float(in_front.max()) if len(in_front) else 1.0
     near = NEAR_SHARE * float(in_front.min()) if len(in_front) else 0.1
-    matrix = torch.as_tensor(np.asarray(clip_matrix(camera, max(near, 1e-5 * far), far)), dtype=xyz.dtype)
+    matrix = clip_matrix(camera, max(near, 1e-5 * far), far).to(xyz.dtype)
     return torch.nn.functional.pad(xyz, (0, 1), value=1.0) @ matrix.T
 
 

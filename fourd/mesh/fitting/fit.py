@@ -122,7 +122,7 @@ class _Fit:
         view = self.views[target]
         clip = clip_positions(surface.xyz, view.camera)[None].contiguous()
         triangles = surface.triangles.int()
-        rast, _ = rasterize(clip, triangles, view.matte.shape, grad_db=False)
+        rast, _ = rasterize(clip, triangles, (view.camera.height, view.camera.width), grad_db=False)
         covered = (rast.detach()[..., 3:] > 0).float()
         alpha = antialias(covered, rast, clip, triangles)[0, ..., 0]
         loss = self.settings.silhouette * (alpha - view.matte).square().sum() / view.matte.sum().clamp(min=1)

@@ -29,20 +29,20 @@ def drop_crumbs(
     """
     if not 0 <= min_share <= 1:
         raise ValueError(f"min_share: expected a share in [0, 1], got {min_share}")
-    triangles = np.asarray(triangles, np.int64)
-    if len(triangles) == 0:
-        return xyz[:0], triangles
-    rows, columns = triangles[:, [0, 1]].T, triangles[:, [1, 2]].T
+    faces = np.asarray(triangles, np.int64)
+    if len(faces) == 0:
+        return xyz[:0], faces
+    rows, columns = faces[:, [0, 1]].T, faces[:, [1, 2]].T
     edges = np.concatenate([rows, columns], axis=1)
     graph = coo_array((np.ones(edges.shape[1], np.bool_), (edges[0], edges[1])), shape=(len(xyz), len(xyz)))
     count, label = connected_components(graph, directed=False)
-    part = label[triangles[:, 0]]
-    a, b, c = (xyz[triangles[:, corner]].astype(np.float64) for corner in range(3))
+    part = label[faces[:, 0]]
+    a, b, c = (xyz[faces[:, corner]].astype(np.float64) for corner in range(3))
     area = np.bincount(part, np.linalg.norm(np.cross(b - a, c - a), axis=1), count)
     volume = np.bincount(part, np.einsum("ij,ij->i", a, np.cross(b, c)), count)
     keep = (area > 0) & (area >= min_share * area.max())
     if (volume[keep] > 0).any():
         keep &= volume > 0
-    kept = triangles[keep[part]]
+    kept = faces[keep[part]]
     used, index = np.unique(kept, return_inverse=True)
     return xyz[used], index.reshape(-1, 3)
