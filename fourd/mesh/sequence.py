@@ -27,6 +27,7 @@ from fourd.mesh.fitting.fit import fit_mesh
 from fourd.mesh.fitting.hull_distance import hull_distance_grid
 from fourd.mesh.settings import MeshSettings
 from fourd.mesh.surface.components import drop_crumbs
+from fourd.mesh.surface.remeshing import remesh
 from fourd.mesh.texturing.texture import colour_mesh, texture_mesh
 from fourd.mesh.views import mesh_views
 from fourd.progress import Track, untracked
@@ -115,6 +116,8 @@ def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings
     views = mesh_views([capture.image(camera, frame) for camera in range(len(cameras))], masks, cameras)
     fitted = fit_mesh(start, views, settings.fit)
     xyz, triangles = drop_crumbs(fitted.xyz, fitted.triangles)
+    if settings.remesh > 0:
+        xyz, triangles = remesh(xyz, triangles, settings.remesh * start.grid.side)
     if settings.format == "ply":
         normals, rgb = colour_mesh(xyz, triangles, views)
         write_mesh_ply(path, xyz, normals, rgb, triangles)

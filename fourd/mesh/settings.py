@@ -21,6 +21,7 @@ class MeshSettings:
         agreement: share in (0, 1]. Of the views that see a point of the hull, this share must have it in their mattes.
         least_views: share in (0, 1]. At least this share of all views must see a point of the hull.
         trim: whether to remove protruding parts of the hull that no silhouette needs before fitting.
+        remesh: length of the edges after isotropic remeshing, in cubes; 0 keeps the triangles of the grid.
         fit: settings of the fit.
     """
 
@@ -30,6 +31,7 @@ class MeshSettings:
     agreement: float = 0.95
     least_views: float = 1 / 2
     trim: bool = False
+    remesh: float = 0.0
     fit: FitSettings = field(default_factory=FitSettings)
 
     def __post_init__(self) -> None:
@@ -38,5 +40,7 @@ class MeshSettings:
             raise ValueError(f"cells: expected at least 8, got {self.cells}")
         if not 16 <= self.texture_size <= 16384:
             raise ValueError(f"texture_size: expected 16 to 16384 texels, got {self.texture_size}")
+        if not self.remesh >= 0:
+            raise ValueError(f"remesh: expected 0 or more cubes, got {self.remesh}")
         if self.format not in ("glb", "ply"):
             raise ValueError(f"format: expected glb or ply, got {self.format}")

@@ -70,6 +70,21 @@ def test_finished_frames_are_kept_and_new_settings_replace_them(capture: Path, m
     assert (out / "000000.glb").stat().st_mtime_ns != before
 
 
+def test_remeshing_gives_fewer_triangles(
+    capture: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches remeshing with a length in another unit, and a missing package that is found after the fit."""
+    words = ["mesh", str(capture), "-o", str(tmp_path), "--frames", "0:1", *SMALL, "--remesh", "1"]
+    with monkeypatch.context() as patched:
+        patched.setattr("fourd.cli.captures.mesh.remeshing_is_available", lambda: False)
+        assert main(words) == 2
+    assert "--remesh: expected the package gpytoolbox, got none" in capsys.readouterr().err
+    pytest.importorskip("gpytoolbox")
+    assert main(words) == 0
+    before, after = (len(read_mesh(folder / "000000.glb").triangles) for folder in (made, tmp_path))
+    assert 0.1 * before < after < 0.6 * before
+
+
 def test_ply_files_are_in_world_coordinates(capture: Path, made: Path, tmp_path: Path) -> None:
     """Catches PLY meshes in the axes of glTF, and PLY files without colours."""
     words = ["mesh", str(capture), "-o", str(tmp_path), "--frames", "0:1", "--format", "ply", *SMALL]
@@ -113,6 +128,7 @@ def test_captures_without_masks_are_refused(capture: Path, tmp_path: Path, capsy
         (["--steps", "-1"], "--steps: expected at least 0, got -1"),
         (["--texture-size", "8"], "--texture-size: expected at least 16, got 8"),
         (["--texture-size", "32768"], "--texture-size: expected at most 16384 texels, got 32768"),
+        (["--remesh", "-1"], "--remesh: expected 0 or more cells, got -1"),
         (["--agreement", "1.5"], "--agreement: expected a share in (0, 1], got 1.5"),
         (["--format", "obj"], "--format: expected"),
         (["--test-views", "77"], "--test-views: expected"),

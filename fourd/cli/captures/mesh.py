@@ -14,6 +14,7 @@ from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, describe, option, split_n
 from fourd.errors import UserError
 from fourd.mesh.fitting.settings import FitSettings
 from fourd.mesh.settings import MeshFormat, MeshSettings
+from fourd.mesh.surface.remeshing import remeshing_is_available
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mesh import MeshFiles, MeshStageSettings, mesh_stage, read_scores
@@ -44,6 +45,9 @@ class Arguments:
     of this number, and the time with its square or more."""
     steps: int = FitSettings.steps
     """Number of gradient steps of each frame. With 0, the meshes are the visual hulls."""
+    remesh: float = MeshSettings.remesh
+    """Length of the edges after isotropic remeshing, in cells, for fewer and more regular triangles. 0 keeps the
+    triangles of the grid. Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""
     texture_size: int = MeshSettings.texture_size
     """Width and height of the textures in texels."""
     format: MeshFormat = MeshSettings.format
@@ -91,6 +95,10 @@ def _settings(arguments: Arguments) -> MeshSettings:
             raise UserError(f"--{name.replace('_', '-')}: expected at least {least}, got {value}")
     if arguments.texture_size > 16384:
         raise UserError(f"--texture-size: expected at most 16384 texels, got {arguments.texture_size}")
+    if not 0 <= arguments.remesh < float("inf"):
+        raise UserError(f"--remesh: expected 0 or more cells, got {arguments.remesh:g}")
+    if arguments.remesh > 0 and not remeshing_is_available():
+        raise UserError("--remesh: expected the package gpytoolbox, got none; pip install 'fourd[mesh]'")
     for name in ("agreement", "least_views"):
         share = getattr(arguments, name)
         if not 0 < share <= 1:
@@ -99,6 +107,7 @@ def _settings(arguments: Arguments) -> MeshSettings:
         cells=arguments.cells,
         texture_size=arguments.texture_size,
         format=arguments.format,
+        remesh=arguments.remesh,
         agreement=arguments.agreement,
         least_views=arguments.least_views,
         fit=FitSettings(steps=arguments.steps, seed=arguments.seed),
