@@ -40,7 +40,7 @@ fourd_kernel(play
   CUDA_BINDING cuda/binding.cpp)
 
 fourd_kernel(points
-  CPU cpu/bins.cpp cpu/render.cpp
+  CPU cpu/render.cpp
   DISPATCH cpu/tiles.cpp WIDEST avx512 EXACT
   CUDA cuda/render.cu
   BINDING binding.cpp

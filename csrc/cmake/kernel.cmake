@@ -15,7 +15,8 @@ set(FOURD_SANITIZE "" CACHE STRING "Sanitizers to build with, e.g. address,undef
 find_package(Threads REQUIRED)
 include(${CMAKE_CURRENT_LIST_DIR}/flags.cmake)
 
-add_library(fourd_kernels STATIC ${FOURD_CSRC}/common/simd.cpp ${FOURD_CSRC}/common/team.cpp)
+add_library(fourd_kernels STATIC ${FOURD_CSRC}/common/simd.cpp ${FOURD_CSRC}/common/team.cpp
+  ${FOURD_CSRC}/tiles/depth_bins.cpp)
 target_link_libraries(fourd_kernels PUBLIC fourd_options)
 target_compile_options(fourd_kernels PRIVATE ${FOURD_EXACT} ${FOURD_WARNINGS})
 set_target_properties(fourd_kernels PROPERTIES POSITION_INDEPENDENT_CODE ON)

@@ -66,7 +66,7 @@ std::size_t DepthSorter::sort(const Frame& frame, const points::Settings& settin
     const points::Cloud cloud{frame.points.xyz, nullptr, sizes_.radius.data(), sizes_.density.data(), count, 0};
     bins_.sort_points(cloud, settings, team);
     in_runs(bins_.visible(), team, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t rank = begin; rank < end; ++rank) out[rank] = bins_.order()[rank].point;
+        for (std::size_t rank = begin; rank < end; ++rank) out[rank] = bins_.order()[rank].index;
     });
     return bins_.visible();
 }

@@ -10,21 +10,18 @@
 #include <cstdint>
 
 #include "common/host_device.h"
+#include "tiles/geometry.h"
 
 namespace fourd::points {
 
-// A pinhole camera: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z.
-struct Pinhole {
-    float intrinsics[9];
-    float rotation[9];
-    float translation[3];
-    int width;
-    int height;
-};
-
-constexpr int kTile = 16;              // Side of a tile in pixels.
-constexpr int kBlock = 4;              // Side of a block in pixels. A tile has 4 x 4 blocks.
-constexpr int kLongestSide = 1 << 18;  // Largest image side in pixels. Block indices have 16 bits.
+using tiles::kBlock;
+using tiles::kLongestSide;
+using tiles::kTile;
+using tiles::Pinhole;
+using tiles::pixel_centre;
+using tiles::tile_count;
+using tiles::TileRange;
+using tiles::tiles_across;
 
 // A projected point. The alpha of the point at a pixel is density * (1 - |(u, v) - pixel|^2 * inverse_square).
 struct alignas(16) Splat {
@@ -36,23 +33,10 @@ struct alignas(16) Splat {
     std::uint16_t left, right, top, bottom;  // Inclusive range of blocks that may have hits.
 };
 
-// The range of tiles that a point covers. All bounds are inclusive. The range is empty if right < left.
-struct TileRange {
-    std::uint16_t left, right, top, bottom;
-};
-
 FOURD_HD static inline TileRange tile_range_of(const Splat& splat) {
     constexpr int blocks = kTile / kBlock;
     return {static_cast<std::uint16_t>(splat.left / blocks), static_cast<std::uint16_t>(splat.right / blocks),
             static_cast<std::uint16_t>(splat.top / blocks), static_cast<std::uint16_t>(splat.bottom / blocks)};
-}
-
-FOURD_HD static inline std::uint64_t tiles_across(const TileRange& range) {
-    return static_cast<std::uint64_t>(range.right - range.left + 1);
-}
-
-FOURD_HD static inline std::uint64_t tile_count(const TileRange& range) {
-    return tiles_across(range) * static_cast<std::uint64_t>(range.bottom - range.top + 1);
 }
 
 // Sums of gradients over the pixels of a point. dx, dy, square and falloff are sums of the gradient with respect to
@@ -61,9 +45,6 @@ FOURD_HD static inline std::uint64_t tile_count(const TileRange& range) {
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
-
-// The coordinate of the centre of a pixel. float32 represents pixel indices exactly.
-FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
 
 // The range of pixels along one axis whose centres are within rho of `centre`, clipped to [0, size). The range is empty
 // if first > last. Clipping the bounds before rounding them needs no branches, so the code vectorises.

@@ -37,11 +37,11 @@ void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspa
     const std::size_t channels = static_cast<std::size_t>(Channels > 0 ? Channels : cloud.channels);
     const std::size_t width = 5 + channels;
     float total[5 + (Channels > 0 ? Channels : 32)] = {};
-    for (std::size_t slot = workspace.slots[point]; slot < workspace.slots[point + 1]; ++slot) {
+    for (std::size_t slot = workspace.slots.begin(point); slot < workspace.slots.end(point); ++slot) {
         for (std::size_t k = 0; k < width; ++k) total[k] += workspace.sums[slot * width + k];
     }
     for (std::size_t c = 0; c < channels; ++c) out.features[point * channels + c] = total[5 + c];
-    if (workspace.slots[point] == workspace.slots[point + 1]) {
+    if (workspace.slots.begin(point) == workspace.slots.end(point)) {
         std::fill_n(out.xyz + 3 * point, 3, 0.0f);
         out.radius[point] = out.density[point] = 0.0f;
         return;
@@ -63,29 +63,8 @@ void Workspace::fill_unless_current(const Cloud& cloud, const Settings& settings
     fill(cloud, settings, team);
 }
 
-std::size_t Workspace::assign_slots(std::size_t count) {
-    slots.require(count + 1);
-    std::size_t total = 0;
-    for (std::size_t point = 0; point < count; ++point) {
-        slots[point] = total;
-        total += tile_count(bins.tile_range(point));
-    }
-    slots[count] = total;
-    return total;
-}
-
-void Workspace::slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const {
-    out.require(tile.count);
-    for (std::size_t entry = 0; entry < tile.count; ++entry) {
-        const std::uint32_t point = tile.entries[entry];
-        const TileRange& range = bins.tile_range(point);
-        const std::size_t column = tile.column / kTile - range.left, row = tile.row / kTile - range.top;
-        out[entry] = slots[point] + row * tiles_across(range) + column;
-    }
-}
-
 std::size_t Workspace::bytes() const {
-    std::size_t total = bins.bytes() + sizeof(float) * sums.size() + sizeof(std::size_t) * slots.size();
+    std::size_t total = bins.bytes() + sizeof(float) * sums.size() + slots.bytes();
     for (const Scratch& scratch : scratch_by_worker) {
         total += sizeof(std::size_t) * scratch.slots.size() + sizeof(float) * scratch.transmittance.size() +
                  sizeof(std::uint64_t) * scratch.tags.size();
@@ -136,12 +115,12 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& wo
     Team team(settings.threads);
     workspace.fill_unless_current(cloud, settings, team);
     const std::size_t width = 5 + cloud.channels;
-    workspace.sums.require(workspace.assign_slots(cloud.count) * width);
+    workspace.sums.require(workspace.slots.assign(workspace.bins, cloud.count) * width);
     workspace.scratch_by_worker.resize(team.size());
     team.run(workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(cloud, settings, index);
         Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
-        workspace.slots_of_tile(tile, scratch.slots);
+        workspace.slots.of_tile(workspace.bins, index, scratch.slots);
         const std::size_t visits = count_visits(tile);
         scratch.transmittance.require(16 * visits);
         scratch.tags.require(visits);
@@ -160,18 +139,18 @@ void visibility(const Cloud& cloud, const Settings& settings, Workspace& workspa
     const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
     workspace.fill(cloud, settings, team);
-    workspace.sums.require(workspace.assign_slots(cloud.count));
+    workspace.sums.require(workspace.slots.assign(workspace.bins, cloud.count));
     workspace.scratch_by_worker.resize(team.size());
     team.run(workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(cloud, settings, index);
         Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
-        workspace.slots_of_tile(tile, scratch.slots);
+        workspace.slots.of_tile(workspace.bins, index, scratch.slots);
         for (std::size_t entry = 0; entry < tile.count; ++entry) workspace.sums[scratch.slots[entry]] = 0.0f;
         loops.visibility(tile, scratch.slots.data(), workspace.sums.data());
     });
     for (std::size_t point = 0; point < cloud.count; ++point) {
         float best = 0.0f;
-        for (std::size_t slot = workspace.slots[point]; slot < workspace.slots[point + 1]; ++slot) {
+        for (std::size_t slot = workspace.slots.begin(point); slot < workspace.slots.end(point); ++slot) {
             best = std::max(best, workspace.sums[slot]);
         }
         out[point] = best;

@@ -10,7 +10,7 @@
 namespace fourd::points::FOURD_SIMD {
 namespace {
 
-#include "points/cpu/lanes.h"
+#include "tiles/lanes.h"
 
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
 #error "pairs of 16 bits are written as words, the first one low"
@@ -117,7 +117,10 @@ std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_
     return count;
 }
 
-#include "points/cpu/traversal.inc"
+#include "tiles/grid.inc"
+#include "points/cpu/coverage.inc"
+#include "tiles/traversal.inc"
+#include "tiles/pixels.inc"
 #include "points/cpu/picture.inc"
 #include "points/cpu/gradient.inc"
 

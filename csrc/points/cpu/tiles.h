@@ -9,14 +9,8 @@
 
 namespace fourd::points {
 
-constexpr int kBlocks = 16;  // Blocks per tile, row by row. The pixels of a block form one Lanes (lanes.h).
-
-// An item of the depth sort: a point, and the bits of its depth as the sort key. Depths are positive, so the order of
-// their bits is the order of the depths.
-struct Item {
-    std::uint32_t key;
-    std::uint32_t point;
-};
+using tiles::Item;
+using tiles::kBlocks;
 
 struct Tile {
     const Splat* splats;           // Indexed by point.

@@ -19,7 +19,7 @@ struct Workspace {
 
     Fingerprint source_fingerprint;  // Identifies the inputs of the last render, whose bins are in `bins`.
     Bins bins;
-    Buffer<std::size_t> slots;               // The first slot of each point.
+    tiles::Slots slots;                      // Slots of the (point, tile) entries.
     Buffer<float> sums;                      // Indexed by slot.
     std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
 
@@ -29,14 +29,6 @@ struct Workspace {
     // Calls fill unless the last render had the same inputs. In a backward pass the inputs are usually the same,
     // because the last render was the forward pass.
     void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
-
-    // Assigns a slot to each (point, tile) entry, and returns the number of slots. The tile of an entry writes its
-    // result for the point into the slot. The slots of a point are adjacent and are summed in a fixed order, so the sum
-    // does not depend on which thread filled them. Before this function, call fill with a cloud of `count` points.
-    std::size_t assign_slots(std::size_t count);
-
-    // Writes to `out` the slots of all entries of a tile.
-    void slots_of_tile(const Tile& tile, Buffer<std::size_t>& out) const;
 
     // The inputs for rendering the tile with this index. Tiles are numbered row by row. Call fill before this function.
     Tile tile(const Cloud& cloud, const Settings& settings, int index) const;

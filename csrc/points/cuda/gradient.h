@@ -66,7 +66,7 @@ struct GradientPixel {
                 const PixelCoverage coverage = pixel_coverage(splat, pixel.x, pixel.y);
                 const float transmittance_before = transmittances[count],
                             weight = transmittance_before * coverage.alpha;
-                const float* feature = features + static_cast<std::size_t>(view.entries.points[rank]) * channels;
+                const float* feature = features + static_cast<std::size_t>(view.entries.indices[rank]) * channels;
                 float value = per_weight * (splat.z - depth.nearest - mean_behind);
                 for (int c = 0; c < kCapacity; ++c) {
                     if (c < channels) value += upstream.colour[c] * feature[c];
@@ -106,7 +106,7 @@ struct GradientPoint {
     CloudGradient out;
 
     FOURD_DEVICE void operator()(std::size_t rank) const {
-        const std::size_t point = entries.points[rank];
+        const std::size_t point = entries.indices[rank];
         const float* sums = entries.sums + rank * static_cast<std::size_t>(5 + channels);
         for (int c = 0; c < channels; ++c) out.features[point * channels + c] = sums[5 + c];
         if (entries.depths[rank] == kCulled) {

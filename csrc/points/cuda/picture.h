@@ -2,7 +2,7 @@
 // outside the image in tiles at its border (traversal.h).
 #pragma once
 
-#include "points/cuda/traversal.h"
+#include "points/cuda/project.h"
 
 namespace fourd::points::cuda {
 
@@ -48,7 +48,7 @@ struct RenderPixel {
             [&](std::size_t, std::size_t rank, const Splat& splat, const PixelCoverage& coverage,
                 float transmittance_before) {
                 const float weight = transmittance_before * coverage.alpha;
-                const float* feature = features + static_cast<std::size_t>(view.entries.points[rank]) * channels;
+                const float* feature = features + static_cast<std::size_t>(view.entries.indices[rank]) * channels;
                 for (int c = 0; c < kCapacity; ++c) {
                     if (c < channels) colour[c] += weight * feature[c];
                 }
@@ -81,7 +81,7 @@ struct DrawPixel {
             view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, view.transmittance_min, lane,
             [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage,
                 float transmittance_before) {
-                const float* feature = features + 3 * static_cast<std::size_t>(view.entries.points[rank]);
+                const float* feature = features + 3 * static_cast<std::size_t>(view.entries.indices[rank]);
                 for (int c = 0; c < 3; ++c) colour[c] += transmittance_before * coverage.alpha * feature[c];
             });
         if (!pixel.inside) return;
@@ -100,7 +100,7 @@ struct VisibilityPixel {
         traverse(view.entries, entry_list(view.entries, pixel.tile), pixel, view.layers, 0.0f, lane,
                  [&](std::size_t, std::size_t rank, const Splat&, const PixelCoverage& coverage,
                      float transmittance_before) {
-                     device::atomic_max(out + view.entries.points[rank], transmittance_before * coverage.alpha);
+                     device::atomic_max(out + view.entries.indices[rank], transmittance_before * coverage.alpha);
                  });
     }
 };

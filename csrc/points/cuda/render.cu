@@ -29,9 +29,7 @@ void gradient_pixels(const device::Executor& executor, const View& view, const C
 }  // namespace
 
 std::size_t workspace_bytes(std::size_t count, int channels, int width, int height, std::size_t entries) {
-    device::Arena arena(nullptr);
-    allocate_entries(arena, count, sum_count(channels), make_tiles(width, height), entries);
-    return arena.bytes();
+    return tiles::cuda::entry_bytes<Splat>(count, sum_count(channels), width, height, entries);
 }
 
 void render(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, const Image& out, void* stream) {

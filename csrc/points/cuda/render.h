@@ -6,18 +6,11 @@
 #include <cstdint>
 
 #include "points/points.h"
+#include "tiles/cuda/entry_buffer.h"
 
 namespace fourd::points::cuda {
 
-// Scratch memory with space for a number of (point, tile) entries. If an image needs more entries, every pixel tests
-// every point, which gives the same image but is slow. The GPU writes the number of entries that the image needs to
-// `needed`. Later images can use this number to choose their number of entries. Waiting for the number of the current
-// image would stall the CPU.
-struct EntryBuffer {
-    void* memory;           // At least workspace_bytes() bytes.
-    std::size_t entries;    // Below 2^31.
-    std::uint64_t* needed;  // A number that the GPU writes, in page-locked host memory or in GPU memory.
-};
+using tiles::cuda::EntryBuffer;
 
 constexpr int kMaxLayersBackward = 64;
 

@@ -1,16 +1,18 @@
-// Projects points, sorts them by depth and bins them into tiles, on a GPU.
+// Sorts primitives by depth and bins them into tiles, on a GPU. A compositor provides the type Splat of its projected
+// primitives, the function tile_range_of(splat), and a kernel that projects.
 #pragma once
 
 #include <cstring>
 
 #include "device/arena.h"
 #include "device/executor.h"
-#include "points/cuda/render.h"
+#include "tiles/cuda/entry_buffer.h"
+#include "tiles/geometry.h"
 
-namespace fourd::points::cuda {
+namespace fourd::tiles::cuda {
 
 constexpr int kTilePixels = kTile * kTile;
-constexpr std::uint32_t kCulled = 0xffffffffu;  // Sort key of culled points, above the key of any depth.
+constexpr std::uint32_t kCulled = 0xffffffffu;  // Sort key of culled primitives, above the key of any depth.
 
 struct Tiles {
     int columns, rows;
@@ -20,42 +22,44 @@ struct Tiles {
 
 inline Tiles make_tiles(int width, int height) { return {(width + kTile - 1) / kTile, (height + kTile - 1) / kTile}; }
 
-// The arrays of the workspace of an image. The rank of a point is its position in depth order. Points of equal depth
-// are ranked by index, and culled points come last. An entry is one (point, tile) pair.
+// The arrays of the workspace of an image. The rank of a primitive is its position in depth order. Primitives of equal
+// depth are ranked by index, and culled primitives come last. An entry is one (primitive, tile) pair.
+template <typename Splat>
 struct Entries {
-    std::size_t count;     // Number of points.
+    std::size_t count;     // Number of primitives.
     std::size_t capacity;  // Maximum number of entries.
     Tiles tiles;
-    Splat* by_point;
+    Splat* by_index;             // Indexed by primitive.
     Splat* splats;               // Indexed by rank.
     std::uint32_t* keys;         // Sort keys: first the depths of points, then the tiles of entries.
-    std::uint32_t* values;       // Sort values: first points, then the ranks of entries.
+    std::uint32_t* values;       // Sort values: first primitives, then the ranks of entries.
     std::uint32_t* depths;       // Bits of the depth, indexed by rank.
-    std::uint32_t* points;       // Indexed by rank.
+    std::uint32_t* indices;      // Primitives, indexed by rank.
     std::uint64_t* tile_counts;  // Number of tiles of each rank, followed by a 0.
     std::uint64_t* begin;        // First entry of each rank, followed by the number of entries.
     std::uint32_t* entry_tiles;  // Tile of each entry, in ascending order.
     std::uint32_t* entry_ranks;  // Rank of each entry, sorted by tile, then by rank.
     std::uint32_t* tile_begin;   // First entry of each tile, followed by the number of entries.
-    std::uint32_t* visible;      // Number of visible points.
+    std::uint32_t* visible;      // Number of visible primitives.
     float* sums;                 // Sums of gradients over pixels, indexed by rank.
     void* scratch;
     std::size_t scratch_bytes;
 };
 
-// Allocates the arrays. `sums` is the number of floats that Entries::sums has per point.
-inline Entries allocate_entries(device::Arena& arena, std::size_t count, int sums, Tiles tiles, std::size_t capacity) {
-    Entries out{};
+// Allocates the arrays. `sums` is the number of floats that Entries::sums has per primitive.
+template <typename Splat>
+Entries<Splat> allocate_entries(device::Arena& arena, std::size_t count, int sums, Tiles tiles, std::size_t capacity) {
+    Entries<Splat> out{};
     const std::size_t sorted = count > capacity ? count : capacity;
     out.count = count;
     out.capacity = capacity;
     out.tiles = tiles;
-    out.by_point = arena.take<Splat>(count);
+    out.by_index = arena.take<Splat>(count);
     out.splats = arena.take<Splat>(count);
     out.keys = arena.take<std::uint32_t>(sorted);
     out.values = arena.take<std::uint32_t>(sorted);
     out.depths = arena.take<std::uint32_t>(count);
-    out.points = arena.take<std::uint32_t>(count);
+    out.indices = arena.take<std::uint32_t>(count);
     out.tile_counts = arena.take<std::uint64_t>(count + 1);
     out.begin = arena.take<std::uint64_t>(count + 1);
     out.entry_tiles = arena.take<std::uint32_t>(capacity);
@@ -84,27 +88,11 @@ FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t 
     return first;
 }
 
-struct ProjectPoint {
-    Cloud cloud;
-    Pinhole camera;
-    float near_depth;
-    Entries to;
-
-    FOURD_DEVICE void operator()(std::size_t point) const {
-        const Projection at =
-            project(camera, near_depth, cloud.xyz + 3 * point, cloud.radius[point], cloud.density[point]);
-        std::uint32_t key = kCulled;
-        if (at.visible) memcpy(&key, &at.z, sizeof key);
-        to.by_point[point] = at.visible ? splat_of(at) : Splat{};
-        to.keys[point] = key;
-        to.values[point] = static_cast<std::uint32_t>(point);
-    }
-};
-
-// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a point: the exclusive sum at this rank
+// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a primitive: the exclusive sum at this rank
 // is the number of entries.
+template <typename Splat>
 struct GatherRank {
-    Entries to;
+    Entries<Splat> to;
 
     FOURD_DEVICE void operator()(std::size_t rank) const {
         if (rank == to.count) {
@@ -112,16 +100,17 @@ struct GatherRank {
             *to.visible = static_cast<std::uint32_t>(lower_bound(to.depths, to.count, kCulled));
             return;
         }
-        const Splat splat = to.by_point[to.points[rank]];
+        const Splat splat = to.by_index[to.indices[rank]];
         to.splats[rank] = splat;
         to.tile_counts[rank] = to.depths[rank] == kCulled ? 0 : tile_count(tile_range_of(splat));
     }
 };
 
-// This kernel has one thread per entry, not per point, because the number of tiles of a point ranges from one to all
+// This kernel has one thread per entry, not per primitive, because the number of tiles of a primitive ranges from one to all
 // tiles.
+template <typename Splat>
 struct EmitEntry {
-    Entries to;
+    Entries<Splat> to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
         std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // This key sorts after all tiles.
@@ -142,8 +131,9 @@ struct EmitEntry {
     }
 };
 
+template <typename Splat>
 struct FindTileBegin {
-    Entries to;
+    Entries<Splat> to;
     std::uint64_t* needed;
 
     FOURD_DEVICE void operator()(std::size_t tile) const {
@@ -159,21 +149,32 @@ inline int bit_count(std::size_t max) {
     return bits;
 }
 
-// Builds the entries of a cloud, and allocates `sums` floats per point.
-inline Entries fill(const device::Executor& executor, const Cloud& cloud, const Settings& settings,
-                    const EntryBuffer& buffer, int sums) {
+// The size in bytes of the workspace of an image.
+template <typename Splat>
+std::size_t entry_bytes(std::size_t count, int sums, int width, int height, std::size_t entries) {
+    device::Arena arena(nullptr);
+    allocate_entries<Splat>(arena, count, sums, make_tiles(width, height), entries);
+    return arena.bytes();
+}
+
+// Builds the entries of `count` primitives, and allocates `sums` floats per primitive. project_into(entries) returns a
+// kernel that is called with the index of each primitive. The kernel writes the elements with this index of by_index,
+// keys (the bits of the depth, or kCulled) and values (the index).
+template <typename Splat, typename ProjectInto>
+Entries<Splat> fill(const device::Executor& executor, std::size_t count, int width, int height,
+                    const EntryBuffer& buffer, int sums, const ProjectInto& project_into) {
     device::Arena arena(buffer.memory);
-    const Tiles tiles = make_tiles(settings.camera.width, settings.camera.height);
-    const Entries to = allocate_entries(arena, cloud.count, sums, tiles, buffer.entries);
-    executor.for_each(cloud.count, ProjectPoint{cloud, settings.camera, settings.near_depth, to});
-    executor.sort(to.keys, to.depths, to.values, to.points, cloud.count, 32, to.scratch, to.scratch_bytes);
-    executor.for_each(cloud.count + 1, GatherRank{to});
-    executor.exclusive_sum(to.tile_counts, to.begin, cloud.count + 1, to.scratch, to.scratch_bytes);
-    executor.for_each(buffer.entries, EmitEntry{to});
+    const Tiles tiles = make_tiles(width, height);
+    const Entries<Splat> to = allocate_entries<Splat>(arena, count, sums, tiles, buffer.entries);
+    executor.for_each(count, project_into(to));
+    executor.sort(to.keys, to.depths, to.values, to.indices, count, 32, to.scratch, to.scratch_bytes);
+    executor.for_each(count + 1, GatherRank<Splat>{to});
+    executor.exclusive_sum(to.tile_counts, to.begin, count + 1, to.scratch, to.scratch_bytes);
+    executor.for_each(buffer.entries, EmitEntry<Splat>{to});
     executor.sort(to.keys, to.entry_tiles, to.values, to.entry_ranks, buffer.entries, bit_count(tiles.count()),
                   to.scratch, to.scratch_bytes);
-    executor.for_each(tiles.count() + 1, FindTileBegin{to, buffer.needed});
+    executor.for_each(tiles.count() + 1, FindTileBegin<Splat>{to, buffer.needed});
     return to;
 }
 
-}  // namespace fourd::points::cuda
+}  // namespace fourd::tiles::cuda

@@ -1,10 +1,10 @@
-#include "points/cpu/bins.h"
+#include "tiles/depth_bins.h"
 
 #include <algorithm>
 
 #include "common/inline.h"
 
-namespace fourd::points {
+namespace fourd::tiles {
 namespace {
 
 struct KeyRange {
@@ -26,7 +26,7 @@ void for_each_tile(const TileRange& range, int columns, Visit visit) {
 
 }  // namespace
 
-std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
+std::vector<DepthBins::Run> DepthBins::split(std::size_t count, int parts) {
     std::vector<Run> runs;
     for (int part = 0; part < parts; ++part) {
         runs.push_back({count * part / parts, count * (part + 1) / parts});
@@ -34,14 +34,12 @@ std::vector<Bins::Run> Bins::split(std::size_t count, int parts) {
     return runs;
 }
 
-// Projects all points and returns spans of items. The spans contain only the items of visible points.
-std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& settings, Team& team) {
-    const Loops& loops = select_loops(settings.simd);
-    std::vector<Run> runs = split(cloud.count, team.size());
+// Projects all primitives and returns spans of items. The spans contain only the items of visible primitives.
+std::vector<DepthBins::Run> DepthBins::project_all(std::size_t count, const Project& project, Team& team) {
+    std::vector<Run> runs = split(count, team.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         Run& run = runs[part];
-        run.end = run.begin + loops.project(cloud, settings, run.begin, run.end, splats_.data(), tile_ranges_.data(),
-                                            items_.data() + run.begin);
+        run.end = run.begin + project(run.begin, run.end, tile_ranges_.data(), items_.data() + run.begin);
     });
     visible_ = 0;
     for (const Run& run : runs) visible_ += run.end - run.begin;
@@ -50,7 +48,7 @@ std::vector<Bins::Run> Bins::project_all(const Cloud& cloud, const Settings& set
 
 // Runs one stable pass of the radix sort, from items_ to spare_. The digit of an item consists of the bits of (key -
 // low) that start at bit `shift`.
-void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team) {
+void DepthBins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team) {
     const Item* const from = items_.data();
     Item* const to = spare_.data();
     const std::size_t digits = std::size_t{1} << bits;
@@ -79,7 +77,7 @@ void Bins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift
 }
 
 // Sorts the items of all spans stably by key. The sorted items are contiguous.
-void Bins::sort(std::vector<Run> runs, Team& team) {
+void DepthBins::radix_sort(std::vector<Run> runs, Team& team) {
     std::vector<KeyRange> ranges(runs.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         KeyRange here;
@@ -101,15 +99,15 @@ void Bins::sort(std::vector<Run> runs, Team& team) {
 }
 
 // Counts, for each part, the entries of every tile. The function also copies the tile ranges into the order of ranks.
-std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team& team) {
+std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());
     std::vector<std::size_t> counts(runs.size() * count, 0);
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         std::size_t* here = counts.data() + part * count;
         for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
-            if (rank + kAhead < runs[part].end) prefetch(&tile_ranges_[items_[rank + kAhead].point]);
-            const TileRange range = tile_ranges_[items_[rank].point];
+            if (rank + kAhead < runs[part].end) prefetch(&tile_ranges_[items_[rank + kAhead].index]);
+            const TileRange range = tile_ranges_[items_[rank].index];
             ranked_tile_ranges_[rank] = range;
             for_each_tile(range, columns_, [&](int tile) { ++here[tile]; });
         }
@@ -119,7 +117,7 @@ std::vector<std::size_t> Bins::count_entries(const std::vector<Run>& runs, Team&
 
 // Writes the entries of all tiles. In each tile, the entries of a part follow the entries of the previous parts. The
 // argument `places` has the counts from count_entries.
-void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
+void DepthBins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
     std::size_t total = 0;
     for (std::size_t tile = 0; tile < count; ++tile) {
@@ -136,34 +134,57 @@ void Bins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> pla
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
         std::size_t* place = places.data() + part * count;
         for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
-            const std::uint32_t point = items_[rank].point;
-            for_each_tile(ranked_tile_ranges_[rank], columns_, [&](int tile) { entries_[place[tile]++] = point; });
+            const std::uint32_t index = items_[rank].index;
+            for_each_tile(ranked_tile_ranges_[rank], columns_, [&](int tile) { entries_[place[tile]++] = index; });
         }
     });
 }
 
-void Bins::sort_points(const Cloud& cloud, const Settings& settings, Team& team) {
-    splats_.require(cloud.count);
-    tile_ranges_.require(cloud.count);
-    items_.require(cloud.count);
-    spare_.require(cloud.count);
-    sort(project_all(cloud, settings, team), team);
+void DepthBins::sort(std::size_t count, const Project& project, Team& team) {
+    tile_ranges_.require(count);
+    items_.require(count);
+    spare_.require(count);
+    radix_sort(project_all(count, project, team), team);
 }
 
-void Bins::fill(const Cloud& cloud, const Settings& settings, Team& team) {
-    columns_ = (settings.camera.width + kTile - 1) / kTile;
-    rows_ = (settings.camera.height + kTile - 1) / kTile;
-    ranked_tile_ranges_.require(cloud.count);
+void DepthBins::fill(std::size_t count, int width, int height, const Project& project, Team& team) {
+    columns_ = (width + kTile - 1) / kTile;
+    rows_ = (height + kTile - 1) / kTile;
+    ranked_tile_ranges_.require(count);
     tile_begin_.require(static_cast<std::size_t>(tiles()) + 1);
-    sort_points(cloud, settings, team);
+    sort(count, project, team);
     const std::vector<Run> runs = split(visible_, team.size());
     fill_tiles(runs, count_entries(runs, team), team);
 }
 
-std::size_t Bins::bytes() const {
-    return sizeof(Splat) * splats_.size() + sizeof(TileRange) * (tile_ranges_.size() + ranked_tile_ranges_.size()) +
+std::size_t DepthBins::bytes() const {
+    return sizeof(TileRange) * (tile_ranges_.size() + ranked_tile_ranges_.size()) +
            sizeof(Item) * (items_.size() + spare_.size()) + sizeof(std::uint32_t) * entries_.size() +
            sizeof(std::size_t) * tile_begin_.size();
 }
 
-}  // namespace fourd::points
+std::size_t Slots::assign(const DepthBins& bins, std::size_t count) {
+    first_.require(count + 1);
+    std::size_t total = 0;
+    for (std::size_t index = 0; index < count; ++index) {
+        first_[index] = total;
+        total += tile_count(bins.tile_range(index));
+    }
+    first_[count] = total;
+    return total;
+}
+
+void Slots::of_tile(const DepthBins& bins, int tile, Buffer<std::size_t>& out) const {
+    const std::size_t first = bins.tile_begin()[tile], count = bins.tile_begin()[tile + 1] - first;
+    const int tile_column = tile % bins.columns(), tile_row = tile / bins.columns();
+    out.require(count);
+    for (std::size_t entry = 0; entry < count; ++entry) {
+        const std::uint32_t index = bins.entries()[first + entry];
+        const TileRange& range = bins.tile_range(index);
+        const std::size_t column = static_cast<std::size_t>(tile_column) - range.left;
+        const std::size_t row = static_cast<std::size_t>(tile_row) - range.top;
+        out[entry] = first_[index] + row * tiles_across(range) + column;
+    }
+}
+
+}  // namespace fourd::tiles

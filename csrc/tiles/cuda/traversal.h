@@ -1,10 +1,10 @@
-// Front-to-back traversal of the points of a tile. Each pixel has one thread. A warp covers 8 x 4 pixels and processes
-// the same point for all its pixels at the same time.
+// Front-to-back traversal of the primitives of a tile. Each pixel has one thread. A warp covers 8 x 4 pixels and
+// processes the same primitive for all its pixels at the same time.
 #pragma once
 
-#include "points/cuda/entries.h"
+#include "tiles/cuda/entries.h"
 
-namespace fourd::points::cuda {
+namespace fourd::tiles::cuda {
 
 struct Pixel {
     float x, y;         // Coordinates of the centre of the pixel.
@@ -25,25 +25,27 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
             static_cast<std::size_t>(row) * width + column, tile};
 }
 
-// The points that the pixels of a tile process, nearest first. The list contains the entries of the tile, or all
-// visible points if the entries do not fit into the workspace.
+// The primitives that the pixels of a tile process, nearest first. The list contains the entries of the tile, or all
+// visible primitives if the entries do not fit into the workspace.
 struct EntryList {
-    const std::uint32_t* ranks;  // Ranks of the points. If `ranks` is null, the point at position i has rank i.
+    const std::uint32_t* ranks;  // Ranks of the primitives. If `ranks` is null, the one at position i has rank i.
     std::size_t count;
 
     FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }
 };
 
-FOURD_DEVICE static inline EntryList entry_list(const Entries& entries, std::size_t tile) {
+template <typename Splat>
+FOURD_DEVICE static inline EntryList entry_list(const Entries<Splat>& entries, std::size_t tile) {
     if (entries.begin[entries.count] > entries.capacity) return {nullptr, *entries.visible};
     const std::uint32_t begin = entries.tile_begin[tile];
     return {entries.entry_ranks + begin, entries.tile_begin[tile + 1] - begin};
 }
 
-// Composites the points of a list front to back until no pixel of the warp takes more layers. Calls take(position,
+// Composites the primitives of a list front to back until no pixel of the warp takes more layers. The compositor
+// provides pixel_coverage(splat, x, y), whose result has the member `alpha`, above 0 at hit pixels. Calls take(position,
 // rank, splat, coverage, transmittance) for every layer of the pixel. Returns the final transmittance.
-template <typename Take>
-FOURD_DEVICE static inline float traverse(const Entries& entries, const EntryList& list, const Pixel& pixel, int layers,
+template <typename Splat, typename Take>
+FOURD_DEVICE static inline float traverse(const Entries<Splat>& entries, const EntryList& list, const Pixel& pixel, int layers,
                                           float transmittance_min, const device::Lane& lane, const Take& take) {
     float transmittance = 1.0f;
     int layers_left = pixel.inside ? layers : 0;
@@ -52,7 +54,7 @@ FOURD_DEVICE static inline float traverse(const Entries& entries, const EntryLis
         if (!lane.any(open)) break;
         const std::size_t rank = list.rank(position);
         const Splat& splat = entries.splats[rank];
-        const PixelCoverage coverage = pixel_coverage(splat, pixel.x, pixel.y);
+        const auto coverage = pixel_coverage(splat, pixel.x, pixel.y);
         if (!open || !(coverage.alpha > 0.0f)) continue;
         take(position, rank, splat, coverage, transmittance);
         transmittance = transmittance * (1.0f - coverage.alpha);
@@ -61,4 +63,4 @@ FOURD_DEVICE static inline float traverse(const Entries& entries, const EntryLis
     return transmittance;
 }
 
-}  // namespace fourd::points::cuda
+}  // namespace fourd::tiles::cuda

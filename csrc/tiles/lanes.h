@@ -1,5 +1,5 @@
 // The type Lanes: 16 floats, one per pixel of a 4 x 4 block. The vector type of Lanes depends on the instruction set
-// that this file is compiled for. tiles.cpp includes this file inside its namespace. Additions have the same order for
+// that this file is compiled for. A dispatched file includes this file inside its namespace. Additions have the same order for
 // all instruction sets, so results have the same bits.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)

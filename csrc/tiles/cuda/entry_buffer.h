@@ -1,0 +1,19 @@
+// The scratch memory of a compositor on a GPU.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+namespace fourd::tiles::cuda {
+
+// Scratch memory with space for a number of (primitive, tile) entries. If an image needs more entries, every pixel tests
+// every primitive, which gives the same image but is slow. The GPU writes the number of entries that the image needs to
+// `needed`. Later images can use this number to choose their number of entries. Waiting for the number of the current
+// image would stall the CPU.
+struct EntryBuffer {
+    void* memory;           // At least workspace_bytes() bytes.
+    std::size_t entries;    // Below 2^31.
+    std::uint64_t* needed;  // A number that the GPU writes, in page-locked host memory or in GPU memory.
+};
+
+}  // namespace fourd::tiles::cuda

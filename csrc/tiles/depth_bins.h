@@ -1,0 +1,84 @@
+// Sorts primitives by depth and bins them into tiles of 16 x 16 pixels. A tile has one entry for each primitive that
+// covers the tile.
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <vector>
+
+#include "common/buffer.h"
+#include "common/team.h"
+#include "tiles/geometry.h"
+
+namespace fourd::tiles {
+
+// The primitives of an image, sorted by depth and binned into tiles. The rank of a visible primitive is its position in
+// depth order. The nearest primitive has rank 0, and primitives of equal depth are ranked by index. Buffers are kept
+// between images and may be larger than their contents.
+class DepthBins {
+  public:
+    // Projects the primitives [begin, end). Writes the tile range of each primitive to tile_ranges, which is indexed by
+    // primitive, and the items of the visible primitives to `items`, in order. Returns the number of items.
+    using Project =
+        std::function<std::size_t(std::size_t begin, std::size_t end, TileRange* tile_ranges, Item* items)>;
+
+    // Projects, sorts and bins `count` primitives, and replaces the previous contents.
+    void fill(std::size_t count, int width, int height, const Project& project, Team& team);
+
+    // Projects and sorts the primitives, without binning them. order() then returns the sorted items.
+    void sort(std::size_t count, const Project& project, Team& team);
+    const Item* order() const { return items_.data(); }  // Indexed by rank.
+
+    int columns() const { return columns_; }  // Number of tiles per row.
+    int tiles() const { return columns_ * rows_; }
+    std::size_t visible() const { return visible_; }  // Number of visible primitives.
+    const TileRange& tile_range(std::size_t index) const { return tile_ranges_[index]; }
+    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,): offsets into entries.
+    const std::uint32_t* entries() const { return entries_.data(); }  // Primitives of each tile, in the order of ranks.
+
+    std::size_t bytes() const;  // Size of the memory that is kept between images.
+
+  private:
+    // A span of consecutive items, which one thread processes in each pass. Spans are merged in order, so the result
+    // does not depend on the number of spans.
+    struct Run {
+        std::size_t begin, end;
+    };
+
+    static std::vector<Run> split(std::size_t count, int parts);
+    std::vector<Run> project_all(std::size_t count, const Project& project, Team& team);
+    void radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team);
+    void radix_sort(std::vector<Run> runs, Team& team);
+    std::vector<std::size_t> count_entries(const std::vector<Run>& runs, Team& team);
+    void fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team);
+
+    int columns_ = 0, rows_ = 0;
+    std::size_t visible_ = 0;
+    Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // Indexed by primitive, and by rank.
+    Buffer<Item> items_, spare_;
+    Buffer<std::uint32_t> entries_;
+    Buffer<std::size_t> tile_begin_;
+};
+
+// Assigns a slot to each (primitive, tile) entry. The tile of an entry writes its result for the primitive into the
+// slot. The slots of a primitive are adjacent and are reduced in a fixed order, so the result does not depend on which
+// thread filled them.
+class Slots {
+  public:
+    // Assigns the slots of `count` primitives, and returns the number of slots.
+    std::size_t assign(const DepthBins& bins, std::size_t count);
+
+    // Writes to `out` the slots of all entries of the tile with this index. Tiles are numbered row by row.
+    void of_tile(const DepthBins& bins, int tile, Buffer<std::size_t>& out) const;
+
+    // The slots of a primitive are [begin(index), end(index)).
+    std::size_t begin(std::size_t index) const { return first_[index]; }
+    std::size_t end(std::size_t index) const { return first_[index + 1]; }
+
+    std::size_t bytes() const { return sizeof(std::size_t) * first_.size(); }
+
+  private:
+    Buffer<std::size_t> first_;
+};
+
+}  // namespace fourd::tiles
