@@ -68,6 +68,13 @@ fourd_kernel(sources
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
 
+fourd_kernel(splat_triangles
+  CPU cpu/render.cpp
+  DISPATCH cpu/tiles.cpp WIDEST avx512 EXACT
+  CUDA cuda/render.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
+
 fourd_kernel(texture
   CPU cpu/backward.cpp cpu/sample.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT

@@ -11,10 +11,12 @@
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
 #include "similarity/similarity.h"
+#include "splat_triangles/cpu/workspace.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
+#include "tests/splat_inputs.h"
 
 namespace {
 
@@ -211,6 +213,16 @@ void run_antialias(unsigned seed, const char* simd) {
     inputs.expect_finite_results(seed);
 }
 
+void run_splat_triangles(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::SplatInputs inputs(random, 300, seed % 2 ? 0.1f : 0.0f, simd);
+    fourd::splat_triangles::Workspace workspace;
+    fourd::splat_triangles::render(inputs.mesh(), inputs.settings, workspace, inputs.picture(), inputs.weight.data());
+    fourd::splat_triangles::render_backward(inputs.mesh(), inputs.settings, workspace, inputs.upstream(),
+                                            inputs.gradient());
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -226,9 +238,10 @@ int main(int count, char** arguments) {
             run_shade(seed, simd);
             run_similarity(seed, simd);
             run_sources(seed, simd);
+            run_splat_triangles(seed, simd);
             run_antialias(seed, simd);
         }
-        const char* const what = "points, planes, hash grid, blend, play, shade, similarity, sources and antialias";
+        const char* const what = "points, planes, hash grid, blend, play, shade, similarity, sources, antialias and splats";
         std::printf("%s, %s: %u inputs each\n", what, simd, runs);
     }
 }

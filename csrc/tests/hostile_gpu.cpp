@@ -11,10 +11,12 @@
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
 #include "sources/cuda/sample.h"
+#include "splat_triangles/cuda/render.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
+#include "tests/splat_inputs.h"
 
 namespace {
 
@@ -140,6 +142,22 @@ void run_antialias(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_splat_triangles(unsigned seed) {
+    Random random(seed);
+    fourd::tests::SplatInputs inputs(random, 100, seed % 2 ? 0.1f : 0.0f, "");
+    const fourd::splat_triangles::Mesh mesh = inputs.mesh();
+    const std::size_t entries = static_cast<std::size_t>(random_int(random, 0, 2) ? 4000 : random_int(random, 0, 20));
+    const Memory memory(
+        fourd::splat_triangles::cuda::workspace_bytes(mesh.count, mesh.channels, inputs.settings.camera.width,
+                                                      inputs.settings.camera.height, entries),
+        entries);
+    fourd::splat_triangles::cuda::render(mesh, inputs.settings, memory.buffer(), inputs.picture(), inputs.weight.data(),
+                                         nullptr);
+    fourd::splat_triangles::cuda::render_backward(mesh, inputs.settings, memory.buffer(), inputs.upstream(),
+                                                  inputs.gradient(), nullptr);
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -150,7 +168,8 @@ int main(int count, char** arguments) {
         run_planes(seed);
         run_hashgrid(seed);
         run_sources(seed);
+        run_splat_triangles(seed);
         run_antialias(seed);
     }
-    std::printf("points, play, planes, hash grid, sources and antialias, emulated GPU: %u inputs each\n", runs);
+    std::printf("points, play, planes, hash grid, sources, antialias and splats, emulated GPU: %u inputs each\n", runs);
 }

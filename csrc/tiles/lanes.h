@@ -1,6 +1,10 @@
 // The type Lanes: 16 floats, one per pixel of a 4 x 4 block. The vector type of Lanes depends on the instruction set
 // that this file is compiled for. A dispatched file includes this file inside its namespace. Additions have the same order for
 // all instruction sets, so results have the same bits.
+//
+// exponent_of and mantissa_of take positive normal numbers a = m 2^e with m in [1, 2), and return e and m. The function
+// times_power_of_two(a, power) returns a 2^power for whole numbers `power`. The result must be a normal number.
+// minimum(a, b) and maximum(a, b) return b where a or b is NaN.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 
@@ -19,8 +23,25 @@ inline Lanes operator-(Lanes a, Lanes b) { return {_mm512_sub_ps(a.value, b.valu
 inline Lanes operator*(Lanes a, Lanes b) { return {_mm512_mul_ps(a.value, b.value)}; }
 inline Lanes operator/(Lanes a, Lanes b) { return {_mm512_div_ps(a.value, b.value)}; }
 inline Mask operator>(Lanes a, Lanes b) { return {_mm512_cmp_ps_mask(a.value, b.value, _CMP_GT_OQ)}; }
+inline Mask operator>=(Lanes a, Lanes b) { return {_mm512_cmp_ps_mask(a.value, b.value, _CMP_GE_OQ)}; }
 inline Mask operator&(Mask a, Mask b) { return {static_cast<__mmask16>(a.bits & b.bits)}; }
 inline bool any(Mask a) { return a.bits != 0; }
+inline unsigned bits_of(Mask a) { return a.bits; }
+inline Lanes minimum(Lanes a, Lanes b) { return {_mm512_min_ps(a.value, b.value)}; }
+inline Lanes maximum(Lanes a, Lanes b) { return {_mm512_max_ps(a.value, b.value)}; }
+inline Lanes square_root(Lanes a) { return {_mm512_sqrt_ps(a.value)}; }
+inline Lanes exponent_of(Lanes a) {
+    const __m512i bits = _mm512_srli_epi32(_mm512_castps_si512(a.value), 23);
+    return {_mm512_cvtepi32_ps(_mm512_sub_epi32(bits, _mm512_set1_epi32(127)))};
+}
+inline Lanes mantissa_of(Lanes a) {
+    const __m512i bits = _mm512_and_si512(_mm512_castps_si512(a.value), _mm512_set1_epi32(0x007fffff));
+    return {_mm512_castsi512_ps(_mm512_or_si512(bits, _mm512_set1_epi32(0x3f800000)))};
+}
+inline Lanes times_power_of_two(Lanes a, Lanes power) {
+    const __m512i shift = _mm512_slli_epi32(_mm512_cvttps_epi32(power.value), 23);
+    return {_mm512_castsi512_ps(_mm512_add_epi32(_mm512_castps_si512(a.value), shift))};
+}
 inline Lanes select(Mask m, Lanes a, Lanes b) { return {_mm512_mask_blend_ps(m.bits, b.value, a.value)}; }
 inline Lanes keep(Mask m, Lanes a) { return {_mm512_maskz_mov_ps(m.bits, a.value)}; }
 // Packs four Lanes into one 32-bit word per pixel. Values from 0 to 255.99 are truncated to bytes. The first of the
@@ -91,9 +112,57 @@ inline Mask operator>(Lanes a, Lanes b) {
     Mask out;
     FOURD_PER_PART(a.part[p] > b.part[p]);
 }
+inline Mask operator>=(Lanes a, Lanes b) {
+    Mask out;
+    FOURD_PER_PART(a.part[p] >= b.part[p]);
+}
 inline Mask operator&(Mask a, Mask b) {
     Mask out;
     FOURD_PER_PART(a.part[p] & b.part[p]);
+}
+inline Lanes minimum(Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(a.part[p] < b.part[p] ? a.part[p] : b.part[p]);
+}
+inline Lanes maximum(Lanes a, Lanes b) {
+    Lanes out;
+    FOURD_PER_PART(a.part[p] > b.part[p] ? a.part[p] : b.part[p]);
+}
+inline Lanes square_root(Lanes a) {
+    Lanes out;
+#if defined(__AVX__)
+    FOURD_PER_PART((NativeFloat)_mm256_sqrt_ps((__m256)a.part[p]));
+#elif defined(__SSE2__)
+    FOURD_PER_PART((NativeFloat)_mm_sqrt_ps((__m128)a.part[p]));
+#else
+    for (int p = 0; p < kParts; ++p) {
+        for (int lane = 0; lane < kNative; ++lane) out.part[p][lane] = __builtin_sqrtf(a.part[p][lane]);
+    }
+    return out;
+#endif
+}
+inline Lanes exponent_of(Lanes a) {
+    Lanes out;
+    FOURD_PER_PART(__builtin_convertvector(((NativeInt)a.part[p] >> 23) - 127, NativeFloat));
+}
+inline Lanes mantissa_of(Lanes a) {
+    Lanes out;
+    FOURD_PER_PART((NativeFloat)(((NativeInt)a.part[p] & 0x007fffff) | 0x3f800000));
+}
+inline Lanes times_power_of_two(Lanes a, Lanes power) {
+    Lanes out;
+    FOURD_PER_PART((NativeFloat)((NativeInt)a.part[p] + (__builtin_convertvector(power.part[p], NativeInt) << 23)));
+}
+inline unsigned bits_of(Mask a) {
+    unsigned bits = 0;
+#if defined(__AVX__)
+    for (int p = 0; p < kParts; ++p) bits |= static_cast<unsigned>(_mm256_movemask_ps((__m256)a.part[p])) << (8 * p);
+#elif defined(__SSE2__)
+    for (int p = 0; p < kParts; ++p) bits |= static_cast<unsigned>(_mm_movemask_ps((__m128)a.part[p])) << (4 * p);
+#else
+    for (int i = 0; i < 16; ++i) bits |= static_cast<unsigned>(a.part[i / kNative][i % kNative] != 0) << i;
+#endif
+    return bits;
 }
 inline Lanes select(Mask m, Lanes a, Lanes b) {
     Lanes out;
@@ -181,9 +250,52 @@ inline Mask operator>(const Lanes& a, const Lanes& b) {
     Mask out;
     FOURD_PER_LANE(a.lane[i] > b.lane[i]);
 }
+inline Mask operator>=(const Lanes& a, const Lanes& b) {
+    Mask out;
+    FOURD_PER_LANE(a.lane[i] >= b.lane[i]);
+}
 inline Mask operator&(const Mask& a, const Mask& b) {
     Mask out;
     FOURD_PER_LANE(a.lane[i] && b.lane[i]);
+}
+inline Lanes minimum(const Lanes& a, const Lanes& b) {
+    Lanes out;
+    FOURD_PER_LANE(a.lane[i] < b.lane[i] ? a.lane[i] : b.lane[i]);
+}
+inline Lanes maximum(const Lanes& a, const Lanes& b) {
+    Lanes out;
+    FOURD_PER_LANE(a.lane[i] > b.lane[i] ? a.lane[i] : b.lane[i]);
+}
+inline Lanes square_root(const Lanes& a) {
+    Lanes out;
+    FOURD_PER_LANE(sqrtf(a.lane[i]));
+}
+inline std::int32_t bits_of(float value) {
+    std::int32_t bits;
+    std::memcpy(&bits, &value, sizeof bits);
+    return bits;
+}
+inline float float_of(std::int32_t bits) {
+    float value;
+    std::memcpy(&value, &bits, sizeof value);
+    return value;
+}
+inline Lanes exponent_of(const Lanes& a) {
+    Lanes out;
+    FOURD_PER_LANE(static_cast<float>((bits_of(a.lane[i]) >> 23) - 127));
+}
+inline Lanes mantissa_of(const Lanes& a) {
+    Lanes out;
+    FOURD_PER_LANE(float_of((bits_of(a.lane[i]) & 0x007fffff) | 0x3f800000));
+}
+inline Lanes times_power_of_two(const Lanes& a, const Lanes& power) {
+    Lanes out;
+    FOURD_PER_LANE(float_of(bits_of(a.lane[i]) + static_cast<std::int32_t>(power.lane[i]) * (1 << 23)));
+}
+inline unsigned bits_of(const Mask& a) {
+    unsigned bits = 0;
+    for (int i = 0; i < 16; ++i) bits |= static_cast<unsigned>(a.lane[i]) << i;
+    return bits;
 }
 inline Lanes select(const Mask& m, const Lanes& a, const Lanes& b) {
     Lanes out;
@@ -243,3 +355,6 @@ inline float max_lane(Lanes a) {
     }
     return v[0];
 }
+
+// The overload of a function that code for both floats and Lanes calls. The pointer only selects the overload.
+inline Lanes constant(float value, const Lanes*) { return broadcast(value); }

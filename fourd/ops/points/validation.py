@@ -41,7 +41,7 @@ def check_points(
             raise TypeError(f"{name}: expected an array or tensor, got {type(array).__name__}")
     _check_shapes(arrays)
     _check_dtypes(arrays, dtypes)
-    _check_camera(camera)
+    check_camera(camera)
     if isinstance(layers, bool) or not isinstance(layers, int):
         raise TypeError(f"layers: expected an integer, got {type(layers).__name__}")
     if not 1 <= layers <= 2**20:
@@ -96,7 +96,8 @@ def _check_dtypes(arrays: Mapping[str, Any], dtypes: tuple[str, ...]) -> None:
             raise ValueError(f"{name}: expected device {arrays['xyz'].device}, that of xyz, got {array.device}")
 
 
-def _check_camera(camera: Camera) -> None:
+def check_camera(camera: Camera) -> None:
+    """Check that a camera is a pinhole camera that a renderer can use. Raises TypeError, ValueError."""
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a fourd.cameras.Camera, got {type(camera).__name__}")
     if camera.distortion is not None:

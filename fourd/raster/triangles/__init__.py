@@ -14,17 +14,20 @@ if TYPE_CHECKING:
     from fourd.raster.triangles.interpolation import interpolate
     from fourd.raster.triangles.peeling import DepthPeeler
     from fourd.raster.triangles.rasterization import rasterize
+    from fourd.raster.triangles.splatting import TriangleRender, splat_triangles
     from fourd.raster.triangles.textures import Mip, texture, texture_construct_mip
 
 _MODULES: dict[str, str] = {
     "DepthPeeler": "peeling",
+    "Mip": "textures",
     "Topology": "antialiasing",
+    "TriangleRender": "splatting",
     "antialias": "antialiasing",
     "antialias_construct_topology": "antialiasing",
-    "Mip": "textures",
     "clip_matrix": "clipping",
     "interpolate": "interpolation",
     "rasterize": "rasterization",
+    "splat_triangles": "splatting",
     "texture": "textures",
     "texture_construct_mip": "textures",
 }
@@ -34,11 +37,13 @@ __all__ = [
     "DepthPeeler",
     "Mip",
     "Topology",
+    "TriangleRender",
     "antialias",
     "antialias_construct_topology",
     "clip_matrix",
     "interpolate",
     "rasterize",
+    "splat_triangles",
     "texture",
     "texture_construct_mip",
 ]

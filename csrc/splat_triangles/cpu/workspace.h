@@ -1,0 +1,37 @@
+// The memory for rendering an image, which is kept for the next image.
+#pragma once
+
+#include <vector>
+
+#include "common/fingerprint.h"
+#include "splat_triangles/cpu/tiles.h"
+#include "tiles/depth_bins.h"
+
+namespace fourd::splat_triangles {
+
+struct Workspace {
+    // The memory of one worker for one tile.
+    struct Scratch {
+        Buffer<std::size_t> slots;
+        Buffer<float> best;
+    };
+
+    Fingerprint source_fingerprint;  // Identifies the inputs of the last render, whose bins are in `bins`.
+    tiles::DepthBins bins;
+    tiles::Slots slots;
+    Buffer<Splat> splats;                    // Indexed by triangle. Only visible triangles have a valid splat.
+    Buffer<float> sums;                      // Indexed by slot.
+    Buffer<float> corners;                   // Gradients of the positions of the 3 vertices of each triangle.
+    std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
+
+    // Projects, sorts and bins the triangles of a mesh, unless the last call had the same inputs. In a backward pass
+    // the inputs are usually the same, because the last call was the forward pass.
+    void fill(const Mesh& mesh, const Settings& settings, Team& team);
+
+    // The inputs for rendering the tile with this index. Tiles are numbered row by row.
+    Tile tile(const Mesh& mesh, const Settings& settings, int index) const;
+
+    std::size_t bytes() const;  // Size of the memory that is kept between images.
+};
+
+}  // namespace fourd::splat_triangles

@@ -1,0 +1,260 @@
+// The maths of triangle splatting, shared by every backend. fourd/ops/splat_triangles/reference.py computes the same
+// float32 numbers in the same order, so that kernel and reference find the same hits.
+//
+// A projected triangle has the incentre s, the inradius r and the signed distances phi_k(p) of a pixel p from its three
+// edges, negative inside. This file uses
+//     a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y),
+// because phi_k(s) = -r for every edge. The window is max(min_k a_k(p), 0)^sigma. With barycentric coordinates
+// lambda_k, edge lengths l_k and the perimeter P, a_k = lambda_k P / l_k, for both orientations of the triangle.
+//
+// Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
+// compiled once per instruction set (common/dispatch.h).
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+#include "common/host_device.h"
+#include "tiles/geometry.h"
+
+namespace fourd::splat_triangles {
+
+constexpr float kMaxAlpha = 0.99f;            // Larger alphas are clamped, so that later triangles keep a gradient.
+constexpr float kInverseMinAlpha = 255.0f;    // Triangles with an alpha below 1 / 255 are skipped at a pixel.
+constexpr float kMinTransmittance = 1e-4f;    // A pixel is complete at or below this transmittance.
+constexpr float kSmallestWindow = 1e-7f;      // Smaller values of min_k a_k are rounding errors.
+constexpr float kThinnest = 1e-4f;            // Triangles with a smaller inradius in pixels are culled.
+constexpr float kFarthestPixel = 16777216.0f;  // 2^24: triangles with a vertex farther from the image are culled.
+constexpr float kLn2 = 0.693147181f;
+
+// A projected triangle.
+struct alignas(64) Splat {
+    float x, y;                  // Incentre in pixels.
+    float slope_x[3], slope_y[3];
+    float opacity, sigma;
+    float smallest;  // The triangle hits the pixels where min_k a_k is at least this number.
+    float z;         // Camera depth of the centre.
+    tiles::TileRange range;
+};
+
+FOURD_HD static inline tiles::TileRange tile_range_of(const Splat& splat) { return splat.range; }
+
+// Sums of gradients over the pixels of a triangle. `a`, `ax` and `ay` are sums of the gradient with respect to a_k, of
+// this gradient times (p.x - s.x), and of this gradient times (p.y - s.y).
+struct ShapeGradient {
+    float a[3], ax[3], ay[3];
+    float opacity, sigma;
+};
+
+// Functions on floats, of which tiles/lanes.h has overloads for Lanes.
+FOURD_HD static inline float constant(float value, const float*) { return value; }
+FOURD_HD static inline float select(bool condition, float a, float b) { return condition ? a : b; }
+FOURD_HD static inline float minimum(float a, float b) { return a < b ? a : b; }
+FOURD_HD static inline float maximum(float a, float b) { return a > b ? a : b; }
+FOURD_HD static inline float square_root(float a) { return sqrtf(a); }
+FOURD_HD static inline float log2_of(float a) { return log2f(a); }
+FOURD_HD static inline float exp2_of(float a) { return exp2f(a); }
+
+// The largest whole number that is at most `a`, for numbers between -2^22 and 2^22.
+template <typename Number>
+FOURD_HD static inline Number floor_of(Number a) {
+    const Number* const tag = nullptr;
+    const Number magic = constant(12582912.0f, tag);  // 1.5 * 2^23: floats of this size have no fractional bits.
+    const Number rounded = (a + magic) - magic;
+    return select(rounded > a, rounded - constant(1.0f, tag), rounded);
+}
+
+// A projected triangle. Index k stands for the vertex k, or for the edge opposite to it.
+template <typename Number>
+struct Corners {
+    Number u[3], v[3], z[3];
+};
+
+template <typename Number>
+FOURD_HD static inline void project_corner(const tiles::Pinhole& camera, const Number* xyz, Number* u, Number* v,
+                                           Number* z) {
+    const Number* const tag = nullptr;
+    Number in_camera[3];
+    for (int i = 0; i < 3; ++i) {
+        const float* row = camera.rotation + 3 * i;
+        in_camera[i] = constant(row[0], tag) * xyz[0] + constant(row[1], tag) * xyz[1] +
+                       constant(row[2], tag) * xyz[2] + constant(camera.translation[i], tag);
+    }
+    const float* k = camera.intrinsics;
+    const Number x = in_camera[0], y = in_camera[1];
+    *z = in_camera[2];
+    *u = (constant(k[0], tag) * x + constant(k[1], tag) * y) / *z + constant(k[2], tag);
+    *v = (constant(k[3], tag) * x + constant(k[4], tag) * y) / *z + constant(k[5], tag);
+}
+
+// The edges of a projected triangle. Edge k runs from vertex k + 1 to vertex k + 2.
+template <typename Number>
+struct Edges {
+    Number x[3], y[3], length[3];
+    Number perimeter;
+    Number doubled_area;  // Signed.
+};
+
+template <typename Number>
+FOURD_HD static inline Edges<Number> edges_of(const Corners<Number>& at) {
+    Edges<Number> out;
+    for (int k = 0; k < 3; ++k) {
+        const int from = (k + 1) % 3, to = (k + 2) % 3;
+        out.x[k] = at.u[to] - at.u[from];
+        out.y[k] = at.v[to] - at.v[from];
+        out.length[k] = square_root(out.x[k] * out.x[k] + out.y[k] * out.y[k]);
+    }
+    out.perimeter = out.length[0] + out.length[1] + out.length[2];
+    out.doubled_area = out.x[1] * out.y[2] - out.x[2] * out.y[1];
+    return out;
+}
+
+// The triangle after projection. If `visible` is false, the other members have no defined values.
+template <typename Number, typename Condition>
+struct Projection {
+    Number x, y, slope_x[3], slope_y[3], smallest, z;
+    Number left, right, top, bottom;  // Inclusive range of tiles, as whole numbers.
+    Condition visible;
+};
+
+// The range of tiles along one axis that has the pixel centres between low and high. Returns whether there are any.
+template <typename Number>
+FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number* first, Number* last) {
+    const Number* const tag = nullptr;
+    const Number zero = constant(0.0f, tag), half = constant(0.5f, tag);
+    const Number end = constant(static_cast<float>(size - 1), tag);
+    // Hits have a rounding error. A margin makes sure that the range contains them.
+    const Number margin = constant(1e-3f, tag) + (high - low) * constant(1e-5f, tag);
+    const Number from = maximum(low - margin - half, zero), to = minimum(high + margin - half, end);
+    *first = floor_of(from * constant(1.0f / tiles::kTile, tag));
+    *last = floor_of(maximum(to, zero) * constant(1.0f / tiles::kTile, tag));
+    return (to >= zero) & (end >= from) & (to >= from);
+}
+
+// Projects a triangle. All comparisons are false for NaN.
+template <typename Number>
+FOURD_HD static inline auto project(const tiles::Pinhole& camera, float near_depth, const Corners<Number>& at,
+                                    Number opacity, Number sigma) {
+    const Number* const tag = nullptr;
+    const auto within = [tag](Number value, float low, float high) {
+        return (value >= constant(low, tag)) & (constant(high, tag) >= value);
+    };
+    constexpr float kMaxFloat = 3.402823466e38f, kMaxDepth = 1e38f;
+    const Edges<Number> edges = edges_of(at);
+    const Number zero = constant(0.0f, tag), one = constant(1.0f, tag);
+    const Number area = maximum(edges.doubled_area, zero - edges.doubled_area);
+    const Number scaled_opacity = opacity * constant(kInverseMinAlpha, tag);
+    auto visible = (area > constant(kThinnest, tag) * edges.perimeter) & (scaled_opacity >= one) &
+                   (constant(kMaxFloat, tag) >= scaled_opacity) & (sigma > zero) &
+                   (constant(kMaxFloat, tag) >= sigma);
+    for (int k = 0; k < 3; ++k) {
+        visible = visible & within(at.z[k], near_depth, kMaxDepth) & within(at.u[k], -kFarthestPixel, kFarthestPixel) &
+                  within(at.v[k], -kFarthestPixel, kFarthestPixel);
+    }
+    Projection<Number, decltype(visible)> out;
+    out.x = at.u[0] + (edges.length[1] * edges.x[2] - edges.length[2] * edges.x[1]) / edges.perimeter;
+    out.y = at.v[0] + (edges.length[1] * edges.y[2] - edges.length[2] * edges.y[1]) / edges.perimeter;
+    for (int k = 0; k < 3; ++k) {
+        const Number scale = edges.perimeter / (edges.doubled_area * edges.length[k]);
+        out.slope_x[k] = zero - edges.y[k] * scale;
+        out.slope_y[k] = edges.x[k] * scale;
+    }
+    const Number power = exp2_of((zero - log2_of(maximum(scaled_opacity, one))) / sigma);
+    out.smallest = maximum(power, constant(kSmallestWindow, tag));
+    out.z = (at.z[0] + at.z[1] + at.z[2]) / constant(3.0f, tag);
+    const auto across = tile_span(minimum(minimum(at.u[0], at.u[1]), at.u[2]),
+                                  maximum(maximum(at.u[0], at.u[1]), at.u[2]), camera.width, &out.left, &out.right);
+    const auto down = tile_span(minimum(minimum(at.v[0], at.v[1]), at.v[2]),
+                                maximum(maximum(at.v[0], at.v[1]), at.v[2]), camera.height, &out.top, &out.bottom);
+    out.visible = visible & across & down;
+    return out;
+}
+
+// The smallest a_k at a pixel, and the edge k that has it. Of equal values, the first counts.
+struct Window {
+    float dx, dy, smallest;
+    int edge;
+};
+
+FOURD_HD static inline Window window_at(const Splat& splat, float x, float y) {
+    const float dx = x - splat.x, dy = y - splat.y;
+    float a[3];
+    for (int k = 0; k < 3; ++k) a[k] = 1.0f + splat.slope_x[k] * dx + splat.slope_y[k] * dy;
+    const float rest = minimum(a[1], a[2]);
+    const int edge = a[0] <= rest ? 0 : a[1] <= a[2] ? 1 : 2;
+    return {dx, dy, minimum(a[0], rest), edge};
+}
+
+// How a triangle covers a pixel. `falloff` and `unclamped` have values only if alpha is above 0.
+struct PixelCoverage {
+    Window window;
+    float falloff, unclamped, alpha;
+};
+
+FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x, float y) {
+    PixelCoverage out{window_at(splat, x, y), 0.0f, 0.0f, 0.0f};
+    if (!(out.window.smallest >= splat.smallest)) return out;
+    out.falloff = exp2_of(splat.sigma * log2_of(out.window.smallest));
+    out.unclamped = splat.opacity * out.falloff;
+    out.alpha = minimum(out.unclamped, kMaxAlpha);
+    return out;
+}
+
+// The corners of a triangle, from vertex indices.
+FOURD_HD static inline Corners<float> corners_of(const tiles::Pinhole& camera, const float* xyz,
+                                                 const std::int32_t* tri) {
+    Corners<float> out;
+    for (int k = 0; k < 3; ++k) {
+        project_corner(camera, xyz + 3 * static_cast<std::size_t>(tri[k]), out.u + k, out.v + k, out.z + k);
+    }
+    return out;
+}
+
+// Back-projects the sums of a triangle to the positions of its vertices: `out` has 3 rows of 3.
+FOURD_HD static inline void project_backward(const tiles::Pinhole& camera, const Corners<float>& at,
+                                             const Splat& splat, const ShapeGradient& sums, float* out) {
+    const Edges<float> edges = edges_of(at);
+    const float perimeter = edges.perimeter, area = edges.doubled_area;
+    float to_x = 0.0f, to_y = 0.0f;  // Gradient of the incentre.
+    for (int k = 0; k < 3; ++k) {
+        to_x -= splat.slope_x[k] * sums.a[k];
+        to_y -= splat.slope_y[k] * sums.a[k];
+    }
+    float to_edge_x[3], to_edge_y[3], to_length[3], to_perimeter = 0.0f, to_area = 0.0f;
+    for (int k = 0; k < 3; ++k) {
+        const float scale = perimeter / (area * edges.length[k]);
+        const float to_scale = edges.x[k] * sums.ay[k] - edges.y[k] * sums.ax[k];
+        to_edge_x[k] = scale * sums.ay[k];
+        to_edge_y[k] = -scale * sums.ax[k];
+        to_perimeter += to_scale * scale / perimeter;
+        to_area -= to_scale * scale / area;
+        to_length[k] = -to_scale * scale / edges.length[k];
+    }
+    to_length[1] += (to_x * edges.x[2] + to_y * edges.y[2]) / perimeter;
+    to_length[2] -= (to_x * edges.x[1] + to_y * edges.y[1]) / perimeter;
+    to_perimeter -= (to_x * (splat.x - at.u[0]) + to_y * (splat.y - at.v[0])) / perimeter;
+    to_edge_x[2] += to_x * edges.length[1] / perimeter - to_area * edges.y[1];
+    to_edge_y[2] += to_y * edges.length[1] / perimeter + to_area * edges.x[1];
+    to_edge_x[1] += to_area * edges.y[2] - to_x * edges.length[2] / perimeter;
+    to_edge_y[1] -= to_area * edges.x[2] + to_y * edges.length[2] / perimeter;
+    float to_u[3] = {to_x, 0.0f, 0.0f}, to_v[3] = {to_y, 0.0f, 0.0f};
+    for (int k = 0; k < 3; ++k) {
+        const float along = (to_length[k] + to_perimeter) / edges.length[k];
+        const float x = to_edge_x[k] + along * edges.x[k], y = to_edge_y[k] + along * edges.y[k];
+        to_u[(k + 2) % 3] += x;
+        to_v[(k + 2) % 3] += y;
+        to_u[(k + 1) % 3] -= x;
+        to_v[(k + 1) % 3] -= y;
+    }
+    const float* r = camera.rotation;
+    const float* m = camera.intrinsics;
+    for (int k = 0; k < 3; ++k) {
+        const float u = to_u[k] / at.z[k], v = to_v[k] / at.z[k];
+        const float x = m[0] * u + m[3] * v, y = m[1] * u + m[4] * v;
+        const float z = -(u * (at.u[k] - m[2]) + v * (at.v[k] - m[5]));
+        for (int axis = 0; axis < 3; ++axis) out[3 * k + axis] = r[axis] * x + r[3 + axis] * y + r[6 + axis] * z;
+    }
+}
+
+}  // namespace fourd::splat_triangles

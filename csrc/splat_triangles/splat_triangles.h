@@ -1,0 +1,69 @@
+// Triangle splatting on the CPU. Callers check shapes and vertex indices. Every pointer points to a dense row-major
+// array.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/simd.h"
+#include "splat_triangles/maths.h"
+
+namespace fourd::splat_triangles {
+
+constexpr int kGeometry = 4;      // Channels for geometry: the normal (3) and the depth of a triangle.
+constexpr int kMaxChannels = 36;  // 32 features and the channels for geometry.
+constexpr int kShapeSums = 11;    // Sums of gradients per triangle: one ShapeGradient.
+
+struct Mesh {
+    const float* xyz;          // (vertices, 3).
+    const std::int32_t* tri;   // (count, 3): vertex indices.
+    const float* features;     // (count, channels). With geometry, the last kGeometry channels are geometry.
+    const float* opacity;      // (count,).
+    const float* sigma;        // (count,).
+    std::size_t vertices;      // Below 2^31.
+    std::size_t count;         // Below 2^31.
+    int channels;              // From 1 to kMaxChannels, including the channels for geometry.
+    bool geometry;             // Whether the last kGeometry channels are geometry.
+};
+
+struct Settings {
+    tiles::Pinhole camera;
+    float near_depth;  // Positive. Triangles with a vertex of a smaller camera depth are culled.
+    int layers;        // Largest number of triangles per pixel, from 1 to 2^20.
+    int threads;       // At least 1. The result is the same for any number of threads.
+    Simd simd;         // An instruction set that this machine supports.
+};
+
+struct Image {
+    float* features;       // (height, width, channels without geometry).
+    float* alpha;          // (height, width).
+    float* transmittance;  // (height, width): 1 - alpha, without the rounding error of this difference.
+    float* normal;         // (height, width, 3). Null without geometry.
+    float* depth;          // (height, width). Where alpha is 0, depth is 0. Null without geometry.
+};
+
+// The image of the forward pass, and the gradients with respect to it.
+struct ImageGradient {
+    const float* features;
+    const float* alpha;
+    const float* normal;  // Null without geometry.
+    const float* depth;   // Null without geometry.
+    Image rendered;
+};
+
+struct MeshGradient {
+    float* xyz;
+    float* features;
+    float* opacity;
+    float* sigma;
+};
+
+struct Workspace;  // Reusable memory, which cpu/workspace.h defines.
+
+// Renders the triangles, and writes to `weight` (count,) the largest compositing weight of each triangle in any pixel.
+void render(const Mesh& mesh, const Settings& settings, Workspace& workspace, const Image& out, float* weight);
+
+void render_backward(const Mesh& mesh, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,
+                     const MeshGradient& out);
+
+}  // namespace fourd::splat_triangles

@@ -1,0 +1,50 @@
+"""Benchmark work of the soft triangle renderers."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.benchmarks.timing import Work
+from fourd.benchmarks.workloads import SEED, make_camera, make_points
+from fourd.raster.triangles import splat_triangles
+
+CIRCUMRADIUS = 2.2
+"""Circumradius of the triangles, as a multiple of the spacing of their centres. The triangles overlap about 8 deep."""
+
+
+def make_soup(count: int) -> dict[str, Tensor]:
+    """Make the array arguments of ``splat_triangles``: equilateral triangles in the tangent planes of the ellipsoid of
+    :func:`fourd.benchmarks.workloads.make_points`, in random colours, without shared vertices."""
+    rng = np.random.default_rng(SEED)
+    centres = make_points(count)[0].astype(np.float64)
+    normals = _unit(centres)
+    across = _unit(np.cross(normals, rng.standard_normal((count, 3))))
+    along = np.cross(normals, across)
+    angles = rng.uniform(0, 2 * np.pi, (count, 1)) + np.array([0, 2 * np.pi / 3, 4 * np.pi / 3])
+    offsets = np.cos(angles)[..., None] * across[:, None] + np.sin(angles)[..., None] * along[:, None]
+    xyz = centres[:, None] + CIRCUMRADIUS * (8.0 / count) ** 0.5 * offsets
+    return {
+        "xyz": torch.from_numpy(xyz.reshape(-1, 3).astype(np.float32)),
+        "tri": torch.arange(3 * count, dtype=torch.int32).reshape(count, 3),
+        "features": torch.from_numpy(rng.random((count, 3), dtype=np.float32)),
+        "opacity": torch.from_numpy(rng.uniform(0.28, 0.78, count).astype(np.float32)),
+        "sigma": torch.full((count,), 1.16),
+    }
+
+
+def splatting(count: int, side: int, backward: bool) -> Work:
+    """Return a function that splats ``count`` triangles without geometry, or only computes the gradients."""
+    soup, camera = make_soup(count), make_camera(side, side)
+    if not backward:
+        return lambda: splat_triangles(**soup, camera=camera, geometry=False)  # type: ignore[arg-type]
+    free = [array.requires_grad_() for name, array in soup.items() if name != "tri"]
+    image = splat_triangles(**soup, camera=camera, geometry=False)  # type: ignore[arg-type]
+    total = image.features.sum() + image.alpha.sum()
+    return lambda: torch.autograd.grad(total, free, retain_graph=True)
+
+
+def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)

@@ -1,0 +1,1 @@
+"""Differentiable triangle splatting (``csrc/splat_triangles``)."""

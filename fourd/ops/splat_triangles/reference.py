@@ -1,0 +1,148 @@
+"""The reference of triangle splatting in plain torch, which is slow and simple.
+
+The reference works in float32 and float64 on any device and is differentiable by autograd. In float32, the reference
+computes the window of a triangle by the same operations in the same order as ``csrc/splat_triangles/maths.h``. The
+kernels and the reference therefore composite the same triangles at every pixel.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+
+MAX_ALPHA = 0.99
+MIN_TRANSMITTANCE = 1e-4
+SMALLEST_WINDOW = 1e-7
+THINNEST_PX = 1e-4
+FARTHEST_PX = 2.0**24
+CHUNK = 1 << 21
+"""Maximum product of the number of pixels and the number of triangles per chunk, which limits memory."""
+
+
+class Projected(NamedTuple):
+    """M triangles projected to the image: incentre (x, y), slopes (M, 3) of the three scaled edge distances, and the
+    smallest window (M,) that has an alpha of at least 1/255."""
+
+    x: Tensor
+    y: Tensor
+    slope_x: Tensor
+    slope_y: Tensor
+    smallest: Tensor
+    opacity: Tensor
+    sigma: Tensor
+
+
+def splat_triangles_reference(
+    xyz: Tensor,
+    tri: Tensor,
+    features: Tensor,
+    opacity: Tensor,
+    sigma: Tensor,
+    camera: Camera,
+    layers: int,
+    near: float,
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Compute the composited features (H, W, C), the alpha (H, W) and the weight (T,)."""
+    kept = _cull(_project_corners(xyz.detach(), tri, camera), opacity.detach(), sigma.detach(), near)
+    projected = _project(_project_corners(xyz, tri[kept], camera), opacity[kept], sigma[kept])
+    colours, alphas, best = [], [], xyz.new_zeros(len(kept))
+    for pixels in _pixels(camera, xyz).split(max(1, CHUNK // (len(kept) + 1))):
+        colour, alpha, weights = _composite(projected, features[kept], pixels, layers)
+        colours.append(colour)
+        alphas.append(alpha)
+        if len(kept) > 0:
+            best = torch.maximum(best, weights.detach().amax(dim=0))
+    shape = (camera.height, camera.width)
+    # Adding zero keeps the image connected to the inputs in autograd if every triangle is culled.
+    zero = sum((array[:0].sum() for array in (features, opacity, sigma)), start=xyz[:0].sum())
+    weight = xyz.new_zeros(len(tri)).index_copy(0, kept, best)
+    return torch.cat(colours).reshape(*shape, -1) + zero, torch.cat(alphas).reshape(shape) + zero, weight
+
+
+def _project_corners(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
+    """Return the pixel coordinates u, v and the camera depth of the corners, (T, 3 corners, 3)."""
+    k = torch.as_tensor(camera.intrinsics.copy()).to(xyz)
+    r = torch.as_tensor(camera.rotation.copy()).to(xyz)
+    t = torch.as_tensor(camera.translation.copy()).to(xyz)
+    corners = xyz[tri.long()]
+    x, y, z = (
+        r[i, 0] * corners[..., 0] + r[i, 1] * corners[..., 1] + r[i, 2] * corners[..., 2] + t[i] for i in range(3)
+    )
+    u = (k[0, 0] * x + k[0, 1] * y) / z + k[0, 2]
+    v = (k[1, 0] * x + k[1, 1] * y) / z + k[1, 2]
+    return torch.stack([u, v, z], dim=-1)
+
+
+def _cull(corners: Tensor, opacity: Tensor, sigma: Tensor, near: float) -> Tensor:
+    """Return the indices of the triangles that are not culled, nearest first. Triangles of equal depth are sorted by
+    index."""
+    u, v, z = corners.unbind(-1)
+    _, _, length, area = _edges(u, v)
+    perimeter = length[:, 0] + length[:, 1] + length[:, 2]
+    keep = (area.abs() > torch.as_tensor(THINNEST_PX, dtype=u.dtype) * perimeter) & (opacity * 255 >= 1) & (sigma > 0)
+    keep &= torch.isfinite(opacity * 255) & torch.isfinite(sigma)
+    keep &= ((z >= torch.as_tensor(near, dtype=z.dtype)) & (z <= 1e38)).all(dim=1)
+    keep &= ((u.abs() <= FARTHEST_PX) & (v.abs() <= FARTHEST_PX)).all(dim=1)
+    index = torch.nonzero(keep)[:, 0]
+    depth = (z[:, 0] + z[:, 1] + z[:, 2]) / 3
+    return index[torch.argsort(depth[index], stable=True)]
+
+
+def _edges(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return x, y and length of the edges (M, 3), and the doubled signed area (M,). Edge k runs from vertex k + 1 to
+    vertex k + 2."""
+    x = u[:, [2, 0, 1]] - u[:, [1, 2, 0]]
+    y = v[:, [2, 0, 1]] - v[:, [1, 2, 0]]
+    length = (x * x + y * y).sqrt()
+    return x, y, length, x[:, 1] * y[:, 2] - x[:, 2] * y[:, 1]
+
+
+def _project(corners: Tensor, opacity: Tensor, sigma: Tensor) -> Projected:
+    u, v, _ = corners.unbind(-1)
+    x, y, length, area = _edges(u, v)
+    perimeter = length[:, 0] + length[:, 1] + length[:, 2]
+    centre_x = u[:, 0] + (length[:, 1] * x[:, 2] - length[:, 2] * x[:, 1]) / perimeter
+    centre_y = v[:, 0] + (length[:, 1] * y[:, 2] - length[:, 2] * y[:, 1]) / perimeter
+    scale = perimeter[:, None] / (area[:, None] * length)
+    # The logarithm in float64: a window at which alpha is 1/255.
+    power = torch.exp2(-torch.log2(opacity.detach().double() * 255) / sigma.detach().double())
+    smallest = power.clamp(min=SMALLEST_WINDOW).to(opacity)
+    return Projected(centre_x, centre_y, -y * scale, x * scale, smallest, opacity, sigma)
+
+
+def _pixels(camera: Camera, like: Tensor) -> Tensor:
+    """Return the pixel centres (H W, 2), row by row."""
+    rows = torch.arange(camera.height, dtype=like.dtype, device=like.device) + 0.5
+    columns = torch.arange(camera.width, dtype=like.dtype, device=like.device) + 0.5
+    return torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).reshape(-1, 2)
+
+
+def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Composite front to back. Returns features (P, C), alpha (P,) and weights (P, M)."""
+    dx = pixels[:, :1] - projected.x
+    dy = pixels[:, 1:] - projected.y
+    a = [1 + projected.slope_x[:, k] * dx + projected.slope_y[:, k] * dy for k in range(3)]
+    # torch.where gives the whole gradient to the first of equal values.
+    rest = torch.where(a[1] <= a[2], a[1], a[2])
+    window = torch.where(a[0] <= rest, a[0], rest)
+    hit = window >= projected.smallest
+    safe = torch.where(hit, window, torch.ones_like(window))
+    value = projected.opacity * torch.exp2(projected.sigma * torch.log2(safe))
+    alpha = torch.where(hit, torch.where(value <= MAX_ALPHA, value, torch.full_like(value, MAX_ALPHA)), 0)
+    transmittance = pixels.new_ones(len(pixels))
+    remaining = torch.full((len(pixels),), layers, device=pixels.device)
+    columns, colour = [], pixels.new_zeros(len(pixels), features.shape[1])
+    for index in range(alpha.shape[1]):
+        # All triangles in depth order. A pixel that is complete takes no more triangles.
+        taken = hit[:, index] & (transmittance > MIN_TRANSMITTANCE) & (remaining > 0)
+        weight = torch.where(taken, transmittance * alpha[:, index], 0)
+        colour = colour + torch.where(taken[:, None], weight[:, None] * features[index], 0)
+        transmittance = torch.where(taken, transmittance * (1 - alpha[:, index]), transmittance)
+        remaining = remaining - taken.to(remaining.dtype)
+        columns.append(weight.detach())
+    weights = torch.stack(columns, dim=1) if columns else pixels.new_zeros(len(pixels), 0)
+    return colour, 1 - transmittance, weights
