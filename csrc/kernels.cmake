@@ -78,4 +78,6 @@ fourd_kernel(splat_triangles
 fourd_kernel(texture
   CPU cpu/backward.cpp cpu/sample.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
-  BINDING binding.cpp)
+  CUDA cuda/sample.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)

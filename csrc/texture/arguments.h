@@ -1,5 +1,5 @@
-// Checks and converts the arguments of texture lookups, for the CPU and a GPU. fourd/raster/triangles/textures.py checks
-// values. This file checks shapes, because a kernel would read past the end of an array with a wrong shape.
+// Checks and converts the arguments of texture lookups, for the CPU and a GPU. fourd/raster/triangles/textures.py
+// checks values. This file checks shapes, because a kernel would read past the end of an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -87,6 +87,13 @@ struct TextureArguments {
         for (const auto& level : levels) {
             out.push_back({level.shape(0), level.shape(1), level.shape(2), level.shape(3), level.shape(4)});
         }
+        return out;
+    }
+
+    // The extents of a texture and of the levels that are built from it.
+    static std::vector<Extents> chain_extents(const Level& base, const std::vector<LevelOut>& mips) {
+        std::vector<Extents> out = extents_of(mips);
+        out.insert(out.begin(), extents_of(std::vector<Level>{base})[0]);
         return out;
     }
 

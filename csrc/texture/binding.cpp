@@ -41,9 +41,7 @@ void sample_texture_backward(const std::vector<Arguments::Level>& levels, const 
 
 void build_mips(const Arguments::Level& texture, int threads, const std::string& simd,
                 const std::vector<Arguments::LevelOut>& out) {
-    std::vector<Arguments::Extents> levels = Arguments::extents_of(out);
-    levels.insert(levels.begin(), Arguments::extents_of(std::vector<Arguments::Level>{texture})[0]);
-    const texture::Shape shape = Arguments::shape_of(levels);
+    const texture::Shape shape = Arguments::shape_of(Arguments::chain_extents(texture, out));
     std::vector<float*> mips;
     for (const Arguments::LevelOut& level : out) mips.push_back(level.data());
     const int team = clamp_threads(threads);

@@ -137,15 +137,18 @@ struct Axis {
     float slope[2];  // Derivatives of the weights by the coordinate.
 };
 
-// The fraction of a finite coordinate, in [0, 1]. Coordinates from 2^23 on are integers.
-FOURD_HD FOURD_INLINE float fraction_of(float u) {
-    const float small = absolute(u) < 8388608.0f ? u : 0.0f;
-    return small - static_cast<float>(floor_of(small));
-}
-
 FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
     x = x > low ? x : low;
     return x < high ? x : high;
+}
+
+// A finite coordinate as the axes below expect it: with Boundary::wrap, its fraction in [0, 1]. Coordinates from 2^23
+// on are integers.
+template <Boundary boundary>
+FOURD_HD FOURD_INLINE float wrapped(float u) {
+    if (boundary != Boundary::wrap) return u;
+    const float at = clamp_to(u, -8388608.0f, 8388608.0f);
+    return at - static_cast<float>(floor_of(at));
 }
 
 FOURD_HD FOURD_INLINE int clamp_index(int i, int size) {
@@ -153,7 +156,7 @@ FOURD_HD FOURD_INLINE int clamp_index(int i, int size) {
     return i < size ? i : size - 1;
 }
 
-// The axis of a bilinear lookup at a finite coordinate u. For Boundary::cube, indices can be -1 or `size`.
+// The axis of a bilinear lookup at a coordinate from wrapped(). For Boundary::cube, indices can be -1 or `size`.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
     const float scale = static_cast<float>(size);
@@ -163,8 +166,8 @@ FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
         const float fraction = at - static_cast<float>(low), slope = x == at ? scale : 0.0f;
         return {{low, clamp_index(low + 1, size)}, {1.0f - fraction, fraction}, {-slope, slope}};
     }
-    const float wrapped = boundary == Boundary::wrap ? fraction_of(u) : u;
-    const float wanted = wrapped * scale - 0.5f, x = clamp_to(wanted, -1.0f, scale);
+    const float wanted = u * scale - 0.5f;
+    const float x = boundary == Boundary::wrap ? wanted : clamp_to(wanted, -1.0f, scale);
     const int low = floor_of(x), high = low + 1;
     const float fraction = x - static_cast<float>(low);
     if (boundary == Boundary::zero) {
@@ -176,16 +179,17 @@ FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
     }
     const Axis out = {{low, high}, {1.0f - fraction, fraction}, {-scale, scale}};
     if (boundary == Boundary::cube) return out;
-    return {{low < 0 ? size - 1 : low, high < size ? high : 0},
+    // Bit masks instead of selections, which compilers turn into branches that prevent vectorisation.
+    return {{low + (size & (low >> 31)), high - (size & ((size - 1 - high) >> 31))},
             {out.weight[0], out.weight[1]},
             {out.slope[0], out.slope[1]}};
 }
 
-// The axis of a nearest lookup at a finite coordinate u. The second texel has the weight 0.
+// The axis of a nearest lookup at a coordinate from wrapped(). The second texel has the weight 0.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE Axis nearest_axis(float u, int size) {
     const float scale = static_cast<float>(size);
-    const float x = (boundary == Boundary::wrap ? fraction_of(u) : u) * scale;
+    const float x = u * scale;
     const int index = static_cast<int>(clamp_to(x, 0.0f, scale - 1.0f));
     const bool is_inside = boundary != Boundary::zero || (x >= 0.0f && x < scale);
     return {{index, index}, {is_inside ? 1.0f : 0.0f, 0.0f}, {0.0f, 0.0f}};
@@ -204,8 +208,8 @@ struct Texels {
     float along_t[4];
 };
 
-// The texels of a lookup whose axes are independent. `first` is the index of the first texel of the image, and `is_used`
-// is 1, or 0 for a position that is not finite.
+// The texels of a lookup whose axes are independent. `first` is the index of the first texel of the image, and
+// `is_used` is 1, or 0 for a position that is not finite.
 FOURD_HD FOURD_INLINE Texels texels_of(const Axis& s, const Axis& t, int first, int width, float is_used) {
     Texels out;
     for (int k = 0; k < 4; ++k) {

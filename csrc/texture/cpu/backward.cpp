@@ -1,7 +1,7 @@
-// The backward pass on the CPU. The texels of each level are divided into bands. A first pass over the pixels writes the
-// gradients of the positions, and lists for each band the pixels that read its texels. In a second pass, one worker at
-// a time adds all pixels of a band to the band's texels, in the order of the pixels. Nothing depends on the number of
-// threads. Writing needs no locks, and the sums of a band stay in the L2 cache.
+// The backward pass on the CPU. The texels of each level are divided into bands. A first pass over the pixels writes
+// the gradients of the positions, and lists for each band the pixels that read its texels. In a second pass, a worker
+// adds all pixels of a band to the band's texels, in the order of the pixels. Nothing depends on the number of threads.
+// Writing needs no locks, and the sums of a band stay in the L2 cache.
 #include <cstring>
 
 #include "common/buffer.h"
@@ -93,12 +93,12 @@ class Scatter {
   public:
     Scatter(const Query& query, const std::vector<Task>& tasks, const Bands& bands, const EntryTable& table)
         : query_(query), tasks_(tasks), bands_(bands), table_(table) {
-        const std::size_t items = query.texture.shape.items;
-        const std::size_t tasks_per_item = tasks.size() / items;
-        for (std::size_t item = 0; item < items; ++item) {
-            for (int level = 0; level < query.texture.shape.level_count; ++level) {
+        const Shape& shape = query.texture.shape;
+        const std::size_t tasks_per_item = tasks.size() / shape.items;
+        for (std::size_t item = 0; item < shape.items; ++item) {
+            for (int level = 0; level < shape.level_count; ++level) {
                 const std::size_t first = bands.first[level];
-                const std::size_t last = level + 1 < query.texture.shape.level_count ? bands.first[level + 1] : bands.count;
+                const std::size_t last = level + 1 < shape.level_count ? bands.first[level + 1] : bands.count;
                 for (std::size_t band = first; band < last; ++band) {
                     add_parts(item, level, band, item * tasks_per_item, (item + 1) * tasks_per_item);
                 }

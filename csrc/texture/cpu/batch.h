@@ -10,6 +10,8 @@ namespace {
 
 constexpr int kRun = 64;  // Number of pixels per batch. A batch stays in the L1 cache.
 
+FOURD_INLINE int slots_of(const Query& query) { return query.filter == Filter::linear_mipmap_linear ? 2 : 1; }
+
 struct BatchTexels {
     int index[4][kRun];
     float weight[4][kRun], along_s[4][kRun], along_t[4][kRun];
@@ -46,6 +48,10 @@ FOURD_INLINE void locate(Batch& b) {
         b.s[i] = is_used ? b.uv[0][i] : 0.0f;
         b.t[i] = is_used ? b.uv[1][i] : 0.0f;
         b.is_used[i] = is_used ? 1.0f : 0.0f;
+    }
+    for (int i = 0; i < b.count; ++i) {
+        b.s[i] = wrapped<boundary>(b.s[i]);
+        b.t[i] = wrapped<boundary>(b.t[i]);
     }
 }
 
@@ -122,6 +128,13 @@ FOURD_INLINE void find_texels(const Query& query, Batch& b, int slot) {
         find_texels_of<boundary, true, with_slopes>(query, b, slot);
     } else {
         find_texels_of<boundary, false, with_slopes>(query, b, slot);
+    }
+}
+
+// Multiplies the weights of the texels by the weight of their level.
+FOURD_INLINE void blend_weights(Batch& b, int slot) {
+    for (int k = 0; k < 4; ++k) {
+        for (int i = 0; i < b.count; ++i) b.texels[slot].weight[k][i] *= b.blend[slot][i];
     }
 }
 

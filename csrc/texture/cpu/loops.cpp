@@ -3,6 +3,7 @@
 #include <cstring>
 
 #include "texture/cpu/batch.h"
+#include "texture/cpu/entries.h"
 #include "texture/cpu/mips.h"
 
 namespace fourd::texture::FOURD_SIMD {
@@ -14,8 +15,6 @@ FOURD_INLINE void load_uv(Batch& b, const float* uv, int coordinates) {
         for (int i = 0; i < b.count; ++i) b.uv[axis][i] = uv[coordinates * i + axis];
     }
 }
-
-FOURD_INLINE int slots_of(const Query& query) { return query.filter == Filter::linear_mipmap_linear ? 2 : 1; }
 
 // Finds the levels and texels of `count` pixels from the pixel with the index `pixel` in all pictures on.
 template <Boundary boundary, bool with_slopes>
@@ -32,13 +31,6 @@ FOURD_INLINE void prepare(const Query& query, std::size_t pixel, int count, Batc
         use_base_level(b);
     }
     for (int slot = 0; slot < slots_of(query); ++slot) find_texels<boundary, with_slopes>(query, b, slot);
-}
-
-// Multiplies the weights of the texels by the weight of their level.
-FOURD_INLINE void blend_weights(Batch& b, int slot) {
-    for (int k = 0; k < 4; ++k) {
-        for (int i = 0; i < b.count; ++i) b.texels[slot].weight[k][i] *= b.blend[slot][i];
-    }
 }
 
 // The levels of the texture of a picture.
@@ -159,8 +151,8 @@ FOURD_INLINE void write_gradients(const Query& query, const Batch& b, const Posi
                 const int size = query.texture.shape.width;
                 const Footprint slopes = level_slopes(cube_footprint(at, uv_da, size));
                 const float g = from.level[i];
-                cube_footprint_backward(at, uv_da, size, {g * slopes.s_x, g * slopes.s_y, g * slopes.t_x, g * slopes.t_y},
-                                        to_uv, to_uv_da);
+                const Footprint gradient = {g * slopes.s_x, g * slopes.s_y, g * slopes.t_x, g * slopes.t_y};
+                cube_footprint_backward(at, uv_da, size, gradient, to_uv, to_uv_da);
             }
             if (out.uv) std::memcpy(out.uv + 3 * (pixel + i), to_uv, sizeof to_uv);
             if (out.uv_da) std::memcpy(out.uv_da + 6 * (pixel + i), to_uv_da, sizeof to_uv_da);
@@ -193,41 +185,6 @@ FOURD_INLINE void write_gradients(const Query& query, const Batch& b, const Posi
     }
 }
 
-FOURD_INLINE bool is_zero(const float* values, std::size_t count) {
-    bool is_zero = true;
-    for (std::size_t c = 0; c < count; ++c) is_zero = is_zero && values[c] == 0.0f;
-    return is_zero;
-}
-
-FOURD_INLINE void append(EntryList& list, std::uint32_t band, Entry entry) {
-    list.bands[list.count] = band;
-    list.entries[list.count++] = entry;
-}
-
-// Lists the bands of the texels of each pixel. `first` is the index of the batch's first pixel in its task.
-FOURD_INLINE void list_entries(const Query& query, const Batch& b, const float* gradient, const Bands& bands, int first,
-                               EntryList& list) {
-    const std::size_t channels = static_cast<std::size_t>(query.texture.shape.channels);
-    const int slots = slots_of(query);
-    for (int i = 0; i < b.count; ++i) {
-        if (is_zero(gradient + static_cast<std::size_t>(i) * channels, channels)) continue;
-        for (int slot = 0; slot < slots; ++slot) {
-            if (b.blend[slot][i] == 0.0f || b.is_used[i] == 0.0f) continue;
-            const int level = b.slot_level[slot][i], shift = bands.shift[level];
-            const Entry entry = static_cast<Entry>(2 * (first + i) + slot);
-            std::uint32_t band[4];
-            for (int k = 0; k < 4; ++k) {
-                const int index = b.texels[slot].index[k][i] >> shift;
-                band[k] = static_cast<std::uint32_t>(bands.first[level] + index);
-            }
-            append(list, band[0], entry);
-            if (band[1] != band[0]) append(list, band[1], entry);
-            if (band[2] != band[0] && band[2] != band[1]) append(list, band[2], entry);
-            if (band[3] != band[0] && band[3] != band[1] && band[3] != band[2]) append(list, band[3], entry);
-        }
-    }
-}
-
 void pixel_gradients(const Query& query, const Task& task, const float* gradient, const Gradients& out, float* levels,
                      const Bands& bands, EntryList* entries) {
     const Bases bases(query.texture, task.picture);
@@ -256,48 +213,6 @@ void pixel_gradients(const Query& query, const Task& task, const float* gradient
     });
 }
 
-// Gathers the positions and levels of some entries of a task, and finds their texels.
-template <Boundary boundary>
-FOURD_INLINE void prepare_entries(const Query& query, std::size_t first, const Entry* entries, const float* levels,
-                                  int level, Batch& b) {
-    const std::size_t coordinates = boundary == Boundary::cube ? 3 : 2;
-    for (int i = 0; i < b.count; ++i) {
-        const float* uv = query.uv + coordinates * (first + entries[i] / 2);
-        for (std::size_t axis = 0; axis < coordinates; ++axis) b.uv[axis][i] = uv[axis];
-    }
-    locate<boundary>(b);
-    if (uses_mips(query.filter)) {
-        for (int i = 0; i < b.count; ++i) b.level[i] = levels[first + entries[i] / 2];
-        choose_levels(query, b);
-        for (int i = 0; i < b.count; ++i) b.blend[0][i] = b.blend[entries[i] % 2][i];
-        for (int i = 0; i < b.count; ++i) b.slot_level[0][i] = level;
-    } else {
-        use_base_level(b);
-    }
-    find_texels<boundary, false>(query, b, 0);
-    blend_weights(b, 0);
-}
-
-template <int Channels>
-FOURD_INLINE void add_entries(const Query& query, const Batch& b, std::size_t first, const Entry* entries,
-                              const float* gradient, const BandSums& band) {
-    const std::size_t channels = Channels ? Channels : static_cast<std::size_t>(query.texture.shape.channels);
-    const std::size_t stride = Channels == 3 ? 4 : channels;
-    for (int i = 0; i < b.count; ++i) {
-        const float* from = gradient + (first + entries[i] / 2) * channels;
-        float fixed[Channels ? (Channels == 3 ? 4 : Channels) : 1] = {};
-        if (Channels) std::memcpy(fixed, from, channels * sizeof(float));
-        const float* g = Channels ? fixed : from;
-        for (int k = 0; k < 4; ++k) {
-            const int index = b.texels[0].index[k][i];
-            if (index < band.begin || index >= band.end) continue;
-            float* to = band.sums + static_cast<std::size_t>(index - band.begin) * stride;
-            const float weight = b.texels[0].weight[k][i];
-            for (std::size_t c = 0; c < stride; ++c) to[c] += weight * g[c];
-        }
-    }
-}
-
 void scatter(const Query& query, const Task& task, const Entry* entries, std::size_t count, const float* gradient,
              const float* levels, const BandSums& band) {
     const std::size_t first = task.picture * query.pixels + task.begin;
@@ -305,6 +220,8 @@ void scatter(const Query& query, const Task& task, const Entry* entries, std::si
         Batch b;
         for (std::size_t begin = 0; begin < count; begin += kRun) {
             b.count = static_cast<int>(count - begin < kRun ? count - begin : kRun);
+            const Entry* const next = entries + begin + b.count;
+            prefetch_entries(query, first, next, count - begin - b.count, gradient, levels);
             prepare_entries<decltype(boundary)::value>(query, first, entries + begin, levels, band.level, b);
             with_channels(query.texture.shape.channels, [&](auto fixed) FOURD_INLINE_LAMBDA {
                 add_entries<decltype(fixed)::value>(query, b, first, entries + begin, gradient, band);

@@ -49,14 +49,14 @@ FOURD_INLINE std::size_t stride_of(int channels) { return channels == 3 ? 4 : st
 struct Loops {
     void (*sample)(const Query&, const Task&, float* out);
     // Writes the gradients of uv, uv_da and bias, and the clamped mip level of each pixel to `levels` (pictures,
-    // pixels), unless it is null. Lists the entries of the task in `entries`, unless it is null. Pixels with a zero gradient have none.
+    // pixels), unless `levels` is null. Lists the entries of the task in `entries`, unless `entries` is null. Pixels
+    // with a zero gradient have no entries.
     void (*pixel_gradients)(const Query&, const Task&, const float* gradient, const Gradients& out, float* levels,
                             const Bands&, EntryList* entries);
     // Adds the contributions of some entries of a task to the sums of a band.
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
-    // Computes some rows of a level from the finer level. The image has two rows of the finer level for each row, unless
-    // the finer level has only one row.
+    // Computes some rows of a level from the finer level, which has two rows for each row if halves_rows, else one.
     void (*halve)(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out);
     // Adds to some rows of the gradient of a level the gradient of the coarser level.
     void (*halve_backward)(const float* coarse, int fine_width, bool halves_rows, int channels, std::size_t rows,

@@ -26,7 +26,8 @@ struct HalvedRows {
     bool halves_rows;
 };
 
-// Calls work(rows) for all rows of a level, on all workers of the team. The rows of all faces and items are consecutive.
+// Calls work(rows) for all rows of a level, on all workers of the team. The rows of all faces and items are
+// consecutive.
 template <typename Work>
 void for_halved_rows(const Shape& shape, int level, Team& team, const Work& work) {
     constexpr std::size_t kFloatsPerTask = std::size_t{1} << 15;

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fourd.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
@@ -24,6 +25,11 @@ def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
     even in all levels but the last. Not differentiable: the gradient of :func:`sample_texture` includes the chain.
     """
     mips = _empty_mips(tex, level_count)
+    if uses_gpu_kernels(tex):
+        gpu = load_gpu(tex.device)
+        with gpu.activate():
+            gpu.kernels.build_mips(contiguous(_image(tex)), gpu.stream, [_image(mip) for mip in mips])
+        return mips
     outputs = [_image(mip).numpy() for mip in mips]
     load_native().build_mips(as_array(_image(tex)), _threads(threads), simd_name(), outputs)
     return mips
@@ -54,10 +60,15 @@ def sample_texture(
             gradient of ``tex``. Otherwise, ``mips`` get gradients of their own.
     """
     out = _empty_picture(tex, uv)
-    arrays = ([as_array(_image(level)) for level in (tex, *mips)], *_pixel_arrays(uv, uv_da, bias))
-    load_native().sample_texture(
-        *arrays, filter_mode, boundary_mode, _threads(threads), simd_name(), as_array(out.flatten(1, 2))
-    )
+    modes = (filter_mode, boundary_mode)
+    if uses_gpu_kernels(tex):
+        gpu = load_gpu(tex.device)
+        tensors = ([contiguous(_image(level)) for level in (tex, *mips)], *_pixel_rows(uv, uv_da, bias))
+        with gpu.activate():
+            gpu.kernels.sample_texture(*tensors, *modes, gpu.stream, out.flatten(1, 2))
+        return out
+    arrays = ([as_array(_image(level)) for level in (tex, *mips)], *map(_optional_array, _pixel_rows(uv, uv_da, bias)))
+    load_native().sample_texture(*arrays, *modes, _threads(threads), simd_name(), as_array(out.flatten(1, 2)))
     return out
 
 
@@ -93,20 +104,27 @@ def _sample_backward(
     """Compute the gradients of uv, uv_da, bias, tex and the mips. Gradients that are not in ``needs`` (for uv, uv_da,
     bias and the texture) are empty tensors. The list of the operator's results has no mips if ``is_chain``."""
     out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
-    to_uv, to_uv_da, to_bias, *to_levels = out
+    to_levels = [_image(level) for level in out[3:]] if needs[3] else []
+    to_pixels = [one.flatten(1, 2) if needed else None for one, needed in zip(out[:3], needs[:3], strict=True)]
+    modes = (filter_mode, boundary_mode)
+    if uses_gpu_kernels(tex):
+        gpu = load_gpu(tex.device)
+        tensors = ([contiguous(_image(level)) for level in (tex, *mips)], *_pixel_rows(uv, uv_da, bias))
+        with gpu.activate():
+            gpu.kernels.sample_texture_backward(
+                *tensors, *modes, gpu.stream, contiguous(gradient.flatten(1, 2)), is_chain, to_levels, *to_pixels
+            )
+        return out[:4] if is_chain else out
     load_native().sample_texture_backward(
         [as_array(_image(level)) for level in (tex, *mips)],
-        *_pixel_arrays(uv, uv_da, bias),
-        filter_mode,
-        boundary_mode,
+        *map(_optional_array, _pixel_rows(uv, uv_da, bias)),
+        *modes,
         _threads(threads),
         simd_name(),
         as_array(gradient.flatten(1, 2)),
         is_chain,
-        [_image(level).numpy() for level in to_levels] if needs[3] else [],
-        to_uv.flatten(1, 2).numpy() if needs[0] else None,
-        to_uv_da.flatten(1, 2).numpy() if needs[1] else None,
-        to_bias.flatten(1, 2).numpy() if needs[2] else None,
+        [level.numpy() for level in to_levels],
+        *map(_optional_array, to_pixels),
     )
     return out[:4] if is_chain else out
 
@@ -168,9 +186,13 @@ def _threads(threads: int) -> int:
     return thread_count(threads, torch.get_num_threads())
 
 
-def _pixel_arrays(uv: Tensor, uv_da: Tensor | None, bias: Tensor | None) -> tuple[Any, Any, Any]:
-    """Return arrays (pictures, pixels, numbers) and, for the bias, (pictures, pixels)."""
-    return tuple(None if value is None else as_array(value.flatten(1, 2)) for value in (uv, uv_da, bias))  # type: ignore[return-value]
+def _pixel_rows(uv: Tensor, uv_da: Tensor | None, bias: Tensor | None) -> tuple[Tensor | None, ...]:
+    """Return contiguous tensors (pictures, pixels, numbers) and, for the bias, (pictures, pixels)."""
+    return tuple(None if value is None else contiguous(value).flatten(1, 2) for value in (uv, uv_da, bias))
+
+
+def _optional_array(value: Tensor | None) -> Any:
+    return None if value is None else as_array(value)
 
 
 def _empty_mips(tex: Tensor, level_count: int) -> list[Tensor]:

@@ -42,6 +42,31 @@ def test_kernel_equals_the_reference(
         assert_equal_but_for_rounding(*results)
 
 
+@pytest.mark.parametrize("boundary_mode", BOUNDARIES)
+@pytest.mark.parametrize("filter_mode", FILTERS)
+def test_gpu_equals_the_reference(
+    filter_mode: str, boundary_mode: str, gpu: torch.device, rng: np.random.Generator
+) -> None:
+    """Catches texels, levels and gradients of the CUDA kernels that differ from the reference, in any mode."""
+    lookup = random_lookup(rng, boundary_mode, 3, items=int(rng.integers(1, 3)), picture=(20, 30))
+    upstream = torch.from_numpy(rng.standard_normal((2, 20, 30, 3)).astype(np.float32))
+    on_gpu = Lookup(*(one.to(gpu) for one in lookup.tensors))
+    found = values_and_gradients(on_gpu, upstream.to(gpu), filter_mode, boundary_mode)
+    expected = values_and_gradients(lookup, upstream, filter_mode, boundary_mode, backend="reference")
+    assert_equal_but_for_rounding([one.cpu() for one in found], expected)
+
+
+def test_gpu_gives_own_mips_their_own_gradients(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches gradients of own mip levels that the CUDA kernels add to the texture."""
+    base, mips = torch.ones(1, 4, 4, 2), [torch.ones(1, 2, 2, 2), torch.ones(1, 1, 1, 2)]
+    leaves = [one.to(gpu).requires_grad_() for one in (base, *mips)]
+    bias = torch.full((1, 5, 5), 1.25, device=gpu)
+    uv = torch.from_numpy(rng.uniform(0, 1, (1, 5, 5, 2)).astype(np.float32)).to(gpu)
+    out = texture(leaves[0], uv, None, bias, leaves[1:])
+    sums = [float(one.sum()) for one in torch.autograd.grad(out.sum(), leaves)]
+    assert sums == pytest.approx([0, 0.75 * 50, 0.25 * 50], abs=1e-4)
+
+
 def test_large_textures_equal_the_reference(rng: np.random.Generator) -> None:
     """Catches texels at the borders of the bands that the backward pass divides a texture into, and bands whose
     pixels are summed in several parts."""

@@ -1,0 +1,15 @@
+// Texture lookup on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU memory.
+#pragma once
+
+#include "texture/texture.h"
+
+namespace fourd::texture::cuda {
+
+void sample(const Query& query, float* out, void* stream);
+
+// Sums over pixels have no fixed order, so the last bits of the gradients of levels can differ between calls.
+void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out, void* stream);
+
+void build_mips(const Shape& shape, const float* base, float* const* mips, void* stream);
+
+}  // namespace fourd::texture::cuda
