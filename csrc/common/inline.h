@@ -21,6 +21,13 @@
 #define FOURD_RESTRICT
 #endif
 
+// Write this macro before a loop over the lanes of a vector. GCC otherwise unrolls the loop before it can vectorise it.
+#if defined(__GNUC__) && !defined(__clang__)
+#define FOURD_KEEP_LOOP _Pragma("GCC unroll 1")
+#else
+#define FOURD_KEEP_LOOP
+#endif
+
 namespace fourd {
 
 // Prefetches the cache line at an address. The address does not need to be valid.
