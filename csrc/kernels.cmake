@@ -21,7 +21,9 @@ fourd_kernel(hashgrid
 fourd_kernel(interpolate
   CPU cpu/interpolate.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 EXACT
-  BINDING binding.cpp)
+  CUDA cuda/interpolate.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
 
 fourd_kernel(meshes
   CPU tile_slots.cpp)
@@ -49,7 +51,9 @@ fourd_kernel(points
 fourd_kernel(rasterize
   CPU cpu/bins.cpp cpu/rasterize.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 EXACT
-  BINDING binding.cpp)
+  CUDA cuda/rasterize.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
 
 fourd_kernel(shade
   CPU cpu/shade.cpp

@@ -70,6 +70,23 @@ FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #endif
 }
 
+// Adds 1 and returns the value before.
+FOURD_DEVICE static inline std::uint32_t atomic_increment(std::uint32_t* target) {
+#ifdef __CUDA_ARCH__
+    return atomicAdd(target, 1u);
+#else
+    return (*target)++;
+#endif
+}
+
+FOURD_DEVICE static inline void atomic_min(std::uint64_t* target, std::uint64_t value) {
+#ifdef __CUDA_ARCH__
+    atomicMin(reinterpret_cast<unsigned long long*>(target), static_cast<unsigned long long>(value));
+#else
+    *target = value < *target ? value : *target;
+#endif
+}
+
 // target and value must not be negative. For floats that are not negative, the order of the bits is the order of the
 // values.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "common/host_device.h"
 #include "common/simd.h"
 
 namespace fourd::interpolate {
@@ -24,8 +25,8 @@ struct Query {
     int threads;  // At least 1. The result is the same for any number of threads.
     Simd simd;    // An instruction set that this machine supports.
 
-    std::size_t pixels() const { return static_cast<std::size_t>(height) * static_cast<std::size_t>(width); }
-    const float* attr_of(std::size_t image) const { return attr + image * image_stride * channels; }
+    FOURD_HD std::size_t pixels() const { return static_cast<std::size_t>(height) * static_cast<std::size_t>(width); }
+    FOURD_HD const float* attr_of(std::size_t image) const { return attr + image * image_stride * channels; }
 };
 
 // Writes the attributes to `out` (images, height, width, channels), and their derivatives along x and y to `out_da`

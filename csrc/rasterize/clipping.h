@@ -62,19 +62,29 @@ FOURD_HD static inline int clip(const Screen& screen, const float* p0, const flo
     return count;
 }
 
-// Calls take(piece) for each piece of a triangle that may cover pixels. The arguments a, b and c are the snapped
+FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const Snapped& c) {
+    return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
+}
+
+// The pixel that the planes of a triangle refer to: the first pixel of its bounding box, or, for a clipped triangle,
+// the centre of the image.
+FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
+    piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);
+    piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);
+}
+
+// Calls take(piece, bounds) for each piece of a triangle that may cover pixels. The arguments a, b and c are the snapped
 // vertices. Triangles with an invalid vertex have no pieces.
 template <typename Take>
 FOURD_HD static inline void for_pieces(const Screen& screen, const Snapped& a, const Snapped& b, const Snapped& c,
                                        const float* p0, const float* p1, const float* p2, int triangle,
                                        const Take& take) {
     Piece piece;
-    if (a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside) {
+    if (all_inside(a, b, c)) {
         if (!make_piece(a, b, c, triangle, &piece)) return;
         const Bounds bounds = bounds_of(screen, piece);
         if (bounds.is_empty()) return;
-        piece.reference_x = static_cast<std::uint16_t>(bounds.left);
-        piece.reference_y = static_cast<std::uint16_t>(bounds.top);
+        set_reference(screen, false, bounds, &piece);
         take(piece, bounds);
         return;
     }
@@ -85,8 +95,7 @@ FOURD_HD static inline void for_pieces(const Screen& screen, const Snapped& a, c
         if (!make_piece(corners[0], corners[i], corners[i + 1], triangle, &piece)) continue;
         const Bounds bounds = bounds_of(screen, piece);
         if (bounds.is_empty()) continue;
-        piece.reference_x = static_cast<std::uint16_t>(screen.width / 2);
-        piece.reference_y = static_cast<std::uint16_t>(screen.height / 2);
+        set_reference(screen, true, bounds, &piece);
         take(piece, bounds);
     }
 }

@@ -5,6 +5,7 @@
 #include <cstddef>
 #include <cstdint>
 
+#include "common/host_device.h"
 #include "common/simd.h"
 
 namespace fourd::rasterize {
@@ -22,8 +23,8 @@ struct Query {
     int threads;                 // At least 1. The result is the same for any number of threads.
     Simd simd;                   // An instruction set that this machine supports.
 
-    std::size_t pixels() const { return static_cast<std::size_t>(height) * static_cast<std::size_t>(width); }
-    const float* pos_of(std::size_t image) const { return pos + 4 * image * image_stride; }
+    FOURD_HD std::size_t pixels() const { return static_cast<std::size_t>(height) * static_cast<std::size_t>(width); }
+    FOURD_HD const float* pos_of(std::size_t image) const { return pos + 4 * image * image_stride; }
 };
 
 // Writes u, v, z/w and the id's value of the nearest triangle to `rast` (images, height, width, 4). Writes du/dX,

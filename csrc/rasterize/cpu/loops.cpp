@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include "common/inline.h"
+#include "rasterize/gradient.h"
 
 namespace fourd::rasterize::FOURD_SIMD {
 namespace {

@@ -48,13 +48,13 @@ struct GradientTile {
     const std::int16_t* slot_of;   // (kTile, kTile): slot of each pixel, or -1.
     int column, row;               // The first pixel of the tile.
     Records records;               // Scratch memory for at least `slots` records.
-    float* sums;                   // Scratch memory for at least (slots, kSums) floats.
+    float* sums;                   // Scratch memory for at least (slots, kSumStride) floats.
     const float* grad_rast;        // (height, width, 4).
     const float* grad_db;          // (height, width, 4); may be null.
     float* out;                    // (slots, 12): gradients of x, y, z and w of the three vertices.
 };
 
-constexpr int kSums = 16;
+constexpr std::size_t kSumStride = 16;  // Floats per slot of GradientTile::sums, a multiple of a vector.
 
 struct Loops {
     // Rasterizes the pieces of a tile and writes all its pixels.

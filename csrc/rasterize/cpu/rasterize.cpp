@@ -86,7 +86,7 @@ void rasterize_backward(const Query& query, const float* rast, const float* grad
         slots.fill({rast + image * image_size, query.width, query.height, query.triangles}, place.column, place.row);
         if (slots.count() == 0) return;
         const std::size_t count = static_cast<std::size_t>(slots.count());
-        memory.sums.require(kSums * count);
+        memory.sums.require(kSumStride * count);
         values[index].triangles.assign(slots.triangles(), slots.triangles() + count);
         values[index].values = Buffer<float>(12 * count);
         loops.backward({make_screen(query.width, query.height), query.pos_of(image), query.tri, slots.triangles(),

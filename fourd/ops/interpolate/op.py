@@ -11,16 +11,22 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fourd.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
 from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
-@torch.library.custom_op("fourd::interpolate_attributes", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::interpolate_attributes", mutates_args=(), device_types=("cpu", "cuda"))
 def interpolate_attributes(
     attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int], threads: int
 ) -> tuple[Tensor, Tensor]:
     """Interpolate attr (B or 1, V, C) to (B, H, W, C), and the derivatives of the channels ``diff`` to (B, H, W, 2 *
     len(diff)). ``rast_db`` may be None if ``diff`` is empty."""
     out, out_da = _empty_images(attr, rast, diff)
+    if uses_gpu_kernels(attr):
+        gpu = load_gpu(attr.device)
+        with gpu.activate():
+            gpu.kernels.interpolate_attributes(*_gpu_arrays(attr, rast, tri, rast_db, diff), gpu.stream, out, out_da)
+        return out, out_da
     load_native().interpolate_attributes(
         *_arrays(attr, rast, tri, rast_db, diff),
         thread_count(threads, torch.get_num_threads()),
@@ -38,7 +44,7 @@ def _(
     return _empty_images(attr, rast, diff)
 
 
-@torch.library.custom_op("fourd::interpolate_attributes_backward", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::interpolate_attributes_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def interpolate_attributes_backward(
     attr: Tensor,
     rast: Tensor,
@@ -52,13 +58,25 @@ def interpolate_attributes_backward(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the gradients of attr, rast and rast_db. Those that are not ``needed`` are empty tensors."""
     gradients = _empty_gradients(attr, rast, needed)
+    targets = [gradient if is_needed else None for gradient, is_needed in zip(gradients, needed, strict=True)]
+    if uses_gpu_kernels(attr):
+        gpu = load_gpu(attr.device)
+        with gpu.activate():
+            gpu.kernels.interpolate_attributes_backward(
+                *_gpu_arrays(attr, rast, tri, rast_db, diff),
+                gpu.stream,
+                contiguous(grad_out),
+                contiguous(grad_da),
+                *targets,
+            )
+        return gradients
     load_native().interpolate_attributes_backward(
         *_arrays(attr, rast, tri, rast_db, diff),
         thread_count(threads, torch.get_num_threads()),
         simd_name(),
         as_array(grad_out),
         as_array(grad_da),
-        *(gradient.numpy() if is_needed else None for gradient, is_needed in zip(gradients, needed, strict=True)),
+        *(None if target is None else target.numpy() for target in targets),
     )
     return gradients
 
@@ -110,6 +128,13 @@ interpolate_attributes.register_autograd(_backward, setup_context=_setup)
 def _arrays(attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int]) -> list[Any]:
     channels = torch.tensor(list(diff), dtype=torch.int32)
     return [None if tensor is None else as_array(tensor) for tensor in (attr, rast, tri, rast_db, channels)]
+
+
+def _gpu_arrays(
+    attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int]
+) -> list[Tensor | None]:
+    channels = torch.tensor(list(diff), dtype=torch.int32, device=attr.device)
+    return [None if tensor is None else contiguous(tensor) for tensor in (attr, rast, tri, rast_db, channels)]
 
 
 def _empty_images(attr: Tensor, rast: Tensor, diff: Sequence[int]) -> tuple[Tensor, Tensor]:

@@ -75,11 +75,21 @@ def check_triangles(tri: object, vertices: int, like: tuple[str, Tensor], *, che
     if tri.shape[0] > MAX_TRIANGLES:
         raise ValueError(f"tri: expected at most {MAX_TRIANGLES} triangles, got {tri.shape[0]}")
     if check_values and tri.numel() > 0:
-        low, high = (int(bound) for bound in torch.aminmax(tri))
+        low, high = _value_range(tri)
         if low < 0 or high >= vertices:
             wrong = low if low < 0 else high
             raise ValueError(f"tri: expected vertex indices from 0 to {vertices - 1}, got {wrong}")
     return tri
+
+
+def _value_range(values: Tensor) -> tuple[int, int]:
+    """Return the smallest and the largest value of an integer tensor with at least one element."""
+    if values.device.type == "cpu":
+        # torch.aminmax would start the threads of OpenMP. They keep spinning and delay the threads of the kernels.
+        array = values.numpy()
+        return int(array.min()), int(array.max())
+    low, high = torch.aminmax(values)
+    return int(low), int(high)
 
 
 def check_resolution(resolution: object) -> tuple[int, int]:

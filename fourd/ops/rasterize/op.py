@@ -11,10 +11,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from fourd.ops.gpu import uses_gpu_kernels
 from fourd.ops.loading import as_array, load_native, simd_name, thread_count
+from fourd.ops.rasterize import cuda as gpu
 
 
-@torch.library.custom_op("fourd::rasterize_triangles", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::rasterize_triangles", mutates_args=(), device_types=("cpu", "cuda"))
 def rasterize_triangles(
     pos: Tensor,
     tri: Tensor,
@@ -26,10 +28,13 @@ def rasterize_triangles(
     grad_db: bool,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Rasterize pos (B, V, 4), or (1, V, 4) with ranges (B, 2). Returns rast (B, H, W, 4) and rast_db, which has the
-    same shape, or (B, H, W, 0) without ``output_db``. ``previous`` is the ``rast`` of the layer before."""
+    """Rasterize pos (B, V, 4), or (1, V, 4) with ranges (B, 2) on the CPU. ``previous`` is the ``rast`` of the layer
+    before. Returns rast (B, H, W, 4) and rast_db, which has the same shape, or (B, H, W, 0) without ``output_db``."""
     rast, rast_db = _empty_images(pos, ranges, height, width, output_db)
     inputs = (pos, tri, ranges, previous)
+    if uses_gpu_kernels(pos):
+        gpu.rasterize(*inputs, rast, rast_db if output_db else None)
+        return rast, rast_db
     load_native().rasterize_triangles(
         *(None if tensor is None else as_array(tensor) for tensor in inputs),
         thread_count(threads, torch.get_num_threads()),
@@ -55,7 +60,7 @@ def _(
     return _empty_images(pos, ranges, height, width, output_db)
 
 
-@torch.library.custom_op("fourd::rasterize_triangles_backward", mutates_args=(), device_types="cpu")
+@torch.library.custom_op("fourd::rasterize_triangles_backward", mutates_args=(), device_types=("cpu", "cuda"))
 def rasterize_triangles_backward(
     pos: Tensor,
     tri: Tensor,
@@ -67,6 +72,9 @@ def rasterize_triangles_backward(
 ) -> Tensor:
     """Compute the gradient of pos from the gradients of rast and rast_db."""
     grad_pos = torch.empty_like(pos, memory_format=torch.contiguous_format)
+    if uses_gpu_kernels(pos):
+        gpu.rasterize_backward(pos, tri, ranges, rast, grad_rast, grad_rast_db, grad_pos)
+        return grad_pos
     load_native().rasterize_triangles_backward(
         as_array(pos),
         as_array(tri),

@@ -70,7 +70,7 @@ def check_mesh(pos: object, tri: object, ranges: Tensor | None) -> tuple[Tensor,
     """Check the mesh that a rasterizer draws.
 
     Returns:
-        ``pos`` as (B, V, 4), or as (1, V, 4) if there are ranges; ``tri``; and ``ranges`` on the device of ``pos``.
+        ``pos`` as (B, V, 4), or as (1, V, 4) if there are ranges; ``tri``; and ``ranges`` on the CPU.
 
     Raises:
         TypeError, ValueError: with a message that names the argument.
@@ -83,10 +83,11 @@ def check_mesh(pos: object, tri: object, ranges: Tensor | None) -> tuple[Tensor,
     if ranges is None:
         return positions, triangles, None
     check_tensor("ranges", ranges, ("B", 2), dtypes=(torch.int32,))
+    ranges = ranges.cpu()
     for first, count in ranges.tolist():
         if first < 0 or count < 0 or first + count > triangles.shape[0]:
             raise ValueError(
                 f"ranges: expected first triangles and counts within the {triangles.shape[0]} triangles of tri, "
                 f"got ({first}, {count})"
             )
-    return positions[None], triangles, ranges.to(positions.device)
+    return positions[None], triangles, ranges

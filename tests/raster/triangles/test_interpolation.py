@@ -35,7 +35,7 @@ def results(attr: Tensor, images: tuple[Tensor, Tensor, Tensor], diff: Diff, bac
     leaves = [tensor.clone().requires_grad_() for tensor in (attr, rast, rast_db)]
     outputs = interpolate(leaves[0], leaves[1], tri, leaves[2], diff, backend=backend)
     generator = torch.Generator().manual_seed(1)
-    upstream = [torch.randn(output.shape, generator=generator) for output in outputs]
+    upstream = [torch.randn(output.shape, generator=generator).to(attr.device) for output in outputs]
     used = 2 if outputs[1].requires_grad else 1  # Without derivatives, the reference's out_da is a constant.
     gradients = torch.autograd.grad(outputs[:used], leaves, upstream[:used], allow_unused=True)
     found = [torch.zeros_like(leaf) if grad is None else grad for grad, leaf in zip(gradients, leaves, strict=True)]
@@ -66,6 +66,22 @@ def test_kernel_equals_the_reference(
         assert_close(found, results(attr, images, diff, "reference"))
         if diff is not None:
             assert found[4].any()
+
+
+@pytest.mark.parametrize("images", [1, 2])
+def test_gpu_equals_the_reference(
+    images: int, gpu: torch.device, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches attributes of the wrong image, and gradients that are not cleared."""
+    attr = normal(rng, images, 40, 3)
+    monkeypatch.delenv("FOURD_SIMD", raising=False)
+    drawing = drawn(rng)
+    if gpu.type == "cpu":
+        monkeypatch.setenv("FOURD_SIMD", "emulated")
+    on_gpu = (drawing[0].to(gpu), drawing[1].to(gpu), drawing[2].to(gpu))
+    for diff in (None, [2, 0, -1]):
+        found = [value.cpu() for value in results(attr.to(gpu), on_gpu, diff, "auto")]
+        assert_close(found, results(attr, drawing, diff, "reference"))
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:

@@ -1,0 +1,14 @@
+// The interpolation (interpolate/interpolate.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All
+// arrays are in GPU memory.
+#pragma once
+
+#include "interpolate/interpolate.h"
+
+namespace fourd::interpolate::cuda {
+
+void interpolate(const Query& query, float* out, float* out_da, void* stream);
+
+// Sums over pixels have no fixed order, so the last bits of the gradient of attr can differ between calls.
+void interpolate_backward(const Query& query, const Gradients& gradients, void* stream);
+
+}  // namespace fourd::interpolate::cuda

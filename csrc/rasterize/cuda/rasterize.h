@@ -1,0 +1,19 @@
+// The rasterizer (rasterize/rasterize.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are
+// in GPU memory. `longest_range` is the largest number of triangles of an image.
+#pragma once
+
+#include "rasterize/rasterize.h"
+
+namespace fourd::rasterize::cuda {
+
+// The bytes that rasterize() needs as `workspace`.
+std::size_t workspace_bytes(std::size_t images, std::size_t height, std::size_t width, std::size_t longest_range);
+
+void rasterize(const Query& query, std::size_t longest_range, void* workspace, const float* previous, float* rast,
+               float* rast_db, void* stream);
+
+// Sums over pixels have no fixed order, so the last bits of the gradient can differ between calls.
+void rasterize_backward(const Query& query, const float* rast, const float* grad_rast, const float* grad_db,
+                        float* grad_pos, void* stream);
+
+}  // namespace fourd::rasterize::cuda

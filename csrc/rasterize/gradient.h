@@ -1,0 +1,85 @@
+// The gradient of the rasterizer, shared by every backend.
+//
+// With b = M^-1 f (maths.h), a change of the vertex p_k = (x, y, w)_k changes b by -M^-1 dp_k b_k. If g is the gradient
+// with respect to b, the gradient of p_k is therefore -b_k M^-T g. M is constant over a triangle, so only the products
+// b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend on M in the same way. Below, g0
+// and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k.
+#pragma once
+
+#include "rasterize/maths.h"
+
+namespace fourd::rasterize {
+
+constexpr int kSums = 15;
+
+// Computes the values that are summed over the pixels of a triangle: 9 products of (g0, g1, gs) and (b_0, b_1, s), and
+// the gradients with respect to b_x and b_y. b has the values of the first three planes at the pixel, and x and y have
+// the slopes of these planes. u, v and the elements of db are the gradients with respect to rast and rast_db.
+template <bool kDerivatives>
+FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,
+                                           const float* db, float* out) {
+    const float s = b[2] > kSmallestInverseW ? b[2] : kSmallestInverseW, w = 1.0f / s;
+    const float u_free = b[0] * w, v_free = b[1] * w;
+    const Weights weights = weights_of(b[0], b[1], b[2], x, y);
+    const float u = weights.u, v = weights.v;
+    float grad_s = 0.0f;
+    float grad_x[3] = {0.0f, 0.0f, 0.0f}, grad_y[3] = {0.0f, 0.0f, 0.0f};
+    if (kDerivatives) {
+        const float u_x = db[0] * w, u_y = db[1] * w, v_x = db[2] * w, v_y = db[3] * w;
+        grad_u -= u_x * x[2] + u_y * y[2];
+        grad_v -= v_x * x[2] + v_y * y[2];
+        grad_s -= u_x * weights.u_x + u_y * weights.u_y + v_x * weights.v_x + v_y * weights.v_y;
+        grad_x[0] = u_x, grad_x[1] = v_x, grad_x[2] = -(u_x * u + v_x * v);
+        grad_y[0] = u_y, grad_y[1] = v_y, grad_y[2] = -(u_y * u + v_y * v);
+    }
+    // The clamps of u and v: v is at most 1 - u.
+    grad_u -= v_free > 1.0f - u ? grad_v : 0.0f;
+    grad_v = v_free > 1.0f - u ? 0.0f : grad_v;
+    grad_v = v_free < 0.0f ? 0.0f : grad_v;
+    grad_u = u_free < 0.0f ? 0.0f : grad_u;
+    grad_u = u_free > 1.0f ? 0.0f : grad_u;
+    const float g[3] = {grad_u * w, grad_v * w, grad_s - (grad_u * u_free + grad_v * v_free) * w};
+    for (int j = 0; j < 3; ++j) {
+        out[3 * j] = g[j] * b[0];
+        out[3 * j + 1] = g[j] * b[1];
+        out[3 * j + 2] = g[j] * s;
+        out[9 + j] = grad_x[j];
+        out[12 + j] = grad_y[j];
+    }
+}
+
+// Converts the sums over the pixels of a triangle to the gradients of x, y, z and w of its vertices (3, 4). c, x and y
+// are the first three planes, and (column, row) is their reference pixel.
+FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, int row, const float* c, const float* x,
+                                             const float* y, const float* sums, float* out) {
+    // Planes over normalised device coordinates: slopes along x and y, and the value at the centre of the image.
+    const double half_width = 0.5 * screen.width, half_height = 0.5 * screen.height;
+    const double from_x = device_coordinate(column, screen.width), from_y = device_coordinate(row, screen.height);
+    double normal[3][3], b_x[3], b_y[3], product[3][3];
+    for (int j = 0; j < 3; ++j) {
+        b_x[j] = x[j];
+        b_y[j] = y[j];
+        normal[j][0] = b_x[j] * half_width;
+        normal[j][1] = b_y[j] * half_height;
+        normal[j][2] = c[j] - normal[j][0] * from_x - normal[j][1] * from_y;
+        product[j][0] = sums[3 * j];
+        product[j][1] = sums[3 * j + 1];
+        product[j][2] = static_cast<double>(sums[3 * j + 2]) - sums[3 * j] - sums[3 * j + 1];
+    }
+    // The third element belongs to the vertex 2, not to the sum of all vertices.
+    b_x[2] -= b_x[0] + b_x[1];
+    b_y[2] -= b_y[0] + b_y[1];
+    for (int k = 0; k < 3; ++k) {
+        double gradient[3] = {0.0, 0.0, 0.0};
+        for (int j = 0; j < 3; ++j) {
+            const double factor = product[j][k] + b_x[k] * sums[9 + j] + b_y[k] * sums[12 + j];
+            for (int axis = 0; axis < 3; ++axis) gradient[axis] -= factor * normal[j][axis];
+        }
+        out[4 * k] = static_cast<float>(gradient[0]);
+        out[4 * k + 1] = static_cast<float>(gradient[1]);
+        out[4 * k + 2] = 0.0f;
+        out[4 * k + 3] = static_cast<float>(gradient[2]);
+    }
+}
+
+}  // namespace fourd::rasterize
