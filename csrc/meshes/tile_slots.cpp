@@ -49,7 +49,7 @@ void sum_by_vertex(const std::vector<TileValues>& tiles, const std::int32_t* tri
     const std::size_t parts = static_cast<std::size_t>(team.size());
     team.run(team.size(), [&](int part, int) {
         const std::size_t begin = rows * part / parts, end = rows * (part + 1) / parts;
-        std::memset(out + begin * channels, 0, (end - begin) * channels * sizeof(float));
+        std::fill(out + begin * channels, out + end * channels, 0.0f);
         for (std::size_t tile = 0; tile < tiles.size(); ++tile) {
             const std::size_t first = image.is_shared ? 0 : tile / tiles_per_image * image.vertices;
             if (first >= end || first + image.vertices <= begin) continue;

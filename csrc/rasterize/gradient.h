@@ -4,6 +4,7 @@
 // with respect to b, the gradient of p_k is therefore -b_k M^-T g. M is constant over a triangle, so only the products
 // b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend on M in the same way. Below, g0
 // and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k.
+// The planes have b times their scale, so these gradients are divided by the scale, and their products are not changed.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -11,6 +12,12 @@
 namespace fourd::rasterize {
 
 constexpr int kSums = 15;
+constexpr double kLargestGradient = 1e30;  // Larger gradients, of degenerate triangles, are clamped.
+
+FOURD_HD static inline float bounded(double gradient) {
+    gradient = gradient > -kLargestGradient ? gradient : -kLargestGradient;
+    return static_cast<float>(gradient < kLargestGradient ? gradient : kLargestGradient);
+}
 
 // Computes the values that are summed over the pixels of a triangle: 9 products of (g0, g1, gs) and (b_0, b_1, s), and
 // the gradients with respect to b_x and b_y. b has the values of the first three planes at the pixel, and x and y have
@@ -49,9 +56,9 @@ FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const
 }
 
 // Converts the sums over the pixels of a triangle to the gradients of x, y, z and w of its vertices (3, 4). c, x and y
-// are the first three planes, and (column, row) is their reference pixel.
+// are the first three planes, `scale` is their scale, and (column, row) is their reference pixel.
 FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, int row, const float* c, const float* x,
-                                             const float* y, const float* sums, float* out) {
+                                             const float* y, double scale, const float* sums, float* out) {
     // Planes over normalised device coordinates: slopes along x and y, and the value at the centre of the image.
     const double half_width = 0.5 * screen.width, half_height = 0.5 * screen.height;
     const double from_x = device_coordinate(column, screen.width), from_y = device_coordinate(row, screen.height);
@@ -75,10 +82,10 @@ FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, i
             const double factor = product[j][k] + b_x[k] * sums[9 + j] + b_y[k] * sums[12 + j];
             for (int axis = 0; axis < 3; ++axis) gradient[axis] -= factor * normal[j][axis];
         }
-        out[4 * k] = static_cast<float>(gradient[0]);
-        out[4 * k + 1] = static_cast<float>(gradient[1]);
+        out[4 * k] = bounded(gradient[0] / scale);
+        out[4 * k + 1] = bounded(gradient[1] / scale);
         out[4 * k + 2] = 0.0f;
-        out[4 * k + 3] = static_cast<float>(gradient[2]);
+        out[4 * k + 3] = bounded(gradient[2] / scale);
     }
 }
 

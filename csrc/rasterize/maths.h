@@ -22,8 +22,8 @@ namespace fourd::rasterize {
 constexpr int kSubpixelBits = 8;
 constexpr int kSubpixels = 1 << kSubpixelBits;
 constexpr int kHalfPixel = kSubpixels / 2;
-constexpr float kLargestCoefficient = 1e15f;  // Triangles with larger coefficients are degenerate, and are culled.
-constexpr float kSmallestInverseW = 1e-15f;
+constexpr float kLargestCoefficient = 1e10f;  // Triangles with larger coefficients are degenerate, and are culled.
+constexpr float kSmallestInverseW = 1e-6f;    // Relative to Planes::scale. It is at least 1 inside a triangle.
 constexpr float kLargestFloat = 3.402823466e38f;
 constexpr int kPlanes = 4;  // The weights divided by w of vertices 0 and 1, 1/w, and z/w.
 
@@ -151,9 +151,11 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
     return static_cast<double>(2 * pixel + 1) / static_cast<double>(side) - 1.0;
 }
 
-// Linear functions over the image: weight 0 / w, weight 1 / w, 1 / w and z/w, in this order. The value at a pixel is
-// (c + y dy) + x dx, with the pixel's distances dx and dy from the reference pixel.
+// Linear functions over the image: s (weight of vertex 0) / w, s (weight of vertex 1) / w, s / w and z/w, in this order.
+// The scale s is the largest |w| of the vertices, which makes the functions independent of the unit of w. The value at a
+// pixel is (c + y dy) + x dx, with the pixel's distances dx and dy from the reference pixel.
 struct Planes {
+    double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];
     // The range of z/w of the vertices. z/w is clamped to it: centres just outside a triangle that is seen from its
     // edge would otherwise get any depth.
@@ -179,7 +181,9 @@ FOURD_HD static inline Planes make_planes(const Screen& screen, const float* p0,
     cross(b, c, n[0]);
     cross(c, a, n[1]);
     cross(a, b, n[2]);
-    const double inverse = 1.0 / (a[0] * n[0][0] + a[1] * n[0][1] + a[2] * n[0][2]);
+    const double w0 = a[2] < 0.0 ? -a[2] : a[2], w1 = b[2] < 0.0 ? -b[2] : b[2], w2 = c[2] < 0.0 ? -c[2] : c[2];
+    const double w01 = w0 > w1 ? w0 : w1, scale = w01 > w2 ? w01 : w2;
+    const double inverse = scale / (a[0] * n[0][0] + a[1] * n[0][1] + a[2] * n[0][2]);
     const double at_x = device_coordinate(reference_x, screen.width);
     const double at_y = device_coordinate(reference_y, screen.height);
     const double step_x = 2.0 / static_cast<double>(screen.width), step_y = 2.0 / static_cast<double>(screen.height);
@@ -191,12 +195,13 @@ FOURD_HD static inline Planes make_planes(const Screen& screen, const float* p0,
     }
     const double z[3] = {p0[2], p1[2], p2[2]};
     const double values[kPlanes] = {value[0], value[1], value[0] + value[1] + value[2],
-                                    z[0] * value[0] + z[1] * value[1] + z[2] * value[2]};
+                                    (z[0] * value[0] + z[1] * value[1] + z[2] * value[2]) / scale};
     const double slopes_x[kPlanes] = {slope_x[0], slope_x[1], slope_x[0] + slope_x[1] + slope_x[2],
-                                      z[0] * slope_x[0] + z[1] * slope_x[1] + z[2] * slope_x[2]};
+                                      (z[0] * slope_x[0] + z[1] * slope_x[1] + z[2] * slope_x[2]) / scale};
     const double slopes_y[kPlanes] = {slope_y[0], slope_y[1], slope_y[0] + slope_y[1] + slope_y[2],
-                                      z[0] * slope_y[0] + z[1] * slope_y[1] + z[2] * slope_y[2]};
+                                      (z[0] * slope_y[0] + z[1] * slope_y[1] + z[2] * slope_y[2]) / scale};
     Planes out;
+    out.scale = scale;
     bool valid = true;
     for (int k = 0; k < kPlanes; ++k) {
         valid = valid & is_moderate(values[k]) & is_moderate(slopes_x[k]) & is_moderate(slopes_y[k]);

@@ -14,6 +14,7 @@
 #include "splat_triangles/cpu/workspace.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
+#include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
@@ -223,6 +224,22 @@ void run_splat_triangles(unsigned seed, const char* simd) {
     inputs.expect_finite_results(seed);
 }
 
+void run_mesh(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::MeshInputs inputs(random, 90, seed % 2 ? 0.1f : 0.0f);
+    inputs.query.simd = fourd::simd_named(simd);
+    fourd::rasterize::rasterize(inputs.query, nullptr, inputs.rast.data(), inputs.rast_db.data());
+    const Floats first = inputs.rast;
+    if (seed % 3 == 0) {
+        fourd::rasterize::rasterize(inputs.query, first.data(), inputs.rast.data(), inputs.rast_db.data());
+    }
+    fourd::rasterize::rasterize_backward(inputs.query, inputs.rast.data(), inputs.grad_rast.data(),
+                                         seed % 4 ? inputs.grad_db.data() : nullptr, inputs.grad_pos.data());
+    fourd::interpolate::interpolate(inputs.interpolation(), inputs.out.data(), inputs.out_da.data());
+    fourd::interpolate::interpolate_backward(inputs.interpolation(), inputs.gradients());
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -240,8 +257,8 @@ int main(int count, char** arguments) {
             run_sources(seed, simd);
             run_splat_triangles(seed, simd);
             run_antialias(seed, simd);
+            run_mesh(seed, simd);
         }
-        const char* const what = "points, planes, hash grid, blend, play, shade, similarity, sources, antialias and splats";
-        std::printf("%s, %s: %u inputs each\n", what, simd, runs);
+        std::printf("all kernels, %s: %u inputs each\n", simd, runs);
     }
 }

@@ -7,13 +7,16 @@
 
 #include "antialias/cuda/antialias.h"
 #include "hashgrid/cuda/encode.h"
+#include "interpolate/cuda/interpolate.h"
 #include "planes/cuda/sample.h"
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
+#include "rasterize/cuda/rasterize.h"
 #include "sources/cuda/sample.h"
 #include "splat_triangles/cuda/render.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
+#include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
@@ -158,6 +161,27 @@ void run_splat_triangles(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_mesh(unsigned seed) {
+    Random random(seed);
+    fourd::tests::MeshInputs inputs(random, 50, seed % 2 ? 0.1f : 0.0f);
+    const fourd::rasterize::Query& query = inputs.query;
+    const std::size_t images = static_cast<std::size_t>(query.images);
+    std::vector<unsigned char> workspace(
+        fourd::rasterize::cuda::workspace_bytes(images, query.height, query.width, query.triangles));
+    Floats first;
+    for (unsigned layer = 0; layer <= seed % 2; ++layer) {
+        fourd::rasterize::cuda::rasterize(query, query.triangles, workspace.data(), layer > 0 ? first.data() : nullptr,
+                                          inputs.rast.data(), inputs.rast_db.data(), nullptr);
+        first = inputs.rast;
+    }
+    fourd::rasterize::cuda::rasterize_backward(query, inputs.rast.data(), inputs.grad_rast.data(),
+                                               seed % 4 ? inputs.grad_db.data() : nullptr, inputs.grad_pos.data(),
+                                               nullptr);
+    fourd::interpolate::cuda::interpolate(inputs.interpolation(), inputs.out.data(), inputs.out_da.data(), nullptr);
+    fourd::interpolate::cuda::interpolate_backward(inputs.interpolation(), inputs.gradients(), nullptr);
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -170,6 +194,7 @@ int main(int count, char** arguments) {
         run_sources(seed);
         run_splat_triangles(seed);
         run_antialias(seed);
+        run_mesh(seed);
     }
-    std::printf("points, play, planes, hash grid, sources, antialias and splats, emulated GPU: %u inputs each\n", runs);
+    std::printf("all kernels, emulated GPU: %u inputs each\n", runs);
 }

@@ -12,8 +12,8 @@ constexpr int kTilePixels = kTile * kTile;
 
 // The planes of the triangles of a tile, as a structure of arrays. Each array has `capacity` elements.
 struct Records {
-    static constexpr int kFields = 3 * kPlanes + 3;
-    float* values;  // (kFields, capacity): c, x and y of the planes, the lowest and highest depth, and the id's value.
+    static constexpr int kFields = 3 * kPlanes + 4;
+    float* values;  // (kFields, capacity): c, x and y of the planes, range of z/w, id's value, and scale.
     std::uint32_t* references;  // Reference pixels: x in the lower 16 bits, y in the upper 16.
     std::size_t capacity;
 
@@ -23,6 +23,7 @@ struct Records {
     float* low() const { return values + 3 * kPlanes * capacity; }
     float* high() const { return values + (3 * kPlanes + 1) * capacity; }
     float* id() const { return values + (3 * kPlanes + 2) * capacity; }
+    float* scale() const { return values + (3 * kPlanes + 3) * capacity; }
 };
 
 struct Tile {

@@ -96,7 +96,7 @@ struct Backward {
         } else {
             pixel_gradient<false>(planes.c, planes.x, planes.y, grad[0], grad[1], nullptr, sums);
         }
-        vertex_gradients(screen, column, row, planes.c, planes.x, planes.y, sums, out);
+        vertex_gradients(screen, column, row, planes.c, planes.x, planes.y, planes.scale, sums, out);
         for (int k = 0; k < 3; ++k) {
             const std::size_t vertex = static_cast<std::size_t>(query.tri[3 * static_cast<std::size_t>(number) + k]);
             float* const to = grad_pos + 4 * (image * query.image_stride + vertex);

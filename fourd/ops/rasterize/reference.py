@@ -10,8 +10,8 @@ from torch import Tensor
 from fourd.ops.meshes.ids import decode_ids, encode_ids
 from fourd.ops.rasterize.coverage import Pieces, covered, cut_triangles
 
-_LARGEST_COEFFICIENT = 1e15
-_SMALLEST_INVERSE_W = 1e-15
+_LARGEST_COEFFICIENT = 1e10
+_SMALLEST_INVERSE_W = 1e-6
 _PIECES_AT_ONCE = 512
 
 
@@ -20,7 +20,8 @@ class Planes:
     """Linear functions over the image, one row for each triangle.
 
     Attributes:
-        b: (T, 3, 3) weight / w of each vertex: the value at the reference pixel, and the slopes per pixel along x, y.
+        b: (T, 3, 3) weight / w of each vertex, times the largest |w| of the vertices: the value at the reference pixel,
+            and the slopes per pixel along x and y.
         depth: (T, 3) the same for z/w.
         low, high: (T,) range of z/w of the vertices, which limits z/w.
         reference: (T, 2) column and row of the reference pixel.
@@ -106,13 +107,14 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
     points = pos.double()[corners]
     xyw, z = points[:, :, [0, 1, 3]], points[:, :, 2].detach()
     normals = torch.stack([_cross(xyw[:, (k + 1) % 3], xyw[:, (k + 2) % 3]) for k in range(3)], 1)
-    inverse = 1 / _dot(xyw[:, 0], normals[:, 0])
+    scale = xyw[:, :, 2].detach().abs().amax(1)
+    inverse = scale / _dot(xyw[:, 0], normals[:, 0])
     at = (2 * reference + 1) / torch.tensor([width, height], dtype=torch.float64) - 1
     value = _dot(normals, torch.cat([at, torch.ones_like(at[:, :1])], 1)[:, None]) * inverse[:, None]
     slope_x = normals[:, :, 0] * inverse[:, None] * (2.0 / width)
     slope_y = normals[:, :, 1] * inverse[:, None] * (2.0 / height)
     b = torch.stack([value, slope_x, slope_y], 2)
-    depth = _dot(z[:, None], b.detach().transpose(1, 2))
+    depth = _dot(z[:, None], b.detach().transpose(1, 2)) / scale[:, None]
     sums = b.detach()[:, 0] + b.detach()[:, 1] + b.detach()[:, 2]
     largest = torch.cat([b.detach()[:, :2].flatten(1), sums, depth], 1).abs()
     is_valid = (largest <= _LARGEST_COEFFICIENT).all(1)

@@ -1,0 +1,73 @@
+// Random meshes for the rasterizer and the interpolation, with vertices and indices that are invalid.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+
+#include "interpolate/interpolate.h"
+#include "rasterize/rasterize.h"
+#include "tests/random_inputs.h"
+
+namespace fourd::tests {
+
+struct MeshInputs {
+    Floats pos, attr;
+    std::vector<std::int32_t> tri, ranges, diff;
+    rasterize::Query query{};
+    Floats rast, rast_db, grad_rast, grad_db, grad_pos;
+    Floats out, out_da, grad_attr, from_rast, from_db;  // Results of the interpolation.
+
+    MeshInputs(Random& random, int max_side, float hostile) {
+        const int images = random_int(random, 0, 3), height = random_int(random, 1, max_side);
+        const int width = random_int(random, 1, max_side), vertices = random_int(random, 0, 30);
+        const int triangles = random_int(random, 0, 60);
+        const bool has_ranges = random_int(random, 0, 1) == 1;
+        const std::size_t copies = has_ranges ? 1 : images;
+        pos = random_floats(random, 4 * copies * vertices, -1, 1, hostile);
+        for (int i = 0; i < 3 * triangles; ++i) {
+            tri.push_back(random_int(random, hostile > 0 ? -1 : 0, hostile > 0 ? vertices : std::max(vertices - 1, 0)));
+        }
+        for (int i = 0; i < 2 * images; ++i) ranges.push_back(random_int(random, -1, triangles + 1));
+        const std::size_t pixels = static_cast<std::size_t>(images) * height * width;
+        query = {pos.data(),
+                 static_cast<std::size_t>(vertices),
+                 has_ranges ? 0 : static_cast<std::size_t>(vertices),
+                 tri.data(),
+                 static_cast<std::size_t>(triangles),
+                 has_ranges ? ranges.data() : nullptr,
+                 images,
+                 height,
+                 width,
+                 random_int(random, 1, 4),
+                 Simd::baseline};
+        rast.resize(4 * pixels), rast_db.resize(4 * pixels), grad_pos.resize(pos.size());
+        grad_rast = random_floats(random, 4 * pixels, -1, 1, 0);
+        grad_db = random_floats(random, 4 * pixels, -1, 1, 0);
+        const int channels = random_int(random, 1, 5);
+        attr = random_floats(random, copies * vertices * channels, -1, 1, 0);
+        for (int i = random_int(random, 0, 3); i > 0; --i) diff.push_back(random_int(random, 0, channels - 1));
+        out.resize(pixels * channels), out_da.resize(2 * pixels * diff.size()), grad_attr.resize(attr.size());
+        from_rast.resize(4 * pixels), from_db.resize(4 * pixels);
+    }
+
+    interpolate::Query interpolation() const {
+        const std::size_t pixels = rast.size() / 4;
+        const std::size_t channels = pixels > 0 ? out.size() / pixels : 1;
+        return {attr.data(),  query.vertices, channels,    query.image_stride, query.tri,
+                query.triangles, rast.data(), rast_db.data(), query.images,    query.height,
+                query.width,  diff.data(),    diff.size(), query.threads,      query.simd};
+    }
+
+    interpolate::Gradients gradients() {
+        return {out.data(), out_da.data(), grad_attr.data(), from_rast.data(), from_db.data()};
+    }
+
+    void expect_finite_results(unsigned seed) const {
+        expect_finite(rast, "rasterization", seed);
+        expect_finite(rast_db, "derivatives of weights", seed);
+        expect_finite(grad_pos, "gradient of positions", seed);
+        expect_finite(out, "interpolated attributes", seed);
+    }
+};
+
+}  // namespace fourd::tests
