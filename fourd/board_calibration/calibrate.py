@@ -13,14 +13,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.board_calibration.adjustment.rig import Poses, RigState
 from fourd.board_calibration.detection import BoardDetector, BoardView
 from fourd.board_calibration.diagnosis import measure_marker_ratio, suggest_fix
 from fourd.board_calibration.drawing import draw_rig
 from fourd.board_calibration.fit import RigFit, RigInput, fit_rig, locate_boards
 from fourd.board_calibration.initial import locate_views
 from fourd.board_calibration.lenses import match_lenses, read_lenses
-from fourd.board_calibration.report import CameraReport, report_cameras, report_content
-from fourd.board_calibration.rig import Poses
+from fourd.board_calibration.report import CameraReport, report_cameras, report_content, time_lines
 from fourd.boards import CalibrationBoard
 from fourd.cameras import Camera
 from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_calibration
@@ -97,12 +97,17 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
         lenses = _known_lenses(settings, frames.names, sizes, log)
         views = _detect(frames, numbers, source, settings, track)
         _check_ratio(frames, views, settings)
-    rig = RigInput(str(source), frames.names, sizes, lenses, settings.board, tuple(views))
+    turns = tuple(indices[name].turn if name in indices else 0 for name in frames.names)
+    rig = RigInput(str(source), frames.names, sizes, lenses, settings.board, tuple(views), turns)
     fit = fit_rig(rig, track)
     moved = fit if settings.floor_frame is None else _lay_on_floor(fit, views, settings)
     reports = report_cameras(moved, frames.names)
-    _write(out, source, settings, frames.names, moved, reports)
+    # The common clock of the videos has the lowest frame rate.
+    fps = min((float(index.fps) for index in indices.values()), default=None)
+    _write(out, source, settings, frames.names, moved, reports, fps)
     _log_results(moved, reports, log, warn)
+    for line in time_lines(moved, frames.names, fps):
+        log(line)
 
 
 def check_out(out: Path) -> None:
@@ -241,7 +246,8 @@ def _lay_on_floor(fit: RigFit, views: Sequence[BoardView], settings: Calibration
             f"--floor-frame: expected a frame in which a camera sees the board on the floor, got {frame}, in which no "
             "board is found; name another frame"
         )
-    board = locate_boards(settings.board, fit.cameras, locate_views(settings.board, fit.cameras, some), [frame])
+    rig = RigState(fit.cameras, fit.boards)
+    board = locate_boards(settings.board, rig, locate_views(settings.board, fit.cameras, some), [frame])
     to_board = board.inverse()
     heights = [
         float(to_board.rotation[0, 2] @ fit.cameras[view.camera].centre + to_board.translation[0, 2]) for view in some
@@ -269,6 +275,7 @@ def _write(
     names: Sequence[str],
     fit: RigFit,
     reports: Sequence[CameraReport],
+    fps: float | None,
 ) -> None:
     with atomic_folder(out) as folder:
         write_calibration(folder, names, fit.cameras)
@@ -282,13 +289,13 @@ def _write(
             "offsets": dict(settings.offsets),
             "floor_frame": settings.floor_frame,
         }
-        content |= report_content(fit, names, reports)
+        content |= report_content(fit, names, reports, fps)
         (folder / REPORT).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 
 def _log_results(fit: RigFit, reports: Sequence[CameraReport], log: Log, warn: Log) -> None:
     count = int(fit.kept_out.sum())
-    log(f"{len(fit.frames) - count} frames in the fit, {count} frames kept out to measure the error")
+    log(f"{count} frames kept out to measure the error; the final fit uses all {len(fit.frames)} frames")
     for report in reports:
         log(report.line())
     for report in reports:

@@ -38,12 +38,14 @@ class BoardView:
         frame: frame number.
         corners: (N,) ids of the corners, which index :attr:`fourd.boards.CalibrationBoard.corners`.
         pixels: (N, 2) positions in the distorted image; the first pixel's centre is at (0.5, 0.5).
+        back: whether the camera sees the back of a double-sided board.
     """
 
     camera: int
     frame: int
     corners: NDArray[np.intp]
     pixels: Array
+    back: bool = False
 
 
 class BoardDetector:
@@ -67,7 +69,7 @@ class BoardDetector:
             if mirrored:
                 pixels[:, 0] = grey.shape[1] - 1 - pixels[:, 0]
             # The centre of the first pixel has the coordinate 0 in OpenCV and 0.5 in fourd.
-            return BoardView(camera, frame, corners, pixels + 0.5)
+            return BoardView(camera, frame, corners, pixels + 0.5, mirrored)
         return None
 
     def _detect_side(self, grey: Grey) -> tuple[NDArray[np.intp], Array] | None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.board_calibration.rig import Poses
+from fourd.board_calibration.adjustment.rig import Poses
 from fourd.boards import CalibrationBoard
 from fourd.cameras import Camera
 from fourd.files import write_bytes_atomically

@@ -10,6 +10,23 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.board_calibration.adjustment.noise import ViewNoise
+from fourd.board_calibration.adjustment.refine import refine_rig, with_motion
+from fourd.board_calibration.adjustment.rig import (
+    LENS,
+    PARAMETERS,
+    POSE,
+    TIME,
+    BoardShape,
+    Corners,
+    Poses,
+    RigState,
+    Timing,
+    collect_corners,
+    reprojection_errors,
+)
+from fourd.board_calibration.adjustment.solver import Errors, solve_rig
+from fourd.board_calibration.adjustment.system import Free
 from fourd.board_calibration.detection import BoardView
 from fourd.board_calibration.initial import (
     CameraPair,
@@ -22,17 +39,6 @@ from fourd.board_calibration.initial import (
     pair_cameras,
     views_by_camera,
 )
-from fourd.board_calibration.rig import (
-    LENS,
-    PARAMETERS,
-    POSE,
-    Corners,
-    Poses,
-    RigState,
-    collect_corners,
-    reprojection_errors,
-)
-from fourd.board_calibration.solver import Loss, solve_rig
 from fourd.boards import CalibrationBoard
 from fourd.cameras import Camera
 from fourd.errors import UserError
@@ -64,6 +70,12 @@ MIN_OUTLIER_PX = 0.3
 MAX_MEDIAN = 0.004
 """Maximum median error of a camera, as a share of the image's longer side. Larger errors mean that the cameras do not
 see one rigid board at the same time."""
+TIMING_GAIN = 0.97
+"""Delays and readouts are used if they reduce the mean error on the frames kept out to less than this share."""
+OFFSET_STD = (0.0006, 0.0006, 0.002)
+"""Standard deviations of a corner's displacement on the board along x, y and z, in squares."""
+MAX_OFFSETS = 60
+"""Displacements of the corners are not adjusted on boards with more corners, whose displacements average out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +86,16 @@ class RigFit:
         cameras: C cameras in the coordinates of the first camera, in metres.
         frames: F frame numbers, in ascending order.
         boards: F poses from board to world.
-        kept_out: (F,) whether a frame was kept out of the fit. The pose of its board is fitted to it, with the cameras
-            fixed.
+        kept_out: (F,) whether a frame was kept out of a first fit, which measures the errors. The last fit uses all
+            frames.
         corners: the corners of all frames.
-        errors: (N,) reprojection errors of the corners in pixels.
-        std: (C, 15) standard deviations of the cameras' parameters; see :mod:`fourd.board_calibration.rig`.
+        errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the pose of the
+            board that fits best in each frame.
+        std: (C, 15) standard deviations of the cameras' parameters; see :mod:`fourd.board_calibration.adjustment.rig`.
         pairs: pairs of cameras that see the board in the same frame.
         estimated: (C,) whether a camera's lens was estimated.
+        timing: delays and readouts of the cameras, or None if the cameras are taken to see all rows at the same time.
+        thickness_m: distance between the front and the back of a double-sided board.
     """
 
     cameras: tuple[Camera, ...]
@@ -92,6 +107,8 @@ class RigFit:
     std: Array
     pairs: tuple[CameraPair, ...]
     estimated: NDArray[np.bool_]
+    timing: Timing | None = None
+    thickness_m: float = 0.0
 
     def rms(self, camera: int, kept_out: bool) -> float | None:
         """Root mean square error of a camera in pixels, on frames of the fit or kept out; None without any."""
@@ -110,6 +127,7 @@ class RigInput:
         lenses: known lens of each camera, or None where it is estimated. The poses are ignored.
         board: the board.
         views: views of the board.
+        turns: angle in degrees, a multiple of 90, by which each camera's images were turned upright.
     """
 
     where: str
@@ -118,6 +136,26 @@ class RigInput:
     lenses: tuple[Camera | None, ...]
     board: CalibrationBoard
     views: tuple[BoardView, ...]
+    turns: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Rough:
+    """A rig that is correct up to a few pixels.
+
+    Attributes:
+        state: the rig.
+        corners: corners without gross errors.
+        frames: frame number of each position of the board.
+        free: (C, 17) mask of the parameters that are adjusted.
+        corner_px: (C,) standard deviations of the corners.
+    """
+
+    state: RigState
+    corners: Corners
+    frames: tuple[int, ...]
+    free: NDArray[np.bool_]
+    corner_px: Array
 
 
 def fit_rig(rig: RigInput, track: Track) -> RigFit:
@@ -148,8 +186,10 @@ def fit_rig(rig: RigInput, track: Track) -> RigFit:
         replace(camera, rotation=poses.rotation[index], translation=poses.translation[index])
         for index, camera in enumerate(cameras)
     )
-    state, std = _adjust(rig, cameras, located, fitted, track)
-    return _evaluate(rig, state, std, frames, kept_out, located, tuple(pairs))
+    frames = [frame for frame in frames if any(each.view.frame == frame for each in located)]
+    rough = _adjust(rig, cameras, located, [frame for frame in fitted if frame in frames], track)
+    tested = _choose_timing(rig, rough, located, frames, kept_out, track)
+    return _fit_all(rig, rough, tested, located, frames, kept_out, tuple(pairs))
 
 
 def choose_kept_out(views: Sequence[BoardView], frames: Sequence[int]) -> set[int]:
@@ -199,8 +239,8 @@ def _not_joined(rig: RigInput, groups: Sequence[Sequence[int]]) -> UserError:
 
 def _adjust(
     rig: RigInput, cameras: tuple[Camera, ...], located: Sequence[LocatedView], frames: Sequence[int], track: Track
-) -> tuple[RigState, Array]:
-    """Run the bundle adjustments: poses alone, then poses and lenses. Returns the rig and standard deviations."""
+) -> _Rough:
+    """Adjust poses alone, then poses and lenses, with independent errors of the corners."""
     corners = collect_corners(rig.board, [each.view for each in located], frames)
     state = RigState(cameras, initial_boards(rig.board, cameras, located, frames))
     free = np.zeros((len(cameras), PARAMETERS), bool)
@@ -208,19 +248,19 @@ def _adjust(
     lens = free.copy()
     lens[[each is None for each in rig.lenses], LENS] = True
     stages = [(free, SCALES_PX[0]), *((lens, scale) for scale in SCALES_PX)]
-    std, corner_px = np.zeros(free.shape), np.ones(len(cameras))
+    corner_px = np.ones(len(cameras))
     inliers = np.ones(len(corners.camera), bool)
     for number, (mask, scale) in enumerate(track(stages, len(stages), "bundle adjustment")):
-        solution = solve_rig(state, corners.select(inliers), mask, Loss(scale, corner_px))
-        state, std = solution.state, solution.std
-        errors = reprojection_errors(state, corners)
-        medians = np.array([np.median(errors[corners.camera == index]) for index in range(len(cameras))])
+        errors = Errors(ViewNoise(corner_px), np.full(len(cameras), scale))
+        state = solve_rig(state, corners.select(inliers), Free(mask), errors)
+        found = reprojection_errors(state, corners)
+        medians = np.array([np.median(found[corners.camera == index]) for index in range(len(cameras))])
         if number > 0:
             corner_px = CORRELATION * np.minimum(medians / MEDIAN_PER_STD, 1.0)
         if number == len(stages) - 2:
             _check_agreement(rig, medians)
-            inliers = errors <= np.maximum(OUTLIER_MEDIANS * medians, MIN_OUTLIER_PX)[corners.camera]
-    return state, std
+            inliers = found <= np.maximum(OUTLIER_MEDIANS * medians, MIN_OUTLIER_PX)[corners.camera]
+    return _Rough(state, corners.select(inliers), tuple(frames), lens, corner_px / CORRELATION)
 
 
 def _check_agreement(rig: RigInput, medians: Array) -> None:
@@ -235,46 +275,114 @@ def _check_agreement(rig: RigInput, medians: Array) -> None:
         )
 
 
-def _evaluate(
+def _choose_timing(
     rig: RigInput,
-    state: RigState,
-    std: Array,
+    rough: _Rough,
+    located: Sequence[LocatedView],
     frames: Sequence[int],
     kept_out: set[int],
+    track: Track,
+) -> RigState:
+    """Adjust the rig without and with delays and readouts, and choose by the error on the frames kept out.
+
+    Returns the adjusted rig with the positions of the board in all frames.
+    """
+    best: tuple[float, RigState] | None = None
+    corners = collect_corners(rig.board, [each.view for each in located], frames)
+    tested = np.array([frame in kept_out for frame in frames], bool)[corners.board]
+    for timed in track((False, True), 2, "timing"):
+        if timed and not tested.any():
+            continue
+        state = refine_rig(*_start(rig, rough, timed), rough.corner_px).state
+        state = replace(state, boards=locate_boards(rig.board, state, located, frames, rough.frames))
+        errors = reprojection_errors(with_motion(state, frames), corners)
+        score = float(errors[tested].mean()) if tested.any() else 0.0
+        if best is None or score < TIMING_GAIN * best[0]:
+            best = (score, state)
+    assert best is not None
+    return best[1]
+
+
+def _start(rig: RigInput, rough: _Rough, timed: bool) -> tuple[RigState, Corners, tuple[int, ...], Free]:
+    """The start of the last adjustment."""
+    count, corners = len(rig.names), rough.corners
+    mask, timing = rough.free.copy(), None
+    if timed:
+        mask[:, TIME] = True
+        # The first camera's time is the frame's time.
+        mask[0, TIME.start] = False
+        phase = [
+            (0.0, 1 / h) if turn % 180 == 0 else (1 / w, 0.0)
+            for turn, (w, h) in zip(rig.turns or (0,) * count, rig.sizes, strict=True)
+        ]
+        timing = Timing(np.zeros(count), np.zeros(count), np.array(phase), np.zeros((len(rough.frames), 6)))
+    points = len(rig.board.corners)
+    few = points <= MAX_OFFSETS
+    offsets = np.tile(np.array(OFFSET_STD) * rig.board.square_m, (points, 1)) if few else np.zeros((0, 3))
+    free = Free(mask, offsets, bool(corners.back.any() and not corners.back.all()))
+    state = replace(rough.state, timing=timing, shape=BoardShape(np.zeros((points, 3)), 0.0))
+    return state, corners, rough.frames, free
+
+
+def _fit_all(
+    rig: RigInput,
+    rough: _Rough,
+    tested: RigState,
     located: Sequence[LocatedView],
+    frames: Sequence[int],
+    kept_out: set[int],
     pairs: tuple[CameraPair, ...],
 ) -> RigFit:
-    """Locate the board in the frames that were kept out, and compute the errors of all frames."""
-    mask = np.array([frame in kept_out for frame in frames])
-    frames = [frame for frame in frames if any(each.view.frame == frame for each in located)]
-    rotation, translation = np.zeros((len(frames), 3, 3)), np.zeros((len(frames), 3))
-    rotation[~mask], translation[~mask] = state.boards.rotation, state.boards.translation
-    if mask.any():
-        others = [frame for frame in frames if frame in kept_out]
-        found = locate_boards(rig.board, state.cameras, located, others)
-        rotation[mask], translation[mask] = found.rotation, found.translation
-    boards = Poses(rotation, translation)
+    """Adjust the rig to all frames, and report the errors of the rig that was fitted without the frames kept out."""
     corners = collect_corners(rig.board, [each.view for each in located], frames)
+    errors = reprojection_errors(with_motion(tested, frames), corners)
+    medians = np.array([np.median(errors[corners.camera == index]) for index in range(len(rig.names))])
+    inliers = errors <= np.maximum(OUTLIER_MEDIANS * medians, MIN_OUTLIER_PX)[corners.camera]
+    _, _, _, free = _start(rig, rough, tested.timing is not None)
+    solution = refine_rig(tested, corners.select(inliers), frames, free, rough.corner_px)
+    state = solution.state
     return RigFit(
         state.cameras,
         tuple(frames),
-        boards,
-        mask,
+        locate_boards(rig.board, state, located, frames, frames),
+        np.array([frame in kept_out for frame in frames]),
         corners,
-        reprojection_errors(RigState(state.cameras, boards), corners),
-        std,
+        errors,
+        solution.std,
         pairs,
         np.array([lens is None for lens in rig.lenses]),
+        state.timing,
+        state.shape.thickness_m if state.shape is not None else 0.0,
     )
 
 
 def locate_boards(
-    board: CalibrationBoard, cameras: tuple[Camera, ...], located: Sequence[LocatedView], frames: Sequence[int]
+    board: CalibrationBoard,
+    rig: RigState,
+    located: Sequence[LocatedView],
+    frames: Sequence[int],
+    known: Sequence[int] = (),
 ) -> Poses:
-    """Fit the poses of the board in ``frames`` to the views of all cameras, with the cameras fixed."""
-    state = RigState(cameras, initial_boards(board, cameras, located, frames))
+    """Fit the poses of the board in ``frames`` to the views of all cameras, with the cameras fixed.
+
+    Args:
+        board: the board.
+        rig: cameras, timing and shape of the board, and the board's poses in the frames ``known``, which are the
+            initial poses there.
+        located: views with the poses that explain them.
+        frames: frame numbers, in ascending order.
+        known: frame numbers of the poses in ``rig``.
+    """
+    count = len(rig.cameras)
+    unknown = [frame for frame in frames if frame not in known]
+    start = initial_boards(board, rig.cameras, located, unknown)
+    numbers = [known.index(frame) if frame in known else len(known) + unknown.index(frame) for frame in frames]
+    rotation = np.concatenate([rig.boards.rotation[: len(known)], start.rotation])[numbers]
+    translation = np.concatenate([rig.boards.translation[: len(known)], start.translation])[numbers]
+    state = replace(rig, boards=Poses(rotation, translation))
     corners = collect_corners(board, [each.view for each in located], frames)
-    fixed = np.zeros((len(cameras), PARAMETERS), bool)
+    fixed = Free(np.zeros((count, PARAMETERS), bool))
     for scale in SCALES_PX:
-        state = solve_rig(state, corners, fixed, Loss(scale, np.ones(len(cameras)))).state
+        errors = Errors(ViewNoise(np.ones(count)), np.full(count, scale))
+        state = solve_rig(with_motion(state, frames), corners, fixed, errors)
     return state.boards

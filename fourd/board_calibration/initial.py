@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.board_calibration.adjustment.rig import Poses, RigState, collect_corners, reprojection_errors
 from fourd.board_calibration.detection import BoardView
-from fourd.board_calibration.rig import Poses, RigState, collect_corners, reprojection_errors
 from fourd.boards import CalibrationBoard
 from fourd.cameras import Camera
 from fourd.capture.layout import sample_indices
@@ -162,7 +162,7 @@ def initial_boards(
         best = min(candidates, key=lambda candidate: candidate[0])[1]
         rotations.append(best.rotation)
         translations.append(best.translation)
-    return Poses(np.concatenate(rotations), np.concatenate(translations))
+    return Poses(np.concatenate([np.zeros((0, 3, 3)), *rotations]), np.concatenate([np.zeros((0, 3)), *translations]))
 
 
 def views_by_camera(views: Sequence[BoardView], count: int) -> Mapping[int, list[BoardView]]:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.board_calibration.adjustment.rig import LENS, POSE, Timing
 from fourd.board_calibration.fit import RigFit
 from fourd.board_calibration.initial import CameraPair
-from fourd.board_calibration.rig import LENS, POSE
 from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
@@ -86,8 +86,13 @@ def report_cameras(fit: RigFit, names: Sequence[str]) -> list[CameraReport]:
     return [_report_camera(fit, index, name) for index, name in enumerate(names)]
 
 
-def report_content(fit: RigFit, names: Sequence[str], cameras: Sequence[CameraReport]) -> dict[str, Any]:
-    """The content of report.json, apart from the board and the settings."""
+def report_content(
+    fit: RigFit, names: Sequence[str], cameras: Sequence[CameraReport], fps: float | None
+) -> dict[str, Any]:
+    """The content of report.json, apart from the board and the settings.
+
+    ``fps`` is the rate of the frames, if it is known.
+    """
     kept = [frame for frame, out in zip(fit.frames, fit.kept_out, strict=True) if out]
     return {
         "cameras": {camera.name: _rounded(camera) for camera in cameras},
@@ -100,7 +105,33 @@ def report_content(fit: RigFit, names: Sequence[str], cameras: Sequence[CameraRe
             for pair in fit.pairs
         ],
         "frames": {"fit": len(fit.frames) - len(kept), "kept_out": kept},
+        "timing": None if fit.timing is None else _timing_content(fit.timing, names, fps),
+        "board_thickness_m": round(fit.thickness_m, 5),
     }
+
+
+def time_lines(fit: RigFit, names: Sequence[str], fps: float | None) -> list[str]:
+    """What was found about the cameras' times and the board's thickness, one line each."""
+    lines = []
+    if fit.timing is not None:
+        unit, factor = ("frames", 1.0) if fps is None else ("ms", 1000 / fps)
+        digits = 2 if fps is None else 0
+        for name, delay, readout in zip(names, fit.timing.delay, fit.timing.readout, strict=True):
+            when = f"lags {names[0]} by {factor * delay:.{digits}f} {unit}" if name != names[0] else "gives the time"
+            lines.append(f"{name} {when}; its rows are read within {abs(factor * readout):.{digits}f} {unit}")
+    if fit.thickness_m:
+        lines.append(f"the back of the board lies {1e3 * fit.thickness_m:.1f} mm behind its front")
+    return lines
+
+
+def _timing_content(timing: Timing, names: Sequence[str], fps: float | None) -> dict[str, Any]:
+    """Delays and readouts by camera."""
+    content = {}
+    for name, delay, readout in zip(names, timing.delay.tolist(), timing.readout.tolist(), strict=True):
+        content[name] = {"delay_frames": round(delay, 4), "readout_frames": round(readout, 4)}
+        if fps is not None:
+            content[name] |= {"delay_ms": round(1000 * delay / fps, 2), "readout_ms": round(1000 * readout / fps, 2)}
+    return content
 
 
 def coverage(pixels: Array, width: int, height: int) -> float:
@@ -160,7 +191,7 @@ def _warnings(report: CameraReport, shared: Sequence[int]) -> list[str]:
                 f"the principal point is uncertain by {max(report.centre_std_px):.0f} px, and so the orientation by "
                 f"{direction:.1f} degrees; film the board closer and tilted, or give a known lens by --intrinsics"
             )
-    elif report.rotation_std_degrees > MAX_ROTATION_STD_DEGREES:
+    if report.rotation_std_degrees > MAX_ROTATION_STD_DEGREES:
         found.append(f"the orientation is uncertain by {report.rotation_std_degrees:.1f} degrees; film more frames")
     if shared and max(shared) < FEW_SHARED_FRAMES:
         found.append(f"at most {max(shared)} frames are shared with another camera; film the board where both see it")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import select
 import sys
 from collections.abc import Sequence
 
@@ -70,9 +71,13 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
 
 fourd COMMAND --help lists the command's options and their units.
 Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be read or written;
-130 interrupted by Ctrl-C (finished results are kept).
+130 interrupted by Ctrl-C (finished results are kept); 141 the reader of the output ended first.
 """
 
+
+BROKEN_PIPE = 141
+"""Exit code if the reader of the output ends first, as in ``fourd info FILE | head``: that of a process that SIGPIPE
+ends."""
 
 SPIN_COUNT = "20000"
 """Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
@@ -85,6 +90,35 @@ training step is 6 to 12% faster.
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command and return the exit code."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        try:
+            return _report_errors(words)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        if not _reader_is_gone():
+            raise
+        return BROKEN_PIPE
+
+
+def _reader_is_gone() -> bool:
+    """Whether the reader of the standard output has ended. Further output is then discarded."""
+    try:
+        output = sys.stdout.fileno()
+    except OSError:
+        return False
+    if hasattr(select, "poll"):
+        poll = select.poll()
+        poll.register(output, 0)
+        if not any(event & select.POLLERR for _, event in poll.poll(0)):
+            return False
+    # Python flushes the output again when it exits, which must not fail.
+    os.dup2(os.open(os.devnull, os.O_WRONLY), output)
+    return True
+
+
+def _report_errors(words: list[str]) -> int:
+    """Run a command, and report an error as one line."""
     # GNU OpenMP reads GOMP_SPINCOUNT when a command imports torch.
     os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     if not words or words[0] in ("-h", "--help"):

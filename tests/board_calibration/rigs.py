@@ -3,15 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from fourd.board_calibration.adjustment.rig import Corners, Poses, RigState, project
 from fourd.board_calibration.detection import BoardView
 from fourd.board_calibration.fit import RigInput
-from fourd.board_calibration.rig import Corners, Poses, RigState, project
 from fourd.cameras import Camera
 from fourd.synth.board_videos import BoardSettings, board_pose, rig_cameras
+
+
+@dataclass(frozen=True)
+class Filming:
+    """How cameras film a moving board.
+
+    Attributes:
+        delays: times in frames by which the middle row of each camera is late, by the camera's index.
+        readout: duration in frames in which the rows of an image are read.
+        across: whether the columns are read one after another, as in a video that was turned by 90 degrees.
+        jitter: standard deviation of a random delay of each image, in frames.
+        thickness_m: thickness of the board.
+        backs: indices of the cameras that see the back.
+    """
+
+    delays: Mapping[int, float] = field(default_factory=dict)
+    readout: float = 0.0
+    across: bool = False
+    jitter: float = 0.0
+    thickness_m: float = 0.0
+    backs: tuple[int, ...] = ()
+
+
+AT_ONCE = Filming()
+
+
+def flat_corners(xyz: np.ndarray, pixels: np.ndarray | None = None) -> Corners:
+    """Corners (N, 3) of a board in the first camera and the first frame."""
+    zeros = np.zeros(len(xyz), np.intp)
+    seen = np.zeros((len(xyz), 2)) if pixels is None else pixels
+    return Corners(zeros, zeros, xyz, seen, np.arange(len(xyz)), np.zeros(len(xyz), bool))
 
 
 def seen_views(
@@ -19,6 +50,7 @@ def seen_views(
     frames: Iterable[int],
     seen_by: Mapping[int, Iterable[int]] | None = None,
     noise_px: float = 0.05,
+    filming: Filming = AT_ONCE,
 ) -> tuple[list[Camera], list[BoardView]]:
     """Cameras, and all corners of the board that are in their images.
 
@@ -26,19 +58,35 @@ def seen_views(
     """
     generator = np.random.default_rng(settings.seed)
     cameras, views = rig_cameras(settings), []
-    xyz = settings.board.corners
     for index, camera in enumerate(cameras):
         allowed = set(frames if seen_by is None or index not in seen_by else seen_by[index])
+        xyz = settings.board.corners - (0, 0, filming.thickness_m * (index in filming.backs))
         for frame in frames:
-            pose = board_pose(settings, float(frame))
-            zeros = np.zeros(len(xyz), np.intp)
-            state = RigState((camera,), Poses(pose.rotation[None], pose.translation[None]))
-            found = project(state, Corners(zeros, zeros, xyz, np.zeros((len(xyz), 2))))
-            inside = ((found.pixels > 0) & (found.pixels < settings.size)).all(axis=1)
+            time = frame + filming.delays.get(index, 0.0)
+            if filming.jitter:
+                time += float(generator.normal(0, filming.jitter))
+            pixels = _film(settings, camera, xyz, time, filming)
+            inside = ((pixels > 0) & (pixels < settings.size)).all(axis=1)
             if frame in allowed and inside.sum() >= 8:
-                pixels = found.pixels + generator.normal(0, noise_px, found.pixels.shape)
-                views.append(BoardView(index, frame, np.flatnonzero(inside), pixels[inside]))
+                noisy = pixels + generator.normal(0, noise_px, pixels.shape)
+                corners = np.flatnonzero(inside)
+                views.append(BoardView(index, frame, corners, noisy[inside], index in filming.backs))
     return cameras, views
+
+
+def _film(settings: BoardSettings, camera: Camera, xyz: np.ndarray, time: float, filming: Filming) -> np.ndarray:
+    """Pixels (N, 2) of corners, each at the time at which its row is read."""
+
+    def at(when: float, some: np.ndarray) -> np.ndarray:
+        pose = board_pose(settings, when)
+        state = RigState((camera,), Poses(pose.rotation[None], pose.translation[None]))
+        return project(state, flat_corners(some)).pixels
+
+    pixels = at(time, xyz)
+    for _ in range(4 if filming.readout else 0):
+        times = time + filming.readout * (pixels[:, 0 if filming.across else 1] / settings.size - 0.5)
+        pixels = np.concatenate([at(float(when), each[None]) for when, each in zip(times, xyz, strict=True)])
+    return pixels
 
 
 def rig_input(settings: BoardSettings, views: list[BoardView], lenses: list[Camera | None] | None = None) -> RigInput:

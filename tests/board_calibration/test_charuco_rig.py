@@ -50,24 +50,29 @@ def test_poses_with_known_lenses(tmp_path: Path) -> None:
     words = ["calibrate", RIG, "--board", RIG / "board.toml", "-o", out, "--intrinsics", LENSES]
     assert main([str(word) for word in words]) == 0
     degrees, share = compare_pairs(read_calibration(out))
-    assert degrees < 0.6
+    # Caliscope takes all rows of all cameras to be exposed at the same time, which these web cameras do not do.
+    assert degrees < 1.0
     assert share < 0.4
     report = json.loads((out / "report.json").read_text())
-    assert max(camera["fit_px"] for camera in report["cameras"].values()) < 0.9
+    assert max(camera["fit_px"] for camera in report["cameras"].values()) < 0.7
+    assert max(camera["kept_out_px"] for camera in report["cameras"].values()) < 0.8
 
 
 def test_lenses_from_the_board(tmp_path: Path) -> None:
-    """Catches focal lengths that are wrong, and a report that hides that the principal points are uncertain."""
+    """Catches lenses that adapt to the cameras' times, and a report that hides that the orientations are uncertain."""
     out = tmp_path / "calibration"
     assert main([str(word) for word in ["calibrate", RIG, "--board", RIG / "board.toml", "-o", out]]) == 0
     truth = tomllib.loads(LENSES.read_text())["cameras"]
     found = read_calibration(out)
     for name, camera in found.items():
         true = np.array(truth[name.removeprefix("cam_")]["matrix"])
-        assert np.abs(np.diag(camera.intrinsics)[:2] / np.diag(true)[:2] - 1).max() < 0.02
+        assert np.abs(np.diag(camera.intrinsics)[:2] / np.diag(true)[:2] - 1).max() < 0.01
     degrees, share = compare_pairs(found)
-    # The board hardly turns in this recording, so that principal points and orientations are uncertain by a degree.
-    assert degrees < 2.5
-    assert share < 1
+    assert degrees < 1.2
+    assert share < 0.6
     report = json.loads((out / "report.json").read_text())
-    assert any("principal point is uncertain" in line for c in report["cameras"].values() for line in c["warnings"])
+    assert any("orientation is uncertain" in line for c in report["cameras"].values() for line in c["warnings"])
+    for camera in report["timing"].values():
+        assert 20 < abs(camera["readout_ms"]) < 45
+        assert abs(camera["delay_ms"]) < 30
+    assert 0.002 < report["board_thickness_m"] < 0.005

@@ -7,16 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fourd.board_calibration import solver
+from fourd.board_calibration.adjustment import solver
+from fourd.board_calibration.adjustment.rig import (
+    PARAMETERS,
+    BoardShape,
+    Poses,
+    RigState,
+    Timing,
+    collect_corners,
+    project,
+)
+from fourd.board_calibration.adjustment.system import Free
 from fourd.board_calibration.detection import BoardView
 from fourd.board_calibration.fit import choose_kept_out, fit_rig
-from fourd.board_calibration.report import coverage, report_cameras
-from fourd.board_calibration.rig import Poses, RigState, collect_corners, project
+from fourd.board_calibration.report import coverage, report_cameras, time_lines
 from fourd.boards import CalibrationBoard
 from fourd.errors import UserError
 from fourd.progress import untracked
 from fourd.synth.board_videos import BoardSettings, board_pose
-from tests.board_calibration.rigs import largest_differences, rig_input, seen_views
+from tests.board_calibration.rigs import Filming, largest_differences, rig_input, seen_views
 
 SETTINGS = BoardSettings(frames=40, cameras=3)
 
@@ -31,22 +40,40 @@ def true_state(settings: BoardSettings, frames: range) -> RigState:
 
 def test_derivatives_are_those_of_the_projection() -> None:
     """Catches a wrong sign or order of a parameter, with which the solver needs many steps or stops early."""
-    frames = range(3)
-    state = true_state(SETTINGS, frames)
-    _, views = seen_views(SETTINGS, frames)
+    frames, count = range(3), len(SETTINGS.board.corners)
+    _, views = seen_views(SETTINGS, frames, filming=Filming(backs=(1,)))
     corners = collect_corners(SETTINGS.board, views, frames)
+    generator = np.random.default_rng(0)
+    timing = Timing(
+        np.array([0.0, 0.3, -0.2]),
+        np.array([0.5, 0.2, 0.8]),
+        np.array([[0, 1 / 640], [1 / 640, 0], [0, 1 / 640]]),
+        generator.normal(0, 0.03, (3, 6)),
+    )
+    shape = BoardShape(generator.normal(0, 1e-3, (count, 3)), 0.004)
+    state = replace(true_state(SETTINGS, frames), timing=timing, shape=shape)
+    free = Free(np.ones((3, PARAMETERS), bool), np.full((count, 3), 1e-4), thickness=True)
     found = project(state, corners)
-    for parameter in range(15):
-        step = np.zeros((3, 15))
-        step[:, parameter] = 1e-6
-        moved = project(solver._move(state, step, np.zeros((3, 6))), corners)
-        slope = (moved.pixels - found.pixels) / 1e-6
-        assert np.abs(slope - found.by_camera[..., parameter]).max() < 1e-2, parameter
+
+    def slope(place: int | None, parameter: int = 0) -> np.ndarray:
+        shared, boards = np.zeros(3 * PARAMETERS + 3 * count + 1), np.zeros((3, 6))
+        if place is None:
+            boards[:, parameter] = 1e-6
+        else:
+            shared[place::PARAMETERS][:3] = 1e-6
+            if place >= PARAMETERS:
+                shared[:] = 0
+                shared[place] = 1e-6
+        return (project(solver.move(state, free, shared, boards), corners).pixels - found.pixels) / 1e-6
+
+    for parameter in range(PARAMETERS):
+        assert np.abs(slope(parameter) - found.by_camera[..., parameter]).max() < 2e-2, parameter
     for parameter in range(6):
-        step = np.zeros((3, 6))
-        step[:, parameter] = 1e-6
-        moved = project(solver._move(state, np.zeros((3, 15)), step), corners)
-        assert np.abs((moved.pixels - found.pixels) / 1e-6 - found.by_board[..., parameter]).max() < 1e-2, parameter
+        assert np.abs(slope(None, parameter) - found.by_board[..., parameter]).max() < 2e-2, parameter
+    for axis in range(3):
+        expected = found.by_corner[..., axis] * (corners.ids == 5)[:, None]
+        assert np.abs(slope(3 * PARAMETERS + 15 + axis) - expected).max() < 2e-2, axis
+    assert np.abs(slope(3 * PARAMETERS + 3 * count) + found.by_corner[..., 2] * corners.back[:, None]).max() < 2e-2
 
 
 def test_the_rig_is_recovered() -> None:
@@ -157,3 +184,58 @@ def test_coverage_is_the_share_of_cells() -> None:
     """Catches a coverage that counts corners instead of cells, or cells outside the image."""
     pixels = np.array([[1.0, 1], [2, 2], [79, 59], [-5, 3], [80.5, 10]])
     assert coverage(pixels, 80, 60) == pytest.approx(2 / 48)
+
+
+def test_late_cameras_and_slow_readouts_are_found() -> None:
+    """Catches cameras taken to expose at the same time although they lag and read their rows one after another."""
+    filming = Filming(delays={1: 0.05, 2: -0.05}, readout=0.1)
+    cameras, views = seen_views(SETTINGS, range(40), filming=filming)
+    fit = fit_rig(rig_input(SETTINGS, views), untracked)
+    assert fit.timing is not None
+    assert np.abs(fit.timing.delay - (0, 0.05, -0.05)).max() < 0.005
+    assert np.abs(fit.timing.readout - 0.1).max() < 0.005
+    focal, degrees, position = largest_differences(fit.cameras, cameras)
+    assert focal < 0.15
+    assert degrees < 0.2
+    assert position < 0.3
+    lines = time_lines(fit, ("a", "b", "c"), 10.0)
+    assert [line.split(";")[0] for line in lines] == ["a gives the time", "b lags a by 5 ms", "c lags a by -5 ms"]
+    assert lines[0].endswith("its rows are read within 10 ms")
+
+
+def test_turned_videos_are_read_along_their_width() -> None:
+    """Catches a readout along the height of an image that was turned upright by 90 degrees."""
+    filming = Filming(readout=0.1, across=True)
+    _, views = seen_views(SETTINGS, range(40), filming=filming)
+    fit = fit_rig(replace(rig_input(SETTINGS, views), turns=(90, 270, 90)), untracked)
+    assert fit.timing is not None
+    assert np.abs(fit.timing.readout - 0.1).max() < 0.005
+
+
+def test_cameras_on_time_have_no_delays() -> None:
+    """Catches delays that are fitted to noise and reported."""
+    _, views = seen_views(SETTINGS, range(40))
+    fit = fit_rig(rig_input(SETTINGS, views), untracked)
+    assert fit.timing is None
+    assert time_lines(fit, ("a", "b", "c"), 10.0) == []
+
+
+def test_the_thickness_of_a_board_is_found() -> None:
+    """Catches a camera that sees the back of a thick board and is placed nearer or farther by the thickness."""
+    filming = Filming(thickness_m=0.006, backs=(1,))
+    cameras, views = seen_views(SETTINGS, range(40), filming=filming)
+    fit = fit_rig(rig_input(SETTINGS, views), untracked)
+    assert fit.thickness_m == pytest.approx(0.006, abs=0.0005)
+    assert largest_differences(fit.cameras, cameras)[2] < 0.2
+
+
+def test_shared_errors_of_an_image_do_not_bend_the_rig() -> None:
+    """Catches standard deviations that take all corners of a displaced board for independent."""
+    filming = Filming(jitter=0.02)
+    cameras, views = seen_views(SETTINGS, range(40), filming=filming)
+    fit = fit_rig(rig_input(SETTINGS, views), untracked)
+    focal, degrees, _ = largest_differences(fit.cameras, cameras)
+    assert focal < 0.2
+    assert degrees < 0.5
+    # The errors of the last fit's poses are as large as the report says, up to a factor of 3.
+    assert np.degrees(fit.std[1:, :3]).max() > degrees / 6

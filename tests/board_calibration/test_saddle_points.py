@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from fourd.board_calibration.adjustment.rig import Poses, RigState, project
 from fourd.board_calibration.detection import BoardDetector
-from fourd.board_calibration.rig import Corners, Poses, RigState, project
 from fourd.board_calibration.saddle_points import refine_corners
 from fourd.boards import draw_board
 from fourd.synth.board_render import BoardRenderer
 from fourd.synth.board_videos import BoardSettings, board_pose, rig_cameras
+from tests.board_calibration.rigs import flat_corners
 
 
 def test_corners_are_precise_in_blurred_images() -> None:
@@ -23,9 +24,8 @@ def test_corners_are_precise_in_blurred_images() -> None:
         view = detector.detect(renderer.render([pose], np.random.default_rng(frame)), 0, frame)
         if view is None:
             continue
-        zeros = np.zeros(len(view.corners), np.intp)
         state = RigState((camera,), Poses(pose.rotation[None], pose.translation[None]))
-        corners = Corners(zeros, zeros, settings.board.corners[view.corners], view.pixels)
+        corners = flat_corners(settings.board.corners[view.corners], view.pixels)
         errors.append(view.pixels - project(state, corners).pixels)
     found = np.concatenate(errors)
     distances = np.linalg.norm(found, axis=1)

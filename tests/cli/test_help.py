@@ -40,3 +40,12 @@ def test_bad_rendering_options_are_one_line(
     error = capsys.readouterr().err
     assert error.startswith(f"fourd {command[0]}: {message}")
     assert error.count("\n") == 1
+
+
+def test_options_that_printing_does_not_need_are_not_called_required(capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches ``fourd calibrate --help`` that demands -o and VIDEOS of a user who only wants to print the board."""
+    with pytest.raises(SystemExit):
+        main(["calibrate", "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for words in ("An earlier calibration is replaced.", "per camera, in which the board is moved."):
+        assert f"{words} (required, except with --print-board)" in text

@@ -28,6 +28,7 @@ FLOOR_HELP = (
     "and z points up."
 )
 OFFSET_HELP = "Number of frames by which the video of camera CAM is late. Example for two cameras: cam02=3,cam05=-1."
+UNLESS_PRINTED = "(required, except with --print-board)"
 PRINT_HELP = "Print the board to a PDF file at true scale, and stop. VIDEOS and -o are not needed."
 
 
@@ -38,11 +39,11 @@ class Arguments:
     board: Path
     """TOML file that describes the board."""
     videos: tyro.conf.Positional[
-        Annotated[Path | None, tyro.conf.arg(metavar="VIDEOS", help=VIDEOS_HELP, help_behavior_hint="")]
+        Annotated[Path | None, tyro.conf.arg(metavar="VIDEOS", help=VIDEOS_HELP, help_behavior_hint=UNLESS_PRINTED)]
     ] = None
     out: Annotated[
         Path | None,
-        tyro.conf.arg(aliases=["-o"], metavar="CALIBRATION", help=OUT_HELP, help_behavior_hint="(required)"),
+        tyro.conf.arg(aliases=["-o"], metavar="CALIBRATION", help=OUT_HELP, help_behavior_hint=UNLESS_PRINTED),
     ] = None
     intrinsics: Annotated[Path | None, option("FILE", "estimated from the board", INTRINSICS_HELP)] = None
     floor_frame: Annotated[int | None, option("N", "axes of the first camera", FLOOR_HELP)] = None

@@ -1,0 +1,64 @@
+"""Motion of the board at each frame, from its positions in the frames before and after."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fourd.board_calibration.adjustment.rig import Poses
+
+Array = NDArray[np.float64]
+
+HALF_WINDOW = 2
+"""Number of frames on each side from which a motion is computed."""
+END_WINDOW = 3
+"""Number of frames from which the motion in the first and in the last frame of a sequence is computed."""
+MAX_GAP = 2
+"""Longest distance of two successive frames of a sequence, as a multiple of the median distance. Between frames that
+are farther apart, the board may have moved in any way."""
+
+
+def board_motion(frames: Sequence[int], boards: Poses) -> Array:
+    """Motion (F, 6) of the board at each frame: rotation vector and velocity of the board's origin, per frame.
+
+    The motion is the derivative of the polynomial through the poses of up to five successive frames (Fornberg,
+    Generation of finite difference formulas on arbitrarily spaced grids, 1988). It is 0 for a frame without
+    neighbours.
+
+    Args:
+        frames: F frame numbers, in ascending order.
+        boards: F poses from board to world.
+    """
+    numbers = np.asarray(frames, float)
+    motion = np.zeros((len(numbers), 6))
+    if len(numbers) < 2:
+        return motion
+    gaps = np.diff(numbers)
+    cuts = np.flatnonzero(gaps > MAX_GAP * np.median(gaps)) + 1
+    for run in np.split(np.arange(len(numbers)), cuts):
+        for place, index in enumerate(run):
+            window = _window(run, place)
+            turns = Rotation.from_matrix(boards.rotation[window] @ boards.rotation[index].T).as_rotvec()
+            values = np.column_stack([turns, boards.translation[window] - boards.translation[index]])
+            motion[index] = _derivative_weights(numbers[window] - numbers[index]) @ values
+    return motion
+
+
+def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
+    """The frames of a sequence from which the motion at ``place`` is computed."""
+    half = min(HALF_WINDOW, place, len(run) - 1 - place)
+    if half:
+        return run[place - half : place + half + 1]
+    return run[:END_WINDOW] if place == 0 else run[-END_WINDOW:]
+
+
+def _derivative_weights(times: Array) -> Array:
+    """Weights of values at ``times`` in the derivative at the time 0 of the polynomial through them."""
+    powers = times[None] ** np.arange(len(times))[:, None]
+    wanted = np.zeros(len(times))
+    if len(times) > 1:
+        wanted[1] = 1.0
+    return np.asarray(np.linalg.solve(powers, wanted), np.float64)

@@ -1,0 +1,220 @@
+"""Errors of the corners in one image: independent errors, and errors that all corners of the image share.
+
+Corners of one image share the errors of the image: the board bends, an image is blurred, and its exposure does not
+start exactly at the frame's time. The shared errors are described as a small random rotation, shift and delay of the
+board in each view. Their standard deviations are variance components, and are estimated together with the rig by
+expectation maximisation (Dempster, Laird and Rubin 1977; Harville, Maximum likelihood approaches to variance component
+estimation, 1977).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.board_calibration.adjustment.rig import BOARD_PARAMETERS, Corners, Projection, RigState, cross_matrices
+
+Array = NDArray[np.float64]
+
+SHARED = 7
+"""Number of shared errors of a view: rotation (3), shift (3), delay (1)."""
+TURN, SHIFT, JITTER = slice(0, 3), slice(3, 6), slice(6, 7)
+HUBER_VIEW = 0.7
+"""A view has less weight if the root mean square of its shared errors, in standard deviations, exceeds this value.
+Shared errors have heavy tails, because some images are blurred more than others."""
+SWEEPS = 4
+"""Number of steps of the expectation maximisation per call."""
+MIN_CORNER_PX = 0.01
+MIN_RATIO = 0.02
+"""A standard deviation of shared errors is at least this share of its initial value."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewNoise:
+    """Standard deviations of the errors of corners.
+
+    Attributes:
+        corner_px: (C,) of the independent errors in each camera, along each axis.
+        turn: of the shared rotation about each axis through the middle of the board, in radians.
+        shift_m: of the shared shift along each axis.
+        jitter: of the shared delay, in frames.
+    """
+
+    corner_px: Array
+    turn: float = 0.0
+    shift_m: float = 0.0
+    jitter: float = 0.0
+
+    @property
+    def shared_std(self) -> Array:
+        """(7,) standard deviations of the shared errors."""
+        return np.array([self.turn] * 3 + [self.shift_m] * 3 + [self.jitter])
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """N corners, grouped by view.
+
+    Attributes:
+        index: (N,) view of each corner.
+        camera: (V,) camera of each view.
+        board: (V,) position of the board in each view.
+        rows: (V, M) corners of each view; rows beyond the view's number of corners are N.
+    """
+
+    index: NDArray[np.intp]
+    camera: NDArray[np.intp]
+    board: NDArray[np.intp]
+    rows: NDArray[np.intp]
+
+    def pad(self, values: Array, which: slice = slice(None)) -> Array:
+        """Rows (V, 2 M, Q) of the views ``which`` from values (N, 2, Q) of the corners, zero where there is none."""
+        padded = np.concatenate([values, np.zeros((1, *values.shape[1:]))])[self.rows[which]]
+        return padded.reshape(len(padded), -1, values.shape[2])
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Weights of a robust least-squares fit.
+
+    Attributes:
+        corner: (N,) weights of the corners.
+        view: (V,) weights of the views' shared errors.
+    """
+
+    corner: Array
+    view: Array
+
+
+def group_views(corners: Corners) -> Views:
+    """Group corners by camera and position of the board."""
+    boards = int(corners.board.max(initial=0)) + 1
+    keys, index, counts = np.unique(corners.camera * boards + corners.board, return_inverse=True, return_counts=True)
+    order = np.argsort(index, kind="stable")
+    rows = np.full((len(keys), counts.max(initial=0)), len(index), np.intp)
+    starts = np.cumsum(counts) - counts
+    rows[index[order], np.arange(len(index)) - starts[index[order]]] = order
+    return Views(index, keys // boards, keys % boards, rows)
+
+
+def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> Array:
+    """Derivatives (N, 2, 7) of the pixels with respect to the shared errors of their view."""
+    middle = (corners.xyz.min(axis=0) + corners.xyz.max(axis=0)) / 2
+    arm = state.boards.rotation[corners.board] @ middle
+    by_turn, by_shift = found.by_board[..., :3], found.by_board[..., 3:]
+    # A rotation about the middle m of the board is a rotation about its origin and the shift m - exp([w]x) m.
+    return np.concatenate([by_turn + by_shift @ cross_matrices(arm), by_shift, found.by_time[..., None]], axis=2)
+
+
+def weigh(
+    views: Views, residual: Array, shared: Array, noise: ViewNoise, camera: NDArray[np.intp], huber_px: Array
+) -> Weights:
+    """Weights of a Huber loss of the errors that the shared errors of the view leave, and of the shared errors.
+
+    Args:
+        views: the corners by view.
+        residual: (N, 2) residuals in pixels.
+        shared: (N, 2, 7) derivatives with respect to the shared errors.
+        noise: standard deviations.
+        camera: (N,) camera of each corner.
+        huber_px: (C,) scale of the Huber loss.
+    """
+    std = noise.shared_std
+    weights = Weights(np.ones(len(residual)), np.ones(len(views.camera)))
+    for _ in range(3 if std.any() else 1):
+        rest = residual
+        if std.any():
+            scale = np.sqrt(weights.corner) / noise.corner_px[camera]
+            left = views.pad(shared * std * scale[:, None, None])
+            right = views.pad((residual * scale[:, None])[..., None])
+            gram = np.swapaxes(left, 1, 2) @ left + np.eye(SHARED) * weights.view[:, None, None]
+            latent = np.linalg.solve(gram, np.swapaxes(left, 1, 2) @ right)[..., 0]
+            rest = residual - np.einsum("nij,nj->ni", shared * std, latent[views.index])
+            size = np.sqrt(np.mean(latent**2, axis=1))
+            weights = replace(weights, view=np.minimum(1.0, HUBER_VIEW / np.maximum(size, 1e-9)))
+        error = np.linalg.norm(rest, axis=1)
+        limit = huber_px[camera]
+        weights = replace(weights, corner=np.where(error <= limit, 1.0, limit / np.maximum(error, limit)))
+    return weights
+
+
+def estimate_noise(
+    state: RigState,
+    corners: Corners,
+    found: Projection,
+    views: Views,
+    noise: ViewNoise,
+    weights: Weights,
+    floor: ViewNoise,
+) -> ViewNoise:
+    """Improve the standard deviations for the rig's present state.
+
+    The independent errors are what remains if each view has its own pose of the board. The shared errors are estimated
+    in frames that two or more cameras see, together with the pose of the board.
+    """
+    residual = corners.pixels - found.pixels
+    shared = shared_derivatives(state, corners, found)
+    columns = np.concatenate([found.by_board, shared, residual[..., None]], axis=2)
+    padded = views.pad(columns * np.sqrt(weights.corner)[:, None, None])
+    grams = np.swapaxes(padded, 1, 2) @ padded
+    noise = replace(noise, corner_px=_independent(views, grams, noise.corner_px))
+    grams = grams / noise.corner_px[views.camera][:, None, None] ** 2
+    for _ in range(SWEEPS):
+        factor = np.sqrt(np.maximum(_mean_squares(views, grams, noise, weights), 1e-12))
+        noise = replace(
+            noise,
+            turn=max(noise.turn * factor[0], floor.turn),
+            shift_m=max(noise.shift_m * factor[1], floor.shift_m),
+            jitter=max(noise.jitter * factor[2], floor.jitter),
+        )
+    return noise
+
+
+def _independent(views: Views, grams: Array, before: Array) -> Array:
+    """Standard deviations (C,) of the independent errors, from the Gram matrices of the views in pixels."""
+    pose, last = slice(0, BOARD_PARAMETERS), BOARD_PARAMETERS + SHARED
+    damped = grams[:, pose, pose] + 1e-9 * np.eye(BOARD_PARAMETERS)
+    explained = np.linalg.solve(damped, grams[:, pose, last, None])[..., 0]
+    rest = grams[:, last, last] - np.einsum("vi,vi->v", explained, grams[:, pose, last])
+    freedom = 2 * (views.rows < len(views.index)).sum(axis=1) - BOARD_PARAMETERS
+    found = before.copy()
+    for camera in range(len(before)):
+        rows = views.camera == camera
+        if freedom[rows].sum() > 0:
+            found[camera] = np.sqrt(max(rest[rows].sum() / freedom[rows].sum(), MIN_CORNER_PX**2))
+    return found
+
+
+def _mean_squares(views: Views, grams: Array, noise: ViewNoise, weights: Weights) -> Array:
+    """Expected squares (3,) of the shared rotations, shifts and delays, as shares of their variances."""
+    std = noise.shared_std
+    total, count = np.zeros(SHARED), 0
+    pose, last = BOARD_PARAMETERS, BOARD_PARAMETERS + SHARED
+    for board in np.unique(views.board):
+        rows = np.flatnonzero(views.board == board)
+        if len(rows) < 2:
+            continue
+        size = pose + SHARED * len(rows)
+        normal, right = np.zeros((size, size)), np.zeros(size)
+        for number, view in enumerate(rows):
+            gram = grams[view]
+            block = slice(pose + SHARED * number, pose + SHARED * (number + 1))
+            normal[:pose, :pose] += gram[:pose, :pose]
+            right[:pose] += gram[:pose, last]
+            normal[:pose, block] = gram[:pose, pose:last] * std
+            normal[block, :pose] = normal[:pose, block].T
+            normal[block, block] = gram[pose:last, pose:last] * np.outer(std, std)
+            normal[block, block] += np.eye(SHARED) * weights.view[view]
+            right[block] = gram[pose:last, last] * std
+        normal[np.arange(pose), np.arange(pose)] *= 1 + 1e-9
+        inverse = np.linalg.inv(normal)
+        latent = (inverse @ right)[pose:].reshape(-1, SHARED)
+        variance = np.diag(inverse)[pose:].reshape(-1, SHARED)
+        total += (weights.view[rows, None] * (latent**2 + variance)).sum(axis=0)
+        count += len(rows)
+    if not count:
+        return np.ones(3)
+    mean = total / count
+    return np.array([mean[TURN].mean(), mean[SHIFT].mean(), mean[JITTER].mean()])

@@ -1,0 +1,94 @@
+"""Adjustment of a rig together with the motion of the board and the sizes of the errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.board_calibration.adjustment.motion import board_motion
+from fourd.board_calibration.adjustment.noise import ViewNoise, estimate_noise, group_views, shared_derivatives, weigh
+from fourd.board_calibration.adjustment.rig import Corners, RigState, project
+from fourd.board_calibration.adjustment.solver import Errors, solve_rig, standard_deviations
+from fourd.board_calibration.adjustment.system import Free
+
+Array = NDArray[np.float64]
+
+ROUNDS = 10
+STEPS = 2
+"""Largest number of steps per round. The last adjustment has no such limit."""
+DAMPING = 1e-6
+"""Initial damping factor of each round."""
+HUBER = 1.0
+"""Scale of the Huber loss in standard deviations of the corners."""
+TURN_STD, SHIFT_STD, JITTER_STD = 1e-3, 2e-4, 0.05
+"""Initial standard deviations of the shared errors of a view: radians, metres per metre of the board's size, frames."""
+MIN_SHARE = 0.02
+"""A standard deviation of shared errors does not fall below this share of its initial value."""
+CONVERGED = 0.01
+"""The rounds end when no standard deviation changes by more than this share."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Result of an adjustment.
+
+    Attributes:
+        state: the adjusted rig.
+        std: (C, 17) standard deviations of the cameras' parameters, in radians, metres, pixels, 1 and frames. They are
+            0 for fixed parameters.
+    """
+
+    state: RigState
+    std: Array
+
+
+def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: Free, corner_px: Array) -> Solution:
+    """Adjust a rig in rounds, in which the motion of the board and the sizes of the errors are estimated again.
+
+    Args:
+        start: a rig that is correct up to a few pixels.
+        corners: observations without gross errors.
+        frames: frame number of each position of the board.
+        free: parameters that are adjusted.
+        corner_px: (C,) initial standard deviations of the corners' independent errors.
+    """
+    size = float(np.ptp(corners.xyz, axis=0).max())
+    jitter = JITTER_STD if start.timing is not None else 0.0
+    noise = ViewNoise(corner_px, TURN_STD, SHIFT_STD * size, jitter)
+    floor = ViewNoise(corner_px, MIN_SHARE * TURN_STD, MIN_SHARE * SHIFT_STD * size, MIN_SHARE * jitter)
+    state = start
+    for _ in range(ROUNDS):
+        state = with_motion(state, frames)
+        state = solve_rig(state, corners, free, _errors(noise), steps=STEPS, damping=DAMPING)
+        before, noise = noise, _improve(state, corners, noise, floor)
+        if _largest_change(before, noise) < CONVERGED:
+            break
+    state = solve_rig(with_motion(state, frames), corners, free, _errors(noise), damping=DAMPING)
+    return Solution(state, standard_deviations(state, corners, free, _errors(noise)))
+
+
+def with_motion(state: RigState, frames: Sequence[int]) -> RigState:
+    """The rig with the motion of the board that follows from its positions."""
+    if state.timing is None:
+        return state
+    return replace(state, timing=replace(state.timing, motion=board_motion(frames, state.boards)))
+
+
+def _errors(noise: ViewNoise) -> Errors:
+    return Errors(noise, HUBER * noise.corner_px)
+
+
+def _improve(state: RigState, corners: Corners, noise: ViewNoise, floor: ViewNoise) -> ViewNoise:
+    views, found = group_views(corners), project(state, corners)
+    shared = shared_derivatives(state, corners, found)
+    weights = weigh(views, corners.pixels - found.pixels, shared, noise, corners.camera, HUBER * noise.corner_px)
+    return estimate_noise(state, corners, found, views, noise, weights, floor)
+
+
+def _largest_change(before: ViewNoise, after: ViewNoise) -> float:
+    """Largest relative change of a standard deviation."""
+    pairs = [np.concatenate([noise.corner_px, noise.shared_std]) for noise in (before, after)]
+    return float(np.abs(np.log((pairs[1] + 1e-12) / (pairs[0] + 1e-12))).max())

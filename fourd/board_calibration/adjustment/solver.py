@@ -1,0 +1,234 @@
+"""Bundle adjustment of a rig, the shape of a board and its positions.
+
+The solver is the Levenberg-Marquardt algorithm with a Huber loss by iteratively reweighted least squares. The shared
+errors of each view and the poses of the board are eliminated by Schur complements (Triggs et al., Bundle Adjustment - a
+Modern Synthesis, 2000, sec. 6.1), so that the time grows linearly with the number of frames. The inverse of the reduced
+normal equations is the covariance of the cameras' parameters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.board_calibration.adjustment.noise import ViewNoise, Views, Weights, group_views, shared_derivatives, weigh
+from fourd.board_calibration.adjustment.rig import (
+    LENS,
+    MIN_DEPTH,
+    PARAMETERS,
+    POSE,
+    TIME,
+    BoardShape,
+    Corners,
+    Poses,
+    RigState,
+    lens_vector,
+    project,
+)
+from fourd.board_calibration.adjustment.system import Free, System, build_system, squared_error
+from fourd.cameras import Camera
+
+Array = NDArray[np.float64]
+
+MAX_STEPS = 60
+MAX_TRIALS = 8
+DAMPING = 1e-3
+"""Initial damping factor of the Levenberg-Marquardt algorithm."""
+MIN_RELATIVE_DECREASE = 1e-6
+"""The solver stops when a step decreases the cost by less than this fraction of the cost."""
+PRIOR_ASPECT = 0.005
+"""Standard deviation of the logarithm of fx / fy around 0: pixels are square."""
+PRIOR_CENTRE = 0.015
+"""Standard deviation of the principal point around the image's centre, as a share of the image's longer side."""
+PRIOR_DISTORTION = np.array([0.3, 0.3, 0.005, 0.005, 0.3])
+"""Standard deviations of k1, k2, p1, p2 and k3 around 0. The prior matters where corners cover a small part of the
+image or few directions of the board, which leaves combinations of coefficients undetermined."""
+PRIOR_TIME = np.array([0.5, 0.5])
+"""Standard deviations of the delay and of the readout around 0, in frames."""
+PRIOR_THICKNESS_M = 0.005
+"""Standard deviation of the board's thickness around 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Model of the corners' errors.
+
+    Attributes:
+        noise: standard deviations.
+        huber_px: (C,) scale of the Huber loss in pixels.
+    """
+
+    noise: ViewNoise
+    huber_px: Array
+
+
+def solve_rig(
+    start: RigState,
+    corners: Corners,
+    free: Free,
+    errors: Errors,
+    *,
+    steps: int = MAX_STEPS,
+    damping: float = DAMPING,
+) -> RigState:
+    """Minimise the Huber loss of the reprojection errors, with a weak prior on lenses, timing and shape.
+
+    Args:
+        start: initial rig, with the corners in front of the cameras.
+        corners: observations.
+        free: parameters that are adjusted. One camera's pose should be fixed, because turning all cameras and boards
+            together would not change the cost.
+        errors: model of the corners' errors.
+        steps: largest number of steps.
+        damping: initial damping factor. A small factor saves steps near the minimum.
+    """
+    state = start
+    views = group_views(corners)
+    for _ in range(steps):
+        weights, shared = _weigh(state, corners, views, errors)
+        cost = _cost(state, corners, views, free, errors, weights, shared)
+        system = _with_prior(build_system(state, corners, views, free, errors.noise, weights), state, free)
+        enough = MIN_RELATIVE_DECREASE * cost
+        gain = 0.0
+        for _ in range(MAX_TRIALS):
+            step = system.step(damping)
+            if system.predicted_decrease(*step) < enough:
+                break
+            trial = move(state, free, *step)
+            after = _cost(trial, corners, views, free, errors, weights, shared)
+            if after < cost:
+                gain, state, damping = cost - after, trial, max(damping / 10, 1e-10)
+                break
+            damping *= 10
+        if gain < enough:
+            break
+    return state
+
+
+def move(state: RigState, free: Free, shared: Array, boards: Array) -> RigState:
+    """Apply the steps (P,) of the cameras and the board's shape, and (F, 6) of the boards."""
+    count = len(state.cameras) * PARAMETERS
+    cameras = shared[:count].reshape(-1, PARAMETERS)
+    turns = np.stack([cv2.Rodrigues(step[:3])[0] for step in boards]) if len(boards) else np.zeros((0, 3, 3))
+    moved = Poses(turns @ state.boards.rotation, state.boards.translation + boards[:, 3:])
+    timing = state.timing
+    if timing is not None:
+        delay, readout = cameras[:, TIME].T
+        timing = replace(timing, delay=timing.delay + delay, readout=timing.readout + readout)
+    shape = state.shape
+    if free.shape_unknowns and shape is not None:
+        rest = shared[count:]
+        displaced = free.offset_std_m.size
+        offsets = rest[:displaced].reshape(-1, 3) if displaced else 0.0
+        thickness = float(rest[-1]) if free.thickness else 0.0
+        shape = BoardShape(shape.offsets_m + offsets, shape.thickness_m + thickness)
+    return RigState(tuple(map(_move_camera, state.cameras, cameras)), moved, timing, shape)
+
+
+def _weigh(state: RigState, corners: Corners, views: Views, errors: Errors) -> tuple[Weights, Array]:
+    """Weights of the corners and views, and derivatives (N, 2, 7) with respect to the views' shared errors."""
+    found = project(state, corners)
+    shared = shared_derivatives(state, corners, found)
+    residual = corners.pixels - found.pixels
+    return weigh(views, residual, shared, errors.noise, corners.camera, errors.huber_px), shared
+
+
+def _cost(
+    state: RigState, corners: Corners, views: Views, free: Free, errors: Errors, weights: Weights, shared: Array
+) -> float:
+    found = project(state, corners)
+    if (found.depth < MIN_DEPTH).any():
+        return float("inf")
+    scale = np.sqrt(weights.corner) / errors.noise.corner_px[corners.camera]
+    precision, offset = _prior(state, free)
+    error = squared_error(corners.pixels - found.pixels, shared, views, errors.noise, weights, scale)
+    return error + float(offset @ precision @ offset)
+
+
+def _with_prior(system: System, state: RigState, free: Free) -> System:
+    """Add the prior, and ones on the diagonal of fixed parameters."""
+    precision, offset = _prior(state, free)
+    fixed = np.concatenate([~free.cameras.ravel(), np.zeros(free.shape_unknowns, bool)])
+    shared = system.shared + precision + np.diag(fixed.astype(float))
+    return replace(system, shared=shared, rhs_shared=system.rhs_shared - precision @ offset)
+
+
+def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
+    """Precision (P, P) of the prior, and distances (P,) from the prior's mean."""
+    count = len(state.cameras) * PARAMETERS
+    size = count + free.shape_unknowns
+    precision, offset = np.zeros((size, size)), np.zeros(size)
+    for index, camera in enumerate(state.cameras):
+        start, mask = index * PARAMETERS, free.cameras[index]
+        if mask[LENS].all():
+            lens = lens_vector(camera)
+            # The distance from square pixels is (fx - fy) / f, which is linear in fx and fy.
+            aspect = np.zeros(PARAMETERS)
+            aspect[LENS][:2] = np.array([1, -1]) / (PRIOR_ASPECT * lens[:2].mean())
+            centre = PRIOR_CENTRE * max(camera.width, camera.height)
+            diagonal = np.zeros(PARAMETERS)
+            diagonal[LENS][2:] = 1 / np.concatenate([[centre, centre], PRIOR_DISTORTION]) ** 2
+            block = slice(start, start + PARAMETERS)
+            precision[block, block] = np.diag(diagonal) + np.outer(aspect, aspect)
+            offset[block][LENS] = lens
+            offset[block][LENS][2:4] -= (camera.width / 2, camera.height / 2)
+        if state.timing is not None:
+            for number, value in enumerate((state.timing.delay[index], state.timing.readout[index])):
+                place = start + TIME.start + number
+                precision[place, place] = mask[TIME][number] / PRIOR_TIME[number] ** 2
+                offset[place] = value
+    if len(free.offset_std_m) and state.shape is not None:
+        corners = slice(count, count + free.offset_std_m.size)
+        precision[corners, corners] = np.diag(1 / free.offset_std_m.ravel() ** 2)
+        offset[corners] = state.shape.offsets_m.ravel()
+    if free.thickness and state.shape is not None:
+        precision[-1, -1], offset[-1] = 1 / PRIOR_THICKNESS_M**2, state.shape.thickness_m
+    return precision, offset
+
+
+def standard_deviations(state: RigState, corners: Corners, free: Free, errors: Errors) -> Array:
+    """Standard deviations (C, 17) of the cameras' parameters, in radians, metres, pixels, 1 and frames.
+
+    They are 0 for fixed parameters.
+
+    The covariance is H^-1 G H^-1, where H are the reduced normal equations and G is the sum over the frames of the
+    squared gradients (the sandwich estimate with clusters, Liang and Zeger 1986), and of the prior. It allows for
+    errors that are correlated within a frame and are larger than the model of the errors says. H is reduced by the mean
+    ratio of the curvature of the Huber loss to its weights (Huber, Robust Statistics, 1981, sec. 7.6).
+    """
+    views = group_views(corners)
+    weights, _ = _weigh(state, corners, views, errors)
+    plain = build_system(state, corners, views, free, errors.noise, weights)
+    reduced, eliminated = _with_prior(plain, state, free).reduce(0.0)
+    # Scaling to a unit diagonal keeps parameters of different units comparable.
+    scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
+    inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
+    scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
+    # The mean of the prior is as uncertain as the prior says, which adds to the gradients' variance.
+    precision, _ = _prior(state, free)
+    covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
+    variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)
+    return np.asarray(np.sqrt(np.maximum(variance, 0)) * free.cameras, np.float64)
+
+
+def _curvature(weights: Array) -> float:
+    """Mean curvature of the Huber loss of a length in the plane, relative to the mean weight.
+
+    Beyond the scale of the loss, the curvature is 0 along the error and equal to the weight across it.
+    """
+    return float(np.mean(np.where(weights < 1, weights / 2, 1.0)) / np.mean(weights))
+
+
+def _move_camera(camera: Camera, step: Array) -> Camera:
+    rotation = cv2.Rodrigues(step[POSE][:3])[0] @ camera.rotation
+    translation = camera.translation + step[POSE][3:]
+    if not step[LENS].any():
+        return replace(camera, rotation=rotation, translation=translation)
+    fx, fy, cx, cy, *distortion = lens_vector(camera) + step[LENS]
+    intrinsics = np.array([[max(fx, 1.0), 0, cx], [0, max(fy, 1.0), cy], [0, 0, 1]])
+    return replace(
+        camera, intrinsics=intrinsics, rotation=rotation, translation=translation, distortion=np.array(distortion)
+    )

@@ -1,0 +1,197 @@
+"""Normal equations of a rig: the sum over views, with the shared errors of each view eliminated.
+
+The unknowns are the C cameras (17 parameters each), the shape of the board (3 K + 1 parameters) and the F positions of
+the board (6 parameters each).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.board_calibration.adjustment.noise import SHARED, ViewNoise, Views, Weights, shared_derivatives
+from fourd.board_calibration.adjustment.rig import BOARD_PARAMETERS, PARAMETERS, Corners, RigState, project
+
+Array = NDArray[np.float64]
+
+CHUNK = 128
+"""Number of views whose matrices are in memory at the same time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Free:
+    """The unknowns that are adjusted, besides the positions of the board.
+
+    Attributes:
+        cameras: (C, 17) mask of the cameras' parameters.
+        offset_std_m: (K, 3) standard deviations of the corners' displacements on the board around 0. K is 0 if
+            displacements are not adjusted.
+        thickness: whether the thickness of the board is adjusted.
+    """
+
+    cameras: NDArray[np.bool_]
+    offset_std_m: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    thickness: bool = False
+
+    @property
+    def shape_unknowns(self) -> int:
+        """Number of parameters of the board's shape."""
+        return self.offset_std_m.size + self.thickness
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Normal equations of P shared unknowns (cameras, then the board's shape) and F boards.
+
+    Attributes:
+        shared: (P, P) matrix of the shared unknowns.
+        boards: (F, 6, 6) diagonal blocks of the boards.
+        coupling: (F, P, 6) blocks between the shared unknowns and each board.
+        rhs_shared: (P,) right-hand side.
+        rhs_boards: (F, 6) right-hand side.
+        gradients: (F, P) right-hand side of the shared unknowns from each frame.
+    """
+
+    shared: Array
+    boards: Array
+    coupling: Array
+    rhs_shared: Array
+    rhs_boards: Array
+    gradients: Array
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Steps (P,) of the shared unknowns and (F, 6) of the boards. Diagonals are multiplied by 1 + ``damping``."""
+        reduced, eliminated = self.reduce(damping)
+        rhs = self.rhs_shared - np.einsum("fij,fj->i", eliminated, self.rhs_boards)
+        step = np.linalg.solve(reduced, rhs)
+        inverse = np.linalg.inv(_damped(self.boards, damping))
+        rest = self.rhs_boards - np.einsum("fij,i->fj", self.coupling, step)
+        return step, np.einsum("fij,fj->fi", inverse, rest)
+
+    def predicted_decrease(self, shared: Array, boards: Array) -> float:
+        """Decrease of the cost by a step, twice that of the quadratic model at most."""
+        return float(self.rhs_shared @ shared + np.sum(self.rhs_boards * boards))
+
+    def reduce(self, damping: float) -> tuple[Array, Array]:
+        """Reduced normal equations (P, P), and coupling times inverse blocks of the boards (F, P, 6)."""
+        eliminated = self.coupling @ np.linalg.inv(_damped(self.boards, damping))
+        size = len(self.shared)
+        left = np.swapaxes(eliminated, 0, 1).reshape(size, -1)
+        right = np.swapaxes(self.coupling, 0, 1).reshape(size, -1)
+        return _damped(self.shared, damping) - left @ right.T, eliminated
+
+
+def build_system(
+    state: RigState, corners: Corners, views: Views, free: Free, noise: ViewNoise, weights: Weights
+) -> System:
+    """Sum the normal equations over the views, without a prior. Fixed parameters have zero rows."""
+    count, boards, extra = len(state.cameras), len(state.boards), free.shape_unknowns
+    size = count * PARAMETERS + extra
+    found = project(state, corners)
+    scale = (np.sqrt(weights.corner) / noise.corner_px[corners.camera])[:, None, None]
+    std = noise.shared_std
+    columns = np.concatenate(
+        [
+            found.by_camera * free.cameras[corners.camera][:, None],
+            found.by_board,
+            (corners.pixels - found.pixels)[..., None],
+            shared_derivatives(state, corners, found) * std,
+        ],
+        axis=2,
+    )
+    columns *= scale
+    by_corner = found.by_corner * scale
+    system = System(
+        np.zeros((size, size)),
+        np.zeros((boards, BOARD_PARAMETERS, BOARD_PARAMETERS)),
+        np.zeros((boards, size, BOARD_PARAMETERS)),
+        np.zeros(size),
+        np.zeros((boards, BOARD_PARAMETERS)),
+        np.zeros((boards, size)),
+    )
+    for start in range(0, len(views.camera), CHUNK):
+        which = slice(start, start + CHUNK)
+        padded = views.pad(columns, which)
+        if extra:
+            padded = np.concatenate([_shape_columns(by_corner, corners, views, free, which), padded], axis=2)
+        _add_views(system, _eliminate(padded, std, weights.view[which]), views.camera[which], views.board[which], extra)
+    # A board without observations would make its block singular.
+    system.boards[:] += 1e-9 * np.eye(BOARD_PARAMETERS)
+    return system
+
+
+def squared_error(
+    residual: Array, shared: Array, views: Views, noise: ViewNoise, weights: Weights, scale: Array
+) -> float:
+    """Weighted sum of squares of the residuals (N, 2), with the best shared errors of each view.
+
+    ``shared`` (N, 2, 7) are the derivatives with respect to the shared errors, and ``scale`` (N,) the weights' square
+    roots over the standard deviations of the corners.
+    """
+    flat = float(np.sum((residual * scale[:, None]) ** 2))
+    std = noise.shared_std
+    if not std.any():
+        return flat
+    left = views.pad(shared * std * scale[:, None, None])
+    right = np.swapaxes(left, 1, 2) @ views.pad((residual * scale[:, None])[..., None])
+    gram = np.swapaxes(left, 1, 2) @ left + np.eye(SHARED) * weights.view[:, None, None]
+    return flat - float(np.sum(right * np.linalg.solve(gram, right)))
+
+
+def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
+    """Gram matrices (V, Q, Q) of the columns before the last seven, with the shared errors eliminated."""
+    kept = padded[..., :-SHARED]
+    gram = np.swapaxes(kept, 1, 2) @ kept
+    if not std.any():
+        return gram
+    shared = padded[..., -SHARED:]
+    own = np.swapaxes(shared, 1, 2) @ shared + np.eye(SHARED) * weight[:, None, None]
+    mixed = np.swapaxes(shared, 1, 2) @ kept
+    return np.asarray(gram - np.swapaxes(mixed, 1, 2) @ np.linalg.solve(own, mixed))
+
+
+def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: NDArray[np.intp], extra: int) -> None:
+    """Add the Gram matrices (V, Q, Q) of views, whose columns are shape, camera, board and residual."""
+    own = slice(extra, extra + PARAMETERS)
+    pose = slice(own.stop, own.stop + BOARD_PARAMETERS)
+    last, shape = pose.stop, slice(0, extra)
+    tail = slice(len(system.shared) - extra, len(system.shared))
+    for camera in np.unique(cameras):
+        rows = cameras == camera
+        place = slice(camera * PARAMETERS, (camera + 1) * PARAMETERS)
+        total, some = grams[rows].sum(axis=0), boards[rows]
+        system.shared[place, place] += total[own, own]
+        system.shared[place, tail] += total[own, shape]
+        system.shared[tail, place] += total[shape, own]
+        system.shared[tail, tail] += total[shape, shape]
+        system.rhs_shared[place] += total[own, last]
+        system.rhs_shared[tail] += total[shape, last]
+        # A camera sees a position of the board once, so that no index occurs twice.
+        system.coupling[some, place] += grams[rows, own, pose]
+        system.coupling[some, tail] += grams[rows, shape, pose]
+        system.boards[some] += grams[rows, pose, pose]
+        system.rhs_boards[some] += grams[rows, pose, last]
+        system.gradients[some, place] += grams[rows, own, last]
+        system.gradients[some, tail] += grams[rows, shape, last]
+
+
+def _shape_columns(by_corner: Array, corners: Corners, views: Views, free: Free, which: slice) -> Array:
+    """Columns (V, 2 M, 3 K + 1) of the board's shape."""
+    rows = views.rows[which]
+    count = len(corners.ids)
+    columns = np.zeros((*rows.shape, 2, free.shape_unknowns))
+    real = rows < count
+    view, place = np.nonzero(real)
+    used = rows[real]
+    if len(free.offset_std_m):
+        for axis in range(3):
+            columns[view, place, :, 3 * corners.ids[used] + axis] = by_corner[used, :, axis]
+    if free.thickness:
+        columns[view, place, :, -1] = -by_corner[used, :, 2] * corners.back[used, None]
+    return columns.reshape(len(rows), -1, free.shape_unknowns)
+
+
+def _damped(blocks: Array, damping: float) -> Array:
+    return blocks * (1 + damping * np.eye(blocks.shape[-1]))
