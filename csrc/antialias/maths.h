@@ -164,20 +164,17 @@ FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vert
     return edge;
 }
 
-// Compares the rasterization (u, v, z/w, id) of two neighbouring pixels, and returns whether the triangle of the second
-// is nearer. At equal depths, the smaller id is nearer. `triangle` becomes the nearer triangle, or kNoTriangle if the
-// pair has no silhouette.
-FOURD_HD static inline bool nearer_is_second(const Mesh& mesh, const float* first, const float* second,
-                                             int* triangle) {
-    int one = triangle_of_value(first[3]), two = triangle_of_value(second[3]);
-    if (one >= 0 && static_cast<std::size_t>(one) >= mesh.triangle_count) one = kNoTriangle;
-    if (two >= 0 && static_cast<std::size_t>(two) >= mesh.triangle_count) two = kNoTriangle;
-    *triangle = kNoTriangle;
-    if (one == two) return false;
-    const bool is_second =
-        two != kNoTriangle && (one == kNoTriangle || second[2] < first[2] || (second[2] == first[2] && two < one));
-    *triangle = is_second ? two : one;
-    return is_second;
+// The triangle of a pixel, given its rasterization (u, v, z/w, id), or kNoTriangle.
+FOURD_HD static inline int triangle_at(const Mesh& mesh, const float* pixel) {
+    const int triangle = triangle_of_value(pixel[3]);
+    return triangle >= 0 && static_cast<std::size_t>(triangle) < mesh.triangle_count ? triangle : kNoTriangle;
+}
+
+// Whether triangle `two` of the second pixel of a pair is nearer than triangle `one` of the first. At equal depths, the
+// smaller index is nearer.
+FOURD_HD static inline bool second_is_nearer(const float* first, int one, const float* second, int two) {
+    if (one == kNoTriangle || two == kNoTriangle) return one == kNoTriangle;
+    return second[2] < first[2] || (second[2] == first[2] && two < one);
 }
 
 // The crossing of a pair: which pixel changes by how much, and the derivatives.
@@ -204,8 +201,9 @@ FOURD_HD static inline Crossing crossing_of(const Mesh& mesh, std::size_t first_
     out.changes_owner = clamped < 0.5f;
     out.weight = out.changes_owner ? 0.5f - clamped : clamped - 0.5f;
     const float shift = at * sight.step_along;
-    const Seen to_p{q.b / line.fall_along, (shift * q.w - q.a) / line.fall_along, -shift * q.b / line.fall_along};
-    const Seen to_q{-p.b / line.fall_along, (p.a - shift * p.w) / line.fall_along, shift * p.b / line.fall_along};
+    const float scale = 1.0f / line.fall_along;
+    const Seen to_p{q.b * scale, (shift * q.w - q.a) * scale, -shift * q.b * scale};
+    const Seen to_q{-p.b * scale, (p.a - shift * p.w) * scale, shift * p.b * scale};
     const Seen* to[2] = {&to_p, &to_q};
     out.differentiable = true;
     for (int k = 0; k < 2; ++k) {

@@ -42,11 +42,17 @@ struct View {
 // The code of a pair of pixels with different ids.
 FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
-    int triangle;
-    const bool is_second = nearer_is_second(view.plan.mesh, view.rast(first), view.rast(second), &triangle);
-    if (triangle == kNoTriangle || view.silhouettes[triangle] == 0) return 0;
+    const Mesh& mesh = view.plan.mesh;
+    const int one = triangle_at(mesh, view.rast(first)), two = triangle_at(mesh, view.rast(second));
+    if (one == two) return 0;
+    const unsigned of_one = one == kNoTriangle ? 0u : view.silhouettes[one];
+    const unsigned of_two = two == kNoTriangle ? 0u : view.silhouettes[two];
+    if ((of_one | of_two) == 0) return 0;
+    const bool is_second = second_is_nearer(view.rast(first), one, view.rast(second), two);
+    const unsigned silhouettes = is_second ? of_two : of_one;
+    if (silhouettes == 0) return 0;
     const Sight sight(pair, is_second, view.height, view.width);
-    const int edge = crossed_edge(view.plan.mesh, view.first_vertex, sight, triangle, view.silhouettes[triangle]);
+    const int edge = crossed_edge(mesh, view.first_vertex, sight, is_second ? two : one, silhouettes);
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 

@@ -45,8 +45,8 @@ void blend(const Mesh& mesh, const Images& images, const Settings& settings, flo
     const Buffer<std::uint8_t> silhouettes = find_silhouettes(mesh, images, loops, team);
     const Plan plan{mesh, images, silhouettes.data()};
     prefer_huge_pages(out, floats_of(images) * sizeof(float));
-    std::vector<Buffer<std::uint32_t>> scratch(team.size());
-    for (Buffer<std::uint32_t>& one : scratch) one.require(3 * static_cast<std::size_t>(images.width));
+    std::vector<Buffer<float>> scratch(team.size());
+    for (Buffer<float>& one : scratch) one.require(3 * static_cast<std::size_t>(images.width));
     team.run(tasks_of(images), [&](int task, int worker) {
         loops.blend(plan, rows_of(images, task), scratch[worker].data(), out, codes);
     });

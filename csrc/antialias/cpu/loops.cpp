@@ -38,12 +38,12 @@ FOURD_INLINE void copy(const float* from, std::size_t begin, std::size_t end, fl
     if (begin != end) std::memcpy(to + begin, from + begin, (end - begin) * sizeof(float));
 }
 
-FOURD_INLINE void copy_ids(const float* rast, int width, std::uint32_t* ids) {
-    for (int j = 0; j < width; ++j) std::memcpy(ids + j, rast + 4 * static_cast<std::size_t>(j) + 3, sizeof *ids);
+FOURD_INLINE void copy_ids(const float* FOURD_RESTRICT rast, int width, float* FOURD_RESTRICT ids) {
+    for (int j = 0; j < width; ++j) ids[j] = rast[4 * static_cast<std::size_t>(j) + 3];
 }
 
 // Bit 0 of changes[j]: the right neighbour has another id. Bit 1: the lower neighbour has.
-FOURD_INLINE void find_changes(const std::uint32_t* FOURD_RESTRICT ids, const std::uint32_t* FOURD_RESTRICT below,
+FOURD_INLINE void find_changes(const float* FOURD_RESTRICT ids, const float* FOURD_RESTRICT below,
                                int width, std::uint8_t* FOURD_RESTRICT changes) {
     for (int j = 0; j + 1 < width; ++j) changes[j] = static_cast<std::uint8_t>(ids[j] != ids[j + 1]);
     changes[width - 1] = 0;
@@ -61,16 +61,16 @@ FOURD_INLINE void blend_pair(const View& view, const Pair& pair, Code code, std:
     for (int c = 0; c < view.channels; ++c) to[c] += blend.crossing.weight * (from[c] - at[c]);
 }
 
-void blend(const Plan& plan, const Rows& rows, std::uint32_t* scratch, float* out, std::uint8_t* codes) {
+void blend(const Plan& plan, const Rows& rows, float* scratch, float* out, std::uint8_t* codes) {
     const View view(plan, rows.image);
     const std::size_t begin = view.pixel(rows.begin, 0), end = view.pixel(rows.end, 0);
-    std::uint32_t *ids = scratch, *below = scratch + view.width;
+    float *ids = scratch, *below = scratch + view.width;
     std::uint8_t* const changes = reinterpret_cast<std::uint8_t*>(scratch + 2 * static_cast<std::size_t>(view.width));
     copy(plan.images.colours, begin * view.channels, end * view.channels, out);
     const int first = rows.begin > 0 ? rows.begin - 1 : 0;  // The lower pairs of the row above change the first row.
     copy_ids(view.rast(view.pixel(first, 0)), view.width, below);
     for (int row = first; row < rows.end; ++row) {
-        std::uint32_t* const swapped = ids;
+        float* const swapped = ids;
         ids = below, below = swapped;
         const bool has_below = row + 1 < view.height;
         if (has_below) copy_ids(view.rast(view.pixel(row + 1, 0)), view.width, below);

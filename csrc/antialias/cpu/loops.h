@@ -22,7 +22,7 @@ struct Loops {
     void (*silhouettes)(const Mesh&, std::size_t instance, std::size_t begin, std::size_t end, std::uint8_t* out);
 
     // Writes the colours and the codes of some rows. `scratch` has three times the width.
-    void (*blend)(const Plan&, const Rows&, std::uint32_t* scratch, float* out, std::uint8_t* codes);
+    void (*blend)(const Plan&, const Rows&, float* scratch, float* out, std::uint8_t* codes);
 
     // The number of crossings of the pixels of some rows with their right and lower neighbours.
     std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
