@@ -2,47 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
-from fourd.ops.meshes.ids import decode_ids
-
-TOLERANCE_PX = 0.0625
-EDGES = ((1, 2), (2, 0), (0, 1))
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """Pairs of neighbouring pixels along one axis, as seen from the pixel of the nearer triangle, the owner.
-
-    Attributes:
-        image, owner, other: (N,) image of the batch, and flat indices of the pixels in all images.
-        triangle: (N,) triangle of the owner.
-        centre: (N, 2) centre of the owner in normalised device coordinates, along and across the pair.
-        step: (N, 2) from pixel to pixel; the first component is towards the other pixel.
-        axis: 0 for right neighbours, 1 for lower neighbours.
-    """
-
-    image: Tensor
-    owner: Tensor
-    other: Tensor
-    triangle: Tensor
-    centre: Tensor
-    step: Tensor
-    axis: int
-
-    def __getitem__(self, chosen: Tensor) -> _Pairs:
-        return _Pairs(
-            image=self.image[chosen],
-            owner=self.owner[chosen],
-            other=self.other[chosen],
-            triangle=self.triangle[chosen],
-            centre=self.centre[chosen],
-            step=self.step[chosen],
-            axis=self.axis,
-        )
+from fourd.ops.antialias.pairs import crossed_edge, crossing_of_edge, find_pairs
 
 
 def antialias_reference(
@@ -57,14 +20,11 @@ def antialias_reference(
     clip = clip[..., [0, 1, 3]]
     out = pixels = color.reshape(-1, color.shape[-1])
     for axis in (0, 1):
-        pairs = _find_pairs(rast, tri.shape[0], axis)
+        pairs = find_pairs(rast, tri.shape[0], axis)
         with torch.no_grad():
-            edge = _crossed_edge(pairs, clip, tri, opposite)
+            edge = crossed_edge(pairs, clip, tri, opposite)
         pairs, edge = pairs[edge >= 0], edge[edge >= 0]
-        ends = torch.tensor(EDGES, device=tri.device)[edge]
-        seen = _see(pairs, clip, tri.long()[pairs.triangle[:, None], ends])
-        value, fall, _ = _line(pairs, seen[:, 0], seen[:, 1])
-        crossing = value / fall
+        crossing = crossing_of_edge(pairs, clip, tri, edge)
         crossing = crossing + (crossing.clamp(0, 1) - crossing).detach()
         # Below 0.5, the owner's surface covers less than half of the pair, and the owner shows some of the other.
         changes_owner = crossing < 0.5
@@ -73,83 +33,3 @@ def antialias_reference(
         weight = (0.5 - crossing).abs()[:, None]
         out = out.index_add(0, changed, weight * (pixels[source] - pixels[changed]))
     return out.reshape(color.shape)
-
-
-def _find_pairs(rast: Tensor, triangles: int, axis: int) -> _Pairs:
-    """Return the pairs whose ids differ."""
-    batch, height, width, _ = rast.shape
-    ids = decode_ids(rast[..., 3]).long()
-    ids = torch.where(ids < triangles, ids, -1).reshape(-1)
-    depth = rast.detach()[..., 2].reshape(-1)
-    index = torch.arange(batch * height * width, device=rast.device).reshape(batch, height, width)
-    first = (index[:, :, :-1] if axis == 0 else index[:, :-1]).reshape(-1)
-    first = first[ids[first] != ids[first + (1 if axis == 0 else width)]]
-    second = first + (1 if axis == 0 else width)
-    one, two = ids[first], ids[second]
-    nearer = (depth[second] < depth[first]) | ((depth[second] == depth[first]) & (two < one))
-    is_second = (two >= 0) & ((one < 0) | nearer)
-    owner, other = torch.where(is_second, second, first), torch.where(is_second, first, second)
-    row, column = owner // width % height, owner % width
-    dtype = rast.dtype
-    x, y = (2 * column + 1).to(dtype) / width - 1, (2 * row + 1).to(dtype) / height - 1
-    centre = torch.stack((x, y) if axis == 0 else (y, x), 1)
-    steps = (2 / width, 2 / height) if axis == 0 else (2 / height, 2 / width)
-    step = torch.tensor(steps, dtype=dtype, device=rast.device).repeat(len(owner), 1)
-    step[:, 0] = torch.where(is_second, -step[:, 0], step[:, 0])
-    return _Pairs(owner // (height * width), owner, other, ids[owner], centre, step, axis)
-
-
-def _see(pairs: _Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return the vertices (N, K) relative to the centres of the owners: (N, K, 3) along, across, w."""
-    x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
-    along, across = (x, y) if pairs.axis == 0 else (y, x)
-    return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)
-
-
-def _line(pairs: _Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the value of an edge's line at the owner, and how much it falls per pixel along and across the pair."""
-    value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
-    along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
-    across = pairs.step[:, 1] * (p[:, 0] * q[:, 2] - p[:, 2] * q[:, 0])
-    return value, along, across
-
-
-def _crossed_edge(pairs: _Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
-    """Return the silhouette edge 0 to 2 of the owner's triangle that crosses each pair, or -1."""
-    seen = _see(pairs, clip, tri.long()[pairs.triangle])
-    lines = [_line(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
-    value, along, across = (torch.stack(parts, 1) for parts in zip(*lines, strict=True))
-    inside = value[:, 0] + value[:, 1] + value[:, 2]
-    sign = torch.where(inside < 0, -1.0, 1.0)[:, None].to(value)
-    value, along, across = value * sign, along * sign, across.abs()
-    perpendicular = (along >= across) if pairs.axis == 0 else (along > across)
-    crossing = value / along
-    valid = perpendicular & (along > 0) & (crossing >= -TOLERANCE_PX) & (crossing <= 1 + TOLERANCE_PX)
-    # Of equal crossings, the kernels take the last.
-    nearest, edge = torch.where(valid, crossing, torch.inf).flip(1).min(1)
-    edge = 2 - edge
-    slack = TOLERANCE_PX * (along.abs() + across)
-    on_edge = (value - nearest[:, None] * along >= -slack) | torch.nn.functional.one_hot(edge, 3).bool()
-    found = valid.any(1) & on_edge.all(1) & _is_silhouette(pairs, clip, tri, opposite, edge)
-    return torch.where(found, edge, -1)
-
-
-def _is_silhouette(pairs: _Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, edge: Tensor) -> Tensor:
-    """Return whether the edge has no neighbour, or one that does not lie on the other side of the edge."""
-    neighbour = opposite.long()[pairs.triangle, edge]
-    corners = tri.long()[pairs.triangle]
-    ends = corners.gather(1, torch.tensor(EDGES, device=tri.device)[edge])
-    own = corners.gather(1, edge[:, None])[:, 0]
-    p, q = clip[pairs.image[:, None], ends].unbind(1)
-    one = _side(p, q, clip[pairs.image, own])
-    two = _side(p, q, clip[pairs.image, neighbour.clamp(min=0)])
-    return (neighbour < 0) | ~(((one > 0) & (two < 0)) | ((one < 0) & (two > 0)))
-
-
-def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
-    """Return the determinant of p, q and r, whose sign is the side of the edge on which r lies."""
-    e, d = q - p, r - p
-    x = e[:, 1] * d[:, 2] - e[:, 2] * d[:, 1]
-    y = e[:, 2] * d[:, 0] - e[:, 0] * d[:, 2]
-    w = e[:, 0] * d[:, 1] - e[:, 1] * d[:, 0]
-    return (p[:, 0] * x + p[:, 1] * y) + p[:, 2] * w

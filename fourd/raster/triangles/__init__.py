@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from fourd.raster.triangles.antialiasing import Topology, antialias, antialias_construct_topology
     from fourd.raster.triangles.clipping import clip_matrix
+    from fourd.raster.triangles.gradient_estimates import estimate_gradient
     from fourd.raster.triangles.interpolation import interpolate
     from fourd.raster.triangles.peeling import DepthPeeler
     from fourd.raster.triangles.rasterization import rasterize
     from fourd.raster.triangles.splatting import TriangleRender, splat_triangles
     from fourd.raster.triangles.textures import Mip, texture, texture_construct_mip
+    from fourd.raster.triangles.visibility_edges import edge_gradients
 
 _MODULES: dict[str, str] = {
     "DepthPeeler": "peeling",
@@ -25,6 +27,8 @@ _MODULES: dict[str, str] = {
     "antialias": "antialiasing",
     "antialias_construct_topology": "antialiasing",
     "clip_matrix": "clipping",
+    "edge_gradients": "visibility_edges",
+    "estimate_gradient": "gradient_estimates",
     "interpolate": "interpolation",
     "rasterize": "rasterization",
     "splat_triangles": "splatting",
@@ -41,6 +45,8 @@ __all__ = [
     "antialias",
     "antialias_construct_topology",
     "clip_matrix",
+    "edge_gradients",
+    "estimate_gradient",
     "interpolate",
     "rasterize",
     "splat_triangles",

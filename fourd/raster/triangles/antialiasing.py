@@ -89,14 +89,14 @@ def antialias(
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
         RuntimeError: if the backend is not built.
     """
-    chosen = _check(color, rast, pos, tri, topology, pos_gradient_boost, backend)
+    chosen = check_antialias(color, rast, pos, tri, topology, pos_gradient_boost, backend)
     opposite = opposite_vertices(tri) if topology is None else topology.opposite
     if chosen == "reference":
         return antialias_reference(color, rast, pos, tri, opposite, pos_gradient_boost)
     return op.antialias(color, rast.detach(), pos, tri, opposite, float(pos_gradient_boost), threads)[0]
 
 
-def _check(
+def check_antialias(
     color: Tensor,
     rast: Tensor,
     pos: Tensor,

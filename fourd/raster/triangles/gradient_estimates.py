@@ -1,0 +1,91 @@
+"""Gradients through renderers that have none (public API)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+
+@torch.no_grad()
+def estimate_gradient(
+    render: Callable[[Tensor], Tensor],
+    loss: Callable[[Tensor], Tensor],
+    params: Tensor,
+    ids: Callable[[Tensor], Tensor],
+    *,
+    epsilon: float | Tensor,
+    samples: int = 1,
+    generator: torch.Generator | None = None,
+) -> Tensor:
+    """Estimate the gradient of a loss with respect to the parameters of primitives, from images alone (Deliot et al.
+    2024, "Transforming a non-differentiable rasterizer into a differentiable one with stochastic gradient estimation").
+
+    Each sample perturbs all parameters at once by epsilon s, where every s is +1 or -1 at random. With the losses L of
+    a pixel in the images of params + epsilon s and params - epsilon s, the pixel adds (L_+ - L_-) s / (2 epsilon) to
+    the gradients of the primitives that it shows in one of the two images. The expectation is the gradient of the loss
+    that is averaged over a distance of epsilon. The noise falls with the square root of ``samples``.
+
+    Args:
+        render: maps parameters to an image. It is a black box, and is called twice for each sample.
+        loss: maps an image to a loss for each pixel, (H, W) or any shape. The estimated gradient is that of their sum.
+        params: (N, ...) parameters of N primitives, floating point.
+        ids: maps parameters to the primitives that each pixel shows: the shape of the pixels' losses, or with one more
+            axis for several primitives in a pixel. Integers; values below 0 mean no primitive. It is called directly
+            after ``render`` with the same parameters, so that it can return ids that ``render`` has computed.
+        epsilon: size of the perturbation, greater than 0; a number, or a tensor that broadcasts to ``params``.
+        samples: number of pairs of images, at least 1.
+        generator: random generator on the device of ``params``. None uses torch's default generator.
+
+    Returns:
+        Gradient with the shape of ``params``, not differentiable.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+    """
+    _check(params, epsilon, samples)
+    total = torch.zeros_like(params)
+    for _ in range(samples):
+        signs = 2 * torch.randint(0, 2, params.shape, generator=generator, device=params.device).to(params) - 1
+        losses, seen = [], []
+        for direction in (signs, -signs):
+            moved = params + epsilon * direction
+            losses.append(loss(render(moved)))
+            seen.append(_check_ids(ids(moved), losses[-1], len(params)))
+        credit = _sum_by_primitive(losses[0] - losses[1], torch.cat(seen, 1), len(params)).to(params)
+        total += credit.reshape(-1, *[1] * (params.ndim - 1)) * signs / (2 * epsilon)
+    return total / samples
+
+
+def _sum_by_primitive(differences: Tensor, seen: Tensor, count: int) -> Tensor:
+    """Sum the differences (P,) of pixels over the primitives (P, K) that they show; each counts once in a pixel."""
+    seen = seen.sort(1).values
+    repeated = torch.zeros_like(seen, dtype=torch.bool)
+    repeated[:, 1:] = seen[:, 1:] == seen[:, :-1]
+    counted = (seen >= 0) & ~repeated
+    values = differences.reshape(-1, 1).expand(-1, seen.shape[1])[counted]
+    return torch.zeros(count, dtype=values.dtype, device=values.device).index_add(0, seen[counted], values)
+
+
+def _check(params: Tensor, epsilon: float | Tensor, samples: int) -> None:
+    if not isinstance(params, Tensor) or not params.dtype.is_floating_point or params.ndim < 1:
+        found = f"{tuple(params.shape)} {params.dtype}" if isinstance(params, Tensor) else type(params).__name__
+        raise TypeError(f"params: expected a floating-point tensor (N, ...), got {found}")
+    if not bool((torch.as_tensor(epsilon) > 0).all()):
+        raise ValueError(f"epsilon: expected values greater than 0, got {epsilon}")
+    if samples < 1:
+        raise ValueError(f"samples: expected at least 1, got {samples}")
+
+
+def _check_ids(ids: Tensor, loss: Tensor, count: int) -> Tensor:
+    """Check the result of ``ids`` and return it as (P, K) int64."""
+    if ids.dtype.is_floating_point or ids.dtype == torch.bool:
+        raise TypeError(f"ids: expected integers, got {str(ids.dtype).removeprefix('torch.')}")
+    if ids.shape[: loss.ndim] != loss.shape or ids.ndim > loss.ndim + 1:
+        expected = f"the shape of the losses, {tuple(loss.shape)}, with or without one more axis"
+        raise ValueError(f"ids: expected {expected}, got {tuple(ids.shape)}")
+    if ids.numel() > 0 and int(ids.max()) >= count:
+        raise ValueError(f"ids: expected primitives below {count}, got {int(ids.max())}")
+    slots = ids.shape[-1] if ids.ndim > loss.ndim else 1
+    return ids.long().reshape(loss.numel(), slots)
