@@ -85,3 +85,7 @@ fourd_kernel(texture
   CUDA cuda/sample.cu
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
+
+fourd_kernel(unpack
+  DISPATCH loops.cpp WIDEST avx2 TOLERANT
+  BINDING binding.cpp)

@@ -25,4 +25,23 @@ FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
     return value;
 }
 
+// Converts float32 to half precision, rounded to the nearest value, and to even at ties. Values beyond the largest
+// finite half are clamped to it. NaN becomes an arbitrary number.
+FOURD_HD FOURD_INLINE std::uint16_t to_half(float value) {
+    std::uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    const std::uint32_t sign = bits >> 16 & 0x8000u;
+    std::uint32_t magnitude = bits & 0x7fffffffu;
+    magnitude = magnitude < 0x477fe000u ? magnitude : 0x477fe000u;  // 65504
+    const std::uint32_t normal = (magnitude + 0xfffu + (magnitude >> 13 & 1u) - (112u << 23)) >> 13;
+    // The sum with 0.5 aligns the bits of a subnormal half with the lowest bits of a float, and rounds them.
+    float small;
+    memcpy(&small, &magnitude, sizeof small);
+    small += 0.5f;
+    std::uint32_t small_bits;
+    memcpy(&small_bits, &small, sizeof small_bits);
+    const std::uint32_t subnormal = small_bits - (126u << 23);
+    return static_cast<std::uint16_t>(sign | (magnitude < 113u << 23 ? subnormal : normal));
+}
+
 }  // namespace fourd

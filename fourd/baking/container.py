@@ -10,10 +10,7 @@ members.
 
 from __future__ import annotations
 
-import errno
-import struct
 import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
@@ -25,8 +22,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.baking.archive import ZIP_ERRORS, check_members, damaged, disk_errors, make_member, open_zip
 from fourd.baking.combine import combine_frames
 from fourd.baking.manifest import ManifestError, NewerVersionError, manifest_from_json, manifest_to_json
+from fourd.baking.packing.encoding import CloudEncoding
+from fourd.baking.packing.members import decode_cloud, optional_member, packed_names
+from fourd.baking.packing.streams import StreamError, decompress_exactly
 from fourd.baking.scene import FULL_VERSION, OBJECT_VERSION, BakedFrame, SceneBackground, SceneManifest, make_frame
 from fourd.errors import UserError
 from fourd.files import atomic_path
@@ -36,24 +37,11 @@ MAX_MANIFEST_BYTES = 64 << 20
 BACKGROUND = "background"
 """Folder inside the ZIP that contains the arrays of the background."""
 SHADOW = "shadow"
-_TIMESTAMP = (1980, 1, 1, 0, 0, 0)
-_ENCRYPTED = 0x1
-_ZIP_ERRORS = (
-    zipfile.BadZipFile,
-    zipfile.LargeZipFile,
-    struct.error,
-    zlib.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    ValueError,
-    OverflowError,
-)
 
 
 def member_name(frame: int, attribute: str) -> str:
     """Return the path of a frame's array inside the ZIP."""
-    return f"{_frame_folder(frame)}/{attribute}"
+    return f"{frame_folder(frame)}/{attribute}"
 
 
 class SceneWriter:
@@ -85,7 +73,7 @@ class SceneWriter:
         self._zip: zipfile.ZipFile | None = None
 
     def __enter__(self) -> SceneWriter:
-        with _disk_errors(self.path), ExitStack() as stack:
+        with disk_errors(self.path), ExitStack() as stack:
             temporary = stack.enter_context(atomic_path(self.path))
             self._zip = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED, allowZip64=True)
             self._stack = stack.pop_all()
@@ -106,7 +94,7 @@ class SceneWriter:
         self._check(f"frame {index}", frame)
         if shadow is not None or self._shadow is not None:
             self._check_shadow(index, shadow)
-        self._write_arrays(_frame_folder(index), frame)
+        self._write_arrays(frame_folder(index), frame)
         if shadow is not None:
             self._write_array(member_name(index, SHADOW), shadow)
             self._shadow = len(shadow)
@@ -138,7 +126,7 @@ class SceneWriter:
                 self._zip.close()
             self._stack.__exit__(kind, error, trace)
             return
-        with _disk_errors(self.path), self._stack, self._zip:
+        with disk_errors(self.path), self._stack, self._zip:
             self.manifest = self._complete_manifest()
             self._write(MANIFEST_NAME, manifest_to_json(self.manifest))
 
@@ -186,14 +174,12 @@ class SceneWriter:
             self._write_array(f"{folder}/{attribute.name}", array)
 
     def _write_array(self, name: str, array: NDArray[Any]) -> None:
-        with _disk_errors(self.path):
+        with disk_errors(self.path):
             self._write(name, np.ascontiguousarray(array).data.cast("B") if array.size else b"")
 
     def _write(self, name: str, content: bytes | memoryview) -> None:
         assert self._zip is not None
-        info = zipfile.ZipInfo(name, _TIMESTAMP)
-        info.external_attr = 0o644 << 16
-        self._zip.writestr(info, content)
+        self._zip.writestr(make_member(name), content)
 
 
 class SceneReader:
@@ -209,11 +195,11 @@ class SceneReader:
 
     def __init__(self, path: Path | str) -> None:
         self.path = Path(path)
-        self._zip = _open_zip(self.path)
+        self._zip = open_zip(self.path)
         self._background: BakedFrame | None = None
         self._lock = Lock()
         try:
-            self._members = _check_members(self.path, self._zip)
+            self._members = check_members(self.path, self._zip)
             self.manifest = self._read_manifest()
             self._check_sizes()
         except BaseException:
@@ -237,7 +223,8 @@ class SceneReader:
     def read_dynamic(self, index: int) -> BakedFrame:
         """Read the dynamic points of frame ``index``. Raises IndexError if the scene has no such frame."""
         self._require_frame(index)
-        return self._read(_frame_folder(index), self.manifest.points[index])
+        encoding = self.manifest.encoding
+        return self._read(frame_folder(index), self.manifest.points[index], encoding and encoding.dynamic)
 
     def read_background(self) -> BakedFrame | None:
         """Return the cached background points, without shadows. Returns None for an object scene."""
@@ -246,7 +233,8 @@ class SceneReader:
             return None
         with self._lock:
             if self._background is None:
-                self._background = self._read(BACKGROUND, described.points)
+                encoding = self.manifest.encoding
+                self._background = self._read(BACKGROUND, described.points, encoding and encoding.background)
             return self._background
 
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:
@@ -257,41 +245,72 @@ class SceneReader:
         self._require_frame(index)
         if self.manifest.background is None or not self.manifest.background.shadow:
             return None
-        return np.frombuffer(self._content(member_name(index, SHADOW)), np.uint8)
+        name = member_name(index, SHADOW)
+        content = self._content(name)
+        if self.manifest.encoding is None:
+            return np.frombuffer(content, np.uint8)
+        with self._decoding(name):
+            return decompress_exactly(content, self.manifest.background.points)
 
     def _require_frame(self, index: int) -> None:
         if not 0 <= index < self.manifest.frame_count:
             raise IndexError(f"frame: expected 0 to {self.manifest.frame_count - 1}, got {index}")
 
-    def _read(self, folder: str, points: int) -> BakedFrame:
+    def _read(self, folder: str, points: int, encoding: CloudEncoding | None) -> BakedFrame:
+        arrays = self._read_arrays(folder, points) if encoding is None else self._unpack(folder, points, encoding)
+        frame = make_frame(arrays)
+        invalid = frame.find_invalid_array()
+        if invalid is not None:
+            name = f"{folder}/{invalid}"
+            raise damaged(self.path, f"finite numbers in {name}", "NaN, infinity or a value out of range")
+        return frame
+
+    def _read_arrays(self, folder: str, points: int) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
         for attribute in self.manifest.attributes:
             content = self._content(f"{folder}/{attribute.name}")
             shape = attribute.resolve_shape(points, self.manifest.view_count)
             arrays[attribute.name] = np.frombuffer(content, dtype=attribute.dtype).reshape(shape)
-        frame = make_frame(arrays)
-        invalid = frame.find_invalid_array()
-        if invalid is not None:
-            name = f"{folder}/{invalid}"
-            raise _damaged(self.path, f"finite numbers in {name}", "NaN, infinity or a value out of range")
-        return frame
+        return arrays
+
+    def _unpack(self, folder: str, points: int, encoding: CloudEncoding) -> dict[str, NDArray[Any]]:
+        """Decode the members of a packed cloud."""
+        views = self.manifest.view_count
+        members = {name: self._content(f"{folder}/{name}") for name in packed_names(self.manifest)}
+        with self._decoding(folder):
+            arrays = decode_cloud(members, points, views, encoding)
+            for attribute in self.manifest.attributes:
+                if attribute.is_optional:
+                    size, shape = attribute.nbytes(points, views), attribute.resolve_shape(points, views)
+                    content = decompress_exactly(members[optional_member(attribute.name)], size)
+                    arrays[attribute.name] = content.view(attribute.dtype).reshape(shape)
+        return arrays
+
+    @contextmanager
+    def _decoding(self, name: str) -> Iterator[None]:
+        """Raise a UserError that names the file if the block finds a damaged member."""
+        try:
+            yield
+        except StreamError as error:
+            expected, _, got = str(error).removeprefix("expected ").partition(", got ")
+            raise damaged(self.path, f"{expected} in {name}", got) from error
 
     def _content(self, name: str) -> bytes:
         if self._zip.fp is None:
             raise ValueError(f"{self.path}: expected an open scene, got a closed one")
         try:
             return self._zip.read(self._members[name])
-        except _ZIP_ERRORS as error:
-            raise _damaged(self.path, f"an intact member {name}", str(error) or "the end of the file") from error
+        except ZIP_ERRORS as error:
+            raise damaged(self.path, f"an intact member {name}", str(error) or "the end of the file") from error
         except OSError as error:
             raise UserError(f"{self.path}: cannot be read ({error}); check the disk") from error
 
     def _read_manifest(self) -> SceneManifest:
         if MANIFEST_NAME not in self._members:
-            raise _damaged(self.path, f"a scene that contains {MANIFEST_NAME}", "a ZIP without it")
+            raise damaged(self.path, f"a scene that contains {MANIFEST_NAME}", "a ZIP without it")
         size = self._members[MANIFEST_NAME].file_size
         if size > MAX_MANIFEST_BYTES:
-            raise _damaged(self.path, f"at most {MAX_MANIFEST_BYTES} bytes of {MANIFEST_NAME}", f"{size}")
+            raise damaged(self.path, f"at most {MAX_MANIFEST_BYTES} bytes of {MANIFEST_NAME}", f"{size}")
         try:
             return manifest_from_json(self._content(MANIFEST_NAME))
         except NewerVersionError as error:
@@ -302,78 +321,29 @@ class SceneReader:
     def _check_sizes(self) -> None:
         for name, expected in _member_sizes(self.manifest):
             if name not in self._members:
-                raise _damaged(self.path, f"a member {name}", "none")
+                raise damaged(self.path, f"a member {name}", "none")
             size = self._members[name].file_size
-            if size != expected:
-                raise _damaged(self.path, f"{expected} bytes in {name} according to the manifest", f"{size}")
+            if expected is not None and size != expected:
+                raise damaged(self.path, f"{expected} bytes in {name} according to the manifest", f"{size}")
 
 
-def _frame_folder(index: int) -> str:
+def frame_folder(index: int) -> str:
+    """Return the folder of a frame inside the ZIP."""
     return f"frames/{index:06d}"
 
 
-def _member_sizes(manifest: SceneManifest) -> Iterator[tuple[str, int]]:
-    """Yield the names of all arrays of a scene and their sizes in bytes."""
-    folders = [(_frame_folder(index), points) for index, points in enumerate(manifest.points)]
+def _member_sizes(manifest: SceneManifest) -> Iterator[tuple[str, int | None]]:
+    """Yield the names of all members of a scene and their sizes in bytes, or None for compressed members."""
+    packed = manifest.encoding is not None
+    folders = [(frame_folder(index), points) for index, points in enumerate(manifest.points)]
     if manifest.background is not None:
         if manifest.background.shadow:
             for folder, _ in folders:
-                yield f"{folder}/{SHADOW}", manifest.background.points
+                yield f"{folder}/{SHADOW}", None if packed else manifest.background.points
         folders.append((BACKGROUND, manifest.background.points))
     for folder, points in folders:
-        for attribute in manifest.attributes:
-            yield f"{folder}/{attribute.name}", attribute.nbytes(points, manifest.view_count)
-
-
-def _open_zip(path: Path) -> zipfile.ZipFile:
-    if path.is_dir():
-        raise UserError(f"{path}: expected a .4dv file, got a folder; name the file that fourd export wrote")
-    try:
-        return zipfile.ZipFile(path)
-    except FileNotFoundError as error:
-        raise UserError(f"{path}: expected a .4dv file, got a path that does not exist; check the path") from error
-    except _ZIP_ERRORS as error:
-        raise UserError(
-            f"{path}: expected a complete .4dv scene (a ZIP), got a truncated file or another kind of file; "
-            "copy or export it again"
-        ) from error
-    except OSError as error:
-        raise UserError(f"{path}: cannot be read ({error}); check its permissions") from error
-
-
-def _check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    members: dict[str, zipfile.ZipInfo] = {}
-    size, total = path.stat().st_size, 0
-    for info in archive.infolist():
-        name = info.filename
-        if name.startswith("/") or "\\" in name or ":" in name or ".." in name.split("/"):
-            raise _damaged(path, "member names inside the archive", repr(name[:80]))
-        if name in members:
-            raise _damaged(path, "every member once", f"{name!r} twice")
-        if info.flag_bits & _ENCRYPTED:
-            raise UserError(
-                f"{path}: expected unencrypted members, got the encrypted member {name!r}; export the scene again"
-            )
-        if info.compress_type != zipfile.ZIP_STORED or info.compress_size != info.file_size:
-            raise UserError(
-                f"{path}: expected uncompressed members, got the compressed member {name!r}; use zip -0 or export again"
-            )
-        total += info.file_size
-        members[name] = info
-    if total > size:
-        raise _damaged(path, f"members of at most {size} bytes, the file's size", f"{total}")
-    return members
-
-
-def _damaged(path: Path, expected: str, got: str) -> UserError:
-    return UserError(f"{path}: expected {expected}, got {got}; the file is damaged: copy or export it again")
-
-
-@contextmanager
-def _disk_errors(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise UserError(f"{path}: the disk is full; free some space or write elsewhere with -o") from error
-        raise UserError(f"{path}: cannot be written ({error.strerror or error}); write elsewhere with -o") from error
+        if packed:
+            yield from ((f"{folder}/{name}", None) for name in packed_names(manifest))
+        else:
+            for attribute in manifest.attributes:
+                yield f"{folder}/{attribute.name}", attribute.nbytes(points, manifest.view_count)

@@ -6,16 +6,18 @@ The parser treats the file as untrusted: it checks the type, range and finitenes
 from __future__ import annotations
 
 import json
-import math
 from typing import Any
 
 import numpy as np
 
 from fourd.baking.attributes import ATTRIBUTES
+from fourd.baking.json_node import JsonNode, ManifestError
+from fourd.baking.packing.encoding_json import encoding_from_json, encoding_to_json
 from fourd.baking.scene import (
     FORMAT_NAME,
     FORMAT_VERSION,
     FULL_VERSION,
+    PACKED_VERSION,
     SceneBackground,
     SceneKind,
     SceneManifest,
@@ -27,11 +29,6 @@ MAX_FRAMES = 1_000_000
 MAX_POINTS = 1 << 26
 MAX_VIEWS = 4096
 MAX_PIXELS = 1 << 16
-MAX_NAME = 255
-
-
-class ManifestError(ValueError):
-    """An invalid manifest. The message has the form "where: expected ..., got ..."."""
 
 
 class NewerVersionError(ManifestError):
@@ -55,6 +52,7 @@ def manifest_to_json(manifest: SceneManifest) -> bytes:
         "sh": {"range": manifest.sh_range, "base": manifest.sh_base},
         "focus": list(manifest.focus),
         "bounds": {"lower": list(manifest.bounds[0]), "upper": list(manifest.bounds[1])},
+        **({} if manifest.encoding is None else {"encoding": encoding_to_json(manifest.encoding)}),
         "attributes": {item.name: {"dtype": item.dtype, "shape": list(item.shape)} for item in manifest.attributes},
         "source_views": _views_to_json(manifest.source_names, manifest.source_cameras),
         "other_views": _views_to_json(manifest.other_names, manifest.other_cameras),
@@ -72,7 +70,7 @@ def manifest_from_json(text: bytes) -> SceneManifest:
         content = json.loads(text.decode("utf-8"))
     except (ValueError, RecursionError) as error:
         raise ManifestError(f"manifest.json: expected UTF-8 JSON, got other content ({error})") from error
-    root = _Node(content, "manifest.json")
+    root = JsonNode(content, "manifest.json")
     if root.text("format") != FORMAT_NAME:
         raise ManifestError(f'manifest.json: expected format "{FORMAT_NAME}", got "{root.text("format")}"')
     version = root.integer("version", 1, 1 << 31)
@@ -108,6 +106,9 @@ def manifest_from_json(text: bytes) -> SceneManifest:
             producer=root.text("producer"),
             version=version,
             optional_attributes=optional_attributes,
+            encoding=encoding_from_json(root.node("encoding"), has_background=background is not None)
+            if version >= PACKED_VERSION
+            else None,
         )
     except ManifestError:
         raise
@@ -115,91 +116,7 @@ def manifest_from_json(text: bytes) -> SceneManifest:
         raise ManifestError(f"manifest.json: {error}") from error
 
 
-class _Node:
-    """A JSON object, with its path inside the manifest for error messages."""
-
-    def __init__(self, content: object, where: str) -> None:
-        if not isinstance(content, dict):
-            raise ManifestError(f"{where}: expected a JSON object, got {_format(content)}")
-        self.content: dict[str, Any] = content
-        self.where = where
-
-    def get(self, key: str) -> object:
-        if key not in self.content:
-            raise ManifestError(f'{self.where}: expected a key "{key}", got none')
-        return self.content[key]
-
-    def fail(self, key: str, expected: str) -> ManifestError:
-        return ManifestError(f"{self.where}, {key}: expected {expected}, got {_format(self.content[key])}")
-
-    def node(self, key: str) -> _Node:
-        return _Node(self.get(key), f"{self.where}, {key}")
-
-    def items(self, key: str, max_count: int) -> list[_Node]:
-        value = self.get(key)
-        if not isinstance(value, list) or len(value) > max_count:
-            raise self.fail(key, f"a list of at most {max_count} objects")
-        return [_Node(item, f"{self.where}, {key}[{index}]") for index, item in enumerate(value)]
-
-    def text(self, key: str) -> str:
-        value = self.get(key)
-        if not isinstance(value, str) or len(value) > MAX_NAME or not value.isprintable():
-            raise self.fail(key, f"printable text of at most {MAX_NAME} characters")
-        return value
-
-    def integer(self, key: str, low: int, high: int) -> int:
-        value = self.get(key)
-        if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-            raise self.fail(key, f"a whole number from {low} to {high}")
-        return value
-
-    def flag(self, key: str) -> bool:
-        value = self.get(key)
-        if not isinstance(value, bool):
-            raise self.fail(key, "true or false")
-        return value
-
-    def number(self, key: str, low: float, high: float) -> float:
-        value = _finite(self.get(key))
-        if value is None or not low <= value <= high:
-            raise self.fail(key, f"a number from {low:g} to {high:g}")
-        return value
-
-    def numbers(self, key: str, count: int) -> list[float]:
-        value = self.get(key)
-        numbers = [_finite(item) for item in value] if isinstance(value, list) and len(value) == count else []
-        found = [number for number in numbers if number is not None]
-        if len(found) != count:
-            raise self.fail(key, f"{count} finite numbers")
-        return found
-
-    def triple(self, key: str) -> tuple[float, float, float]:
-        x, y, z = self.numbers(key, 3)
-        return x, y, z
-
-    def matrix(self, key: str) -> list[list[float]]:
-        rows = self.get(key)
-        if not isinstance(rows, list) or len(rows) != 3:
-            raise self.fail(key, "3 rows of 3 finite numbers")
-        return [_Node({"row": row}, f"{self.where}, {key}").numbers("row", 3) for row in rows]
-
-
-def _finite(value: object) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    try:
-        number = float(value)
-    except OverflowError:
-        return None
-    return number if math.isfinite(number) and abs(number) < 1e30 else None
-
-
-def _format(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _kind(root: _Node) -> SceneKind:
+def _kind(root: JsonNode) -> SceneKind:
     kind = root.text("kind")
     if kind == "object":
         return "object"
@@ -214,7 +131,7 @@ def _background_to_json(background: SceneBackground | None) -> dict[str, Any]:
     return {"background": {"points": background.points, "shadow": background.shadow}}
 
 
-def _background(root: _Node, kind: SceneKind, version: int) -> SceneBackground | None:
+def _background(root: JsonNode, kind: SceneKind, version: int) -> SceneBackground | None:
     if kind == "object":
         if "background" in root.content:
             raise root.fail("background", 'no background for kind "object"')
@@ -225,14 +142,14 @@ def _background(root: _Node, kind: SceneKind, version: int) -> SceneBackground |
     return SceneBackground(node.integer("points", 0, MAX_POINTS), node.flag("shadow"))
 
 
-def _bounds(node: _Node) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+def _bounds(node: JsonNode) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     lower, upper = node.triple("lower"), node.triple("upper")
     if any(low > high for low, high in zip(lower, upper, strict=True)):
         raise ManifestError(f"{node.where}: expected lower below upper, got {lower} and {upper}")
     return lower, upper
 
 
-def _check_attributes(node: _Node) -> tuple[str, ...]:
+def _check_attributes(node: JsonNode) -> tuple[str, ...]:
     """Check the known attributes and return the names of the optional attributes. Unknown attributes are skipped."""
     optional = []
     for attribute in ATTRIBUTES:
@@ -262,11 +179,11 @@ def _views_to_json(names: tuple[str, ...], cameras: tuple[Camera, ...]) -> list[
     ]
 
 
-def _views(nodes: list[_Node]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
+def _views(nodes: list[JsonNode]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
     return tuple(node.text("name") for node in nodes), tuple(_camera(node) for node in nodes)
 
 
-def _camera(node: _Node) -> Camera:
+def _camera(node: JsonNode) -> Camera:
     try:
         return Camera(
             intrinsics=np.array(node.matrix("intrinsics")),

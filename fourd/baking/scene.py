@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.attributes import ATTRIBUTES, Attribute
+from fourd.baking.packing.encoding import SceneEncoding
 from fourd.cameras import Camera
 
 FORMAT_NAME = "fourd-scene"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 """The newest version of the file format that this program reads."""
-OBJECT_VERSION, FULL_VERSION = 1, 2
-"""Format versions of object scenes and of full scenes. Object scenes keep version 1, so that older programs can read
-them."""
+OBJECT_VERSION, FULL_VERSION, PACKED_VERSION = 1, 2, 3
+"""Format versions of object scenes, of full scenes and of packed scenes. Object scenes keep version 1, so that older
+programs can read them."""
 SHADOW_IDENTITY = 128
 """The shadow value that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
@@ -181,6 +182,7 @@ class SceneManifest:
     producer: str = "fourd"
     version: int = OBJECT_VERSION
     optional_attributes: tuple[str, ...] = ()
+    encoding: SceneEncoding | None = None
 
     def __post_init__(self) -> None:
         if len(self.source_names) != len(self.source_cameras):

@@ -25,6 +25,7 @@ COMMANDS = {
     "train": "runs.train",
     "eval": "runs.eval",
     "export": "runs.export",
+    "pack": "scenes.pack",
     "render": "scenes.render",
     "view": "scenes.view",
     "bench": "scenes.bench",
@@ -64,6 +65,7 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd train CAPTURE --out RUN     train a model
   fourd eval RUN                    evaluate a run on held-out views
   fourd export RUN -o scene.4dv     bake a scene for real-time rendering
+  fourd pack SCENE -o scene.4dv     convert a scene to a compact file
   fourd render RUN|SCENE --out OUT  render images or a video
   fourd view SCENE|RUN              play a scene in a window
   fourd bench                       time kernels and stages on this machine

@@ -1,0 +1,51 @@
+// Decoding of packed scenes. fourd/baking/packing/members.py describes the members; fourd/ops/unpack/op.py documents the
+// operations. Callers check sizes.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/dispatch.h"
+
+namespace fourd::unpack {
+
+constexpr int kShNumbers = 48;
+constexpr int kWeightCodes = 256;
+
+// Spherical harmonics as factors of basis rows.
+struct Harmonics {
+    const std::uint8_t* low;   // (rows, points): low bytes of the zigzag-coded factors.
+    const std::uint8_t* high;  // (rows, points): high bytes.
+    std::size_t rows, points;
+    const float* basis;  // (rows, kShNumbers), multiplied by the step.
+    const float* mean;   // (kShNumbers).
+};
+
+// One source view: a weight code for each point, then the colour levels of the points that have a colour. The levels
+// are three planes of `colours` bytes: green, red - green and blue - green.
+struct View {
+    const std::uint8_t* codes;
+    const std::uint8_t* levels;
+    std::size_t colours;
+};
+
+struct Views {
+    const View* views;
+    std::size_t view_count, points;
+    const std::uint8_t* mean;      // (points, 3).
+    const std::uint16_t* weights;  // (kWeightCodes): the blend weight of each code, as a half.
+    int colour_step;               // 1 to 127.
+    bool every_point_has_colours;  // Otherwise only the points whose code is not 0.
+};
+
+struct Loops {
+    // Writes the coefficients (points, kShNumbers) as halves.
+    void (*harmonics)(const Harmonics& from, std::uint16_t* out);
+    // Writes blend weights (points, views) as halves and colours (points, views, 3). `next` is scratch memory for one
+    // index per view.
+    void (*views)(const Views& from, std::size_t* next, std::uint16_t* out_weights, std::uint8_t* out_rgb);
+};
+
+FOURD_DISPATCH(Loops, Simd::avx2)
+
+}  // namespace fourd::unpack

@@ -1,0 +1,95 @@
+"""The ZIP archive of a `.4dv`: checks of its members, and errors that the user can fix.
+
+Members are stored without compression by the archive itself. The archive is untrusted input.
+"""
+
+from __future__ import annotations
+
+import errno
+import struct
+import zipfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from fourd.errors import UserError
+
+_TIMESTAMP = (1980, 1, 1, 0, 0, 0)
+_ENCRYPTED = 0x1
+ZIP_ERRORS = (
+    zipfile.BadZipFile,
+    zipfile.LargeZipFile,
+    struct.error,
+    zlib.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    OverflowError,
+)
+
+
+def make_member(name: str) -> zipfile.ZipInfo:
+    """Return the description of a member. Equal contents give equal archives, because the time is constant."""
+    info = zipfile.ZipInfo(name, _TIMESTAMP)
+    info.external_attr = 0o644 << 16
+    return info
+
+
+def open_zip(path: Path) -> zipfile.ZipFile:
+    """Open an archive for reading. Raises UserError."""
+    if path.is_dir():
+        raise UserError(f"{path}: expected a .4dv file, got a folder; name the file that fourd export wrote")
+    try:
+        return zipfile.ZipFile(path)
+    except FileNotFoundError as error:
+        raise UserError(f"{path}: expected a .4dv file, got a path that does not exist; check the path") from error
+    except ZIP_ERRORS as error:
+        raise UserError(
+            f"{path}: expected a complete .4dv scene (a ZIP), got a truncated file or another kind of file; "
+            "copy or export it again"
+        ) from error
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read ({error}); check its permissions") from error
+
+
+def check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Check the names and sizes of the members, and return the members by name. Raises UserError."""
+    members: dict[str, zipfile.ZipInfo] = {}
+    size, total = path.stat().st_size, 0
+    for info in archive.infolist():
+        name = info.filename
+        if name.startswith("/") or "\\" in name or ":" in name or ".." in name.split("/"):
+            raise damaged(path, "member names inside the archive", repr(name[:80]))
+        if name in members:
+            raise damaged(path, "every member once", f"{name!r} twice")
+        if info.flag_bits & _ENCRYPTED:
+            raise UserError(
+                f"{path}: expected unencrypted members, got the encrypted member {name!r}; export the scene again"
+            )
+        if info.compress_type != zipfile.ZIP_STORED or info.compress_size != info.file_size:
+            raise UserError(
+                f"{path}: expected uncompressed members, got the compressed member {name!r}; use zip -0 or export again"
+            )
+        total += info.file_size
+        members[name] = info
+    if total > size:
+        raise damaged(path, f"members of at most {size} bytes, the file's size", f"{total}")
+    return members
+
+
+def damaged(path: Path, expected: str, got: str) -> UserError:
+    """Return the error of a damaged file."""
+    return UserError(f"{path}: expected {expected}, got {got}; the file is damaged: copy or export it again")
+
+
+@contextmanager
+def disk_errors(path: Path) -> Iterator[None]:
+    """Raise a UserError that names ``path`` if the block cannot write to the disk."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            raise UserError(f"{path}: the disk is full; free some space or write elsewhere with -o") from error
+        raise UserError(f"{path}: cannot be written ({error.strerror or error}); write elsewhere with -o") from error

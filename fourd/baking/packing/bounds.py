@@ -1,0 +1,70 @@
+"""Checks that a packed cloud differs from its source by no more than its encoding promises."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.packing.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
+from fourd.baking.packing.members import LARGEST_WEIGHT, decode_cloud
+from fourd.baking.packing.streams import stored
+from fourd.baking.scene import BakedFrame
+
+HALF_PRECISION = 2.0**-11
+"""Largest relative rounding error of a float16."""
+
+
+def check_bounds(cloud: BakedFrame, members: Mapping[str, bytes], encoding: CloudEncoding) -> None:
+    """Decode ``members`` and compare the result with ``cloud``, whose points are in the same order.
+
+    Raises:
+        RuntimeError: if an error exceeds the bound that follows from the encoding's steps. The message names the
+            attribute.
+    """
+    compressed = {name: stored(content) for name, content in members.items()}
+    decoded = decode_cloud(compressed, cloud.point_count, cloud.view_count, encoding)
+    if cloud.point_count == 0:
+        return
+    span = float(np.abs(cloud.xyz).max())
+    _check("xyz", np.abs(decoded["xyz"] - cloud.xyz), 0.5001 * encoding.position_step + 2e-7 * span)
+    radius = cloud.radius.astype(np.float64)
+    factor = 2 ** (0.5001 / encoding.radius_steps) - 1 + 2 * HALF_PRECISION
+    # Subnormal float16 numbers have a larger relative error.
+    _check("radius", np.abs(decoded["radius"] - radius), factor * radius + 1e-7)
+    density = np.abs(decoded["density"] - cloud.density.astype(np.float64))
+    _check("density", density, 0.5001 / encoding.density_levels + HALF_PRECISION)
+    _check_sh(decoded["sh"], cloud.sh, encoding)
+    _check_views(decoded["blend_weights"], decoded["rgb"], cloud, encoding)
+
+
+def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: CloudEncoding) -> None:
+    """Check the root mean square: components that no sample needed are missing in single points."""
+    difference = decoded.astype(np.float32) - sh.astype(np.float32)
+    rms = np.sqrt(np.square(difference).sum(axis=(1, 2)).mean() / SH_NUMBERS)
+    magnitude = np.abs(sh.astype(np.float32)).max(initial=0)
+    _check("sh", rms, 0.5 * encoding.sh_step + HALF_PRECISION * magnitude)
+
+
+def _check_views(
+    weights: NDArray[np.float16], rgb: NDArray[np.uint8], cloud: BakedFrame, encoding: CloudEncoding
+) -> None:
+    if cloud.view_count == 0:
+        return
+    true = cloud.blend_weights.astype(np.float64)
+    seen = true > 0
+    if not np.array_equal(seen, weights > 0):
+        raise RuntimeError("blend_weights: expected zeros at the same places, got others")
+    octaves = np.log2(true.max(axis=1, keepdims=True) / np.where(seen, true, 1))
+    decoded_octaves = np.log2(LARGEST_WEIGHT / np.where(seen, weights.astype(np.float64), 1))
+    in_range = seen & (octaves < min((MAX_CODE - 2) / encoding.weight_steps, 20))
+    _check("blend_weights", np.abs(decoded_octaves - octaves)[in_range], 0.5001 / encoding.weight_steps + 0.03)
+    difference = np.abs(rgb.astype(np.int16) - cloud.rgb.astype(np.int16))
+    kept = difference if encoding.every_point_has_colours else difference[seen]
+    _check("rgb", kept, encoding.colour_step // 2)
+
+
+def _check(name: str, errors: NDArray[np.floating] | np.floating, bound: NDArray[np.floating] | float) -> None:
+    if not np.all(errors <= bound):
+        raise RuntimeError(f"{name}: expected errors of at most {np.max(bound):.3g}, got {np.max(errors):.3g}")

@@ -1,0 +1,84 @@
+"""Conversion of SceneEncoding to and from the JSON of a manifest. The parser treats the JSON as untrusted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from fourd.baking.json_node import JsonNode
+from fourd.baking.packing.encoding import (
+    MAX_CODE,
+    MAX_POSITION_BITS,
+    SH_NUMBERS,
+    CloudEncoding,
+    SceneEncoding,
+    Tier,
+)
+
+MAX_STEPS = 1 << 16
+"""Largest number of radius codes or weight codes per factor of 2."""
+
+
+def encoding_to_json(encoding: SceneEncoding) -> dict[str, Any]:
+    """Return the encoding as JSON values."""
+    background = {} if encoding.background is None else {"background": _cloud_to_json(encoding.background)}
+    return {"tier": encoding.tier, "dynamic": _cloud_to_json(encoding.dynamic), **background}
+
+
+def encoding_from_json(node: JsonNode, *, has_background: bool) -> SceneEncoding:
+    """Parse and check an encoding. Raises ManifestError."""
+    background = _cloud_from_json(node.node("background")) if has_background else None
+    return SceneEncoding(_tier(node), _cloud_from_json(node.node("dynamic")), background)
+
+
+def _cloud_to_json(cloud: CloudEncoding) -> dict[str, Any]:
+    return {
+        "lower": cloud.lower.tolist(),
+        "position_step": cloud.position_step,
+        "position_bits": cloud.position_bits,
+        "radius_lower": cloud.radius_lower,
+        "radius_steps": cloud.radius_steps,
+        "density_levels": cloud.density_levels,
+        "sh_rows": len(cloud.sh_basis),
+        "sh_basis": _floats(cloud.sh_basis),
+        "sh_mean": _floats(cloud.sh_mean),
+        "sh_step": cloud.sh_step,
+        "weight_steps": cloud.weight_steps,
+        "colour_step": cloud.colour_step,
+        "every_point_has_colours": cloud.every_point_has_colours,
+    }
+
+
+def _cloud_from_json(node: JsonNode) -> CloudEncoding:
+    rows = node.integer("sh_rows", 0, SH_NUMBERS)
+    return CloudEncoding(
+        lower=node.array("lower", (3,)),
+        position_step=node.number("position_step", 1e-30, 1e30),
+        position_bits=node.integer("position_bits", 1, MAX_POSITION_BITS),
+        radius_lower=node.number("radius_lower", 1e-30, 1e4),
+        radius_steps=node.integer("radius_steps", 1, MAX_STEPS),
+        density_levels=node.integer("density_levels", 1, MAX_CODE),
+        sh_basis=node.array("sh_basis", (rows, SH_NUMBERS)).astype(np.float32),
+        sh_mean=node.array("sh_mean", (SH_NUMBERS,)).astype(np.float32),
+        sh_step=node.number("sh_step", 1e-9, 1e3),
+        weight_steps=node.integer("weight_steps", 1, MAX_STEPS),
+        colour_step=node.integer("colour_step", 1, 127),
+        every_point_has_colours=node.flag("every_point_has_colours"),
+    )
+
+
+def _floats(values: np.ndarray[Any, np.dtype[np.float32]]) -> list[float]:
+    """Return the shortest decimal numbers that give the same float32 values."""
+    return [float(str(value)) for value in values.ravel()]
+
+
+def _tier(node: JsonNode) -> Tier:
+    tier = node.text("tier")
+    if tier == "full":
+        return "full"
+    if tier == "stream":
+        return "stream"
+    if tier == "light":
+        return "light"
+    raise node.fail("tier", '"full", "stream" or "light"')

@@ -1,0 +1,121 @@
+"""Chooses the steps of an encoding from samples of a scene's points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.packing.encoding import MAX_POSITION_BITS, SH_NUMBERS, CloudEncoding, Tier
+from fourd.baking.scene import BakedFrame
+
+SAMPLES_PER_FRAME = 2000
+"""Number of points per frame from which the basis of the spherical harmonics is computed."""
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Steps of a tier. See :class:`fourd.baking.packing.encoding.CloudEncoding`.
+
+    ``positions_per_radius`` is the number of position steps per median radius.
+    """
+
+    positions_per_radius: int
+    radius_steps: int
+    density_levels: int
+    sh_step: float
+    weight_steps: int
+    colour_step: int
+    every_point_has_colours: bool
+
+
+PRECISIONS: dict[Tier, Precision] = {
+    "full": Precision(96, 64, 255, 1 / 64, 8, 2, True),
+    "stream": Precision(32, 32, 127, 1 / 24, 3, 6, False),
+    "light": Precision(24, 16, 63, 1 / 24, 1, 8, False),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class CloudSamples:
+    """Extremes and samples of a cloud, over all frames added so far.
+
+    Attributes:
+        lower, upper: (3,) float64, smallest and largest coordinates.
+        radius_lower: smallest radius above 0.
+        radii: sampled radii.
+        sh: (S, 48) float32, sampled coefficients.
+    """
+
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    radius_lower: float
+    radii: NDArray[np.float32]
+    sh: NDArray[np.float32]
+
+    def merged(self, other: CloudSamples) -> CloudSamples:
+        """Return the samples of both clouds."""
+        return CloudSamples(
+            np.minimum(self.lower, other.lower),
+            np.maximum(self.upper, other.upper),
+            min(self.radius_lower, other.radius_lower),
+            np.concatenate([self.radii, other.radii]),
+            np.concatenate([self.sh, other.sh]),
+        )
+
+
+def sample_cloud(frame: BakedFrame) -> CloudSamples:
+    """Sample the points of a cloud at equal distances in the order of its points."""
+    if frame.point_count == 0:
+        nothing = np.zeros(0, np.float32)
+        return CloudSamples(
+            np.full(3, np.inf), np.full(3, -np.inf), np.inf, nothing, np.zeros((0, SH_NUMBERS), np.float32)
+        )
+    chosen = np.unique(np.linspace(0, frame.point_count - 1, SAMPLES_PER_FRAME).astype(np.int64))
+    radius = frame.radius.astype(np.float32)
+    positive = radius[radius > 0]
+    return CloudSamples(
+        frame.xyz.min(axis=0).astype(np.float64),
+        frame.xyz.max(axis=0).astype(np.float64),
+        float(positive.min()) if len(positive) else np.inf,
+        radius[chosen],
+        frame.sh[chosen].reshape(len(chosen), SH_NUMBERS).astype(np.float32),
+    )
+
+
+def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
+    """Return the encoding of a cloud for a precision."""
+    basis, mean = _sh_basis(samples.sh, precision.sh_step)
+    radius = float(np.median(samples.radii)) if len(samples.radii) else 0.0
+    side = float((samples.upper - samples.lower).max()) if np.isfinite(samples.lower).all() else 0.0
+    smallest_step = max(side, 1e-9) / (2**MAX_POSITION_BITS - 1)
+    step = max(radius / precision.positions_per_radius, smallest_step)
+    return CloudEncoding(
+        lower=samples.lower if np.isfinite(samples.lower).all() else np.zeros(3),
+        position_step=step,
+        position_bits=min(max(int(np.ceil(np.log2(side / step + 1.5))), 1), MAX_POSITION_BITS),
+        radius_lower=samples.radius_lower if np.isfinite(samples.radius_lower) else 1.0,
+        radius_steps=precision.radius_steps,
+        density_levels=precision.density_levels,
+        sh_basis=basis,
+        sh_mean=mean,
+        sh_step=precision.sh_step,
+        weight_steps=precision.weight_steps,
+        colour_step=precision.colour_step,
+        every_point_has_colours=precision.every_point_has_colours,
+    )
+
+
+def _sh_basis(sh: NDArray[np.float32], step: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Return the principal components (K, 48) of the coefficients that exceed half a step in some sample, and the mean.
+
+    The remaining components would be rounded to 0.
+    """
+    if len(sh) == 0:
+        return np.zeros((0, SH_NUMBERS), np.float32), np.zeros(SH_NUMBERS, np.float32)
+    mean = sh.mean(axis=0)
+    _, components = np.linalg.eigh(np.cov((sh - mean).T.astype(np.float64), bias=True))
+    basis = components.T[::-1].astype(np.float32)
+    kept = np.abs((sh - mean) @ basis.T).max(axis=0) > step / 2
+    return np.ascontiguousarray(basis[kept]), mean

@@ -1,0 +1,195 @@
+"""Encoding and decoding of one cloud: the members of a frame's folder, or of the background's folder.
+
+Members, where N is the number of points in Morton order, and all arithmetic on colours is modulo 256:
+
+- ``points``: differences of successive Morton codes as byte planes, then radius codes (two planes), then density codes.
+- ``sh``: the factors of each basis row, zigzag-coded: the low bytes of all rows, then the high bytes of all rows.
+- ``colour``: mean colour of each point over the source views. Three planes: green, red - green and blue - green. Each
+  plane stores differences of successive points.
+- ``views/VVV``: codes of the blend weights of source view V, then the colours of the points. A colour is the
+  difference from the mean colour, in steps. Three planes: green, red - green and blue - green. If
+  ``every_point_has_colours`` is False, points whose weight code is 0 have no colour.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.packing.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
+from fourd.baking.packing.positions import decode_positions, encode_positions
+from fourd.baking.packing.streams import StreamError, decompress, decompress_exactly, join_planes, split_planes, zigzag
+from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.ops.shade.harmonics import SH_TERMS
+from fourd.ops.unpack.op import unpack_harmonics, unpack_views
+
+POINTS, SH, COLOUR = "points", "sh", "colour"
+LARGEST_WEIGHT = 1024.0
+"""Largest decoded blend weight of each point. The float16 numbers below it have room for 24 factors of 2."""
+_MAX_RADIUS_CODE = 2**16 - 1
+
+
+def view_member(view: int) -> str:
+    """Return the name of the member of source view ``view``, inside the folder of the cloud."""
+    return f"views/{view:03d}"
+
+
+def optional_member(attribute: str) -> str:
+    """Return the name of the member of an optional attribute, which is compressed without quantisation."""
+    return f"optional/{attribute}"
+
+
+def packed_names(manifest: SceneManifest) -> tuple[str, ...]:
+    """Return the names of all members of a cloud."""
+    colour = (COLOUR, *map(view_member, range(manifest.view_count))) if manifest.view_count else ()
+    return (POINTS, SH, *colour, *map(optional_member, manifest.optional_attributes))
+
+
+def morton_sorted(frame: BakedFrame, encoding: CloudEncoding) -> NDArray[np.int64]:
+    """Return the indices (N,) that bring the points into the order in which they are stored."""
+    return np.argsort(encode_positions(frame.xyz, encoding), kind="stable")
+
+
+def encode_cloud(frame: BakedFrame, encoding: CloudEncoding) -> dict[str, bytes]:
+    """Return the uncompressed content of each member. The points must be in the order of :func:`morton_sorted`."""
+    members = {POINTS: _encode_points(frame, encoding), SH: _encode_sh(frame.sh, encoding)}
+    if frame.view_count:
+        mean = mean_colours(frame)
+        members[COLOUR] = _encode_mean(mean)
+        weights = _encode_weights(frame.blend_weights, encoding)
+        for view in range(frame.view_count):
+            seen = np.full(frame.point_count, True) if encoding.every_point_has_colours else weights[:, view] > 0
+            levels = _colour_levels(frame.rgb[seen, view], mean[seen], encoding.colour_step)
+            members[view_member(view)] = weights[:, view].tobytes() + _decorrelate(levels).tobytes()
+    return members
+
+
+def decode_cloud(
+    members: Mapping[str, bytes], points: int, views: int, encoding: CloudEncoding
+) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a cloud, by the names of :data:`fourd.baking.attributes.ATTRIBUTES`.
+
+    Args:
+        members: compressed content of every member of :func:`packed_names`, apart from optional attributes.
+        points: number of points.
+        views: number of source views.
+        encoding: encoding of the cloud.
+
+    Raises:
+        StreamError: if a member is damaged. The message has the form "expected ..., got ...".
+    """
+    arrays = _decode_points(members[POINTS], points, encoding)
+    arrays["sh"] = _decode_sh(members[SH], points, encoding)
+    mean = _decode_mean(members[COLOUR], points) if views else np.zeros((points, 3), np.uint8)
+    contents = [_decode_view(members[view_member(view)], points, encoding) for view in range(views)]
+    arrays["blend_weights"], arrays["rgb"] = unpack_views(
+        contents,
+        mean,
+        weight_table(encoding),
+        encoding.colour_step,
+        every_point_has_colours=encoding.every_point_has_colours,
+    )
+    return arrays
+
+
+def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
+    """Return the mean colours (N, 3) over the source views, weighted by the blend weights."""
+    weights = frame.blend_weights.astype(np.float32)
+    weights[~weights.any(axis=1)] = 1
+    mean = np.einsum("nv,nvc->nc", weights, frame.rgb.astype(np.float32)) / weights.sum(axis=1, keepdims=True)
+    return np.rint(mean).astype(np.uint8)
+
+
+def weight_table(encoding: CloudEncoding) -> NDArray[np.float16]:
+    """Return the blend weight (256,) of every code."""
+    codes = np.arange(MAX_CODE + 1)
+    table = LARGEST_WEIGHT * 2.0 ** (-(codes - 1) / encoding.weight_steps)
+    table[0] = 0
+    return table.astype(np.float16)
+
+
+def _encode_points(frame: BakedFrame, encoding: CloudEncoding) -> bytes:
+    codes = encode_positions(frame.xyz, encoding)
+    steps = np.diff(codes, prepend=np.uint64(0))
+    radius = frame.radius.astype(np.float64)
+    with np.errstate(divide="ignore"):
+        octaves = np.log2(radius / encoding.radius_lower)
+    radius_codes = np.clip(np.rint(octaves * encoding.radius_steps) + 1, 1, _MAX_RADIUS_CODE)
+    radius_codes = np.where(radius > 0, radius_codes, 0).astype(np.uint16)
+    density = np.rint(frame.density.astype(np.float32) * encoding.density_levels).astype(np.uint8)
+    return split_planes(steps, encoding.code_bytes) + split_planes(radius_codes, 2) + density.tobytes()
+
+
+def _decode_points(member: bytes, points: int, encoding: CloudEncoding) -> dict[str, NDArray[Any]]:
+    size = points * (encoding.code_bytes + 3)
+    content = decompress_exactly(member, size)
+    code_end, radius_end = points * encoding.code_bytes, points * (encoding.code_bytes + 2)
+    codes = np.cumsum(join_planes(content[:code_end], encoding.code_bytes, np.uint64), dtype=np.uint64)
+    radius_codes = join_planes(content[code_end:radius_end], 2, np.uint16).astype(np.float32)
+    radius = np.exp2((radius_codes - 1) / encoding.radius_steps) * np.float32(encoding.radius_lower)
+    density = content[radius_end:].astype(np.float32) / encoding.density_levels
+    return {
+        "xyz": decode_positions(codes, encoding),
+        "radius": np.where(radius_codes > 0, radius, 0).astype(np.float16),
+        "density": density.astype(np.float16),
+    }
+
+
+def _encode_sh(sh: NDArray[np.float16], encoding: CloudEncoding) -> bytes:
+    flat = sh.reshape(len(sh), SH_NUMBERS).astype(np.float32) - encoding.sh_mean
+    factors = np.rint(flat @ encoding.sh_basis.T / encoding.sh_step)
+    codes = zigzag(np.clip(factors, -(2**15), 2**15 - 1).astype(np.int16).T.copy())
+    return split_planes(codes.ravel(), 2)
+
+
+def _decode_sh(member: bytes, points: int, encoding: CloudEncoding) -> NDArray[np.float16]:
+    content = decompress_exactly(member, 2 * len(encoding.sh_basis) * points)
+    basis = encoding.sh_basis * np.float32(encoding.sh_step)
+    return unpack_harmonics(content, basis, encoding.sh_mean, points).reshape(points, 3, SH_TERMS)
+
+
+def _encode_mean(mean: NDArray[np.uint8]) -> bytes:
+    planes = _decorrelate(mean)
+    return np.diff(planes, prepend=np.zeros((3, 1), np.uint8), axis=1).tobytes()
+
+
+def _decode_mean(member: bytes, points: int) -> NDArray[np.uint8]:
+    planes = decompress_exactly(member, 3 * points).reshape(3, points)
+    return _correlate(np.cumsum(planes, axis=1, dtype=np.uint8))
+
+
+def _encode_weights(weights: NDArray[np.float16], encoding: CloudEncoding) -> NDArray[np.uint8]:
+    values = weights.astype(np.float64)
+    largest = values.max(axis=1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        codes = np.rint(np.log2(largest / values) * encoding.weight_steps) + 1
+    return np.where(values > 0, np.clip(codes, 1, MAX_CODE), 0).astype(np.uint8)
+
+
+def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray[np.uint8]:
+    """Return the content of a view's member, after a check of its size."""
+    content = decompress(member, 4 * points)
+    colours = points if encoding.every_point_has_colours else int(np.count_nonzero(content[:points]))
+    if len(content) != points + 3 * colours:
+        raise StreamError(f"expected {points + 3 * colours} bytes, got {len(content)}")
+    return content
+
+
+def _colour_levels(rgb: NDArray[np.uint8], mean: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
+    difference = rgb.astype(np.int16) - mean.astype(np.int16)
+    return np.rint(difference / step).astype(np.int16).astype(np.uint8)
+
+
+def _decorrelate(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the planes (3, M) green, red - green and blue - green of colours (M, 3)."""
+    red, green, blue = colours.T
+    return np.stack([green, red - green, blue - green])
+
+
+def _correlate(planes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the colours (M, 3) of :func:`_decorrelate`."""
+    green, red, blue = planes
+    return np.stack([red + green, green, blue + green], axis=-1)

@@ -1,0 +1,133 @@
+"""Writes packed scenes. The first member of the file is the manifest, which also has the offsets of all other members.
+
+A player that reads the file over a network can therefore fetch any frame after one request.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+
+from fourd.baking.archive import disk_errors, make_member, open_zip
+from fourd.baking.container import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder
+from fourd.baking.manifest import manifest_to_json
+from fourd.baking.packing.members import packed_names
+from fourd.baking.packing.streams import compress
+from fourd.baking.scene import PACKED_VERSION, SceneManifest
+from fourd.files import atomic_path
+
+_BYTES_PER_MEMBER = 64
+"""Room in the manifest for the name, the offset and the size of a member."""
+_BYTES_PER_FRAME = 64
+"""Room in the manifest for the number and the point count of a frame."""
+_LOCAL_HEADER = struct.Struct("<4s5H3L2H")
+_CRC_OFFSET = 14
+"""Position of the checksum in the local header of a member (ZIP appnote 4.3.7)."""
+
+
+class PackedWriter:
+    """Writes a packed scene member by member. Memory use does not grow with the number of frames.
+
+    Use the writer as a context manager: the complete file appears at ``path`` when the block ends. If the block raises
+    an exception, an existing file at ``path`` is kept and no partial file remains.
+
+    Args:
+        path: path of the `.4dv`. A missing folder is created.
+        manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``.
+
+    Raises:
+        UserError: if the disk is full or the path cannot be written.
+    """
+
+    def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
+        self.path = Path(path)
+        self.manifest = replace(manifest, version=PACKED_VERSION)
+        self._stack = ExitStack()
+        self._zip: zipfile.ZipFile | None = None
+        self._temporary = self.path
+        self._sizes: dict[str, int] = {}
+
+    def __enter__(self) -> PackedWriter:
+        with disk_errors(self.path), ExitStack() as stack:
+            self._temporary = stack.enter_context(atomic_path(self.path))
+            self._zip = zipfile.ZipFile(self._temporary, "w", zipfile.ZIP_STORED, allowZip64=True)
+            self._zip.writestr(make_member(MANIFEST_NAME), b" " * self._manifest_room())
+            self._stack = stack.pop_all()
+        return self
+
+    def add_frame(self, index: int, members: Mapping[str, bytes], shadow: bytes | None = None) -> int:
+        """Compress and append the members of frame ``index``. Returns the compressed size in bytes."""
+        content = dict(members) if shadow is None else {**members, SHADOW: shadow}
+        return self._add(frame_folder(index), content)
+
+    def add_background(self, members: Mapping[str, bytes]) -> int:
+        """Compress and append the members of the background. Returns the compressed size in bytes."""
+        return self._add(BACKGROUND, members)
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """The compressed size of every member so far, in bytes."""
+        return dict(self._sizes)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._zip is not None
+        if error is not None:
+            with suppress(OSError, ValueError):
+                self._zip.close()
+            self._stack.__exit__(kind, error, trace)
+            return
+        with disk_errors(self.path), self._stack:
+            manifest = self._complete_manifest()
+            # The central directory repeats the checksum of the manifest.
+            self._zip.getinfo(MANIFEST_NAME).CRC = zlib.crc32(manifest)
+            self._zip.close()
+            self._overwrite_manifest(manifest)
+
+    def _add(self, folder: str, members: Mapping[str, bytes]) -> int:
+        assert self._zip is not None
+        total = 0
+        for name, content in members.items():
+            compressed = compress(content)
+            with disk_errors(self.path):
+                self._zip.writestr(make_member(f"{folder}/{name}"), compressed)
+            self._sizes[f"{folder}/{name}"] = len(compressed)
+            total += len(compressed)
+        return total
+
+    def _manifest_room(self) -> int:
+        """Return a number of bytes that the complete manifest does not exceed."""
+        frames = self.manifest.frame_count
+        members = (frames + 1) * (len(packed_names(self.manifest)) + 1)
+        names = sum(len(name) for name in self.manifest.optional_attributes) * (frames + 1)
+        content = len(manifest_to_json(self.manifest))
+        return content + _BYTES_PER_MEMBER * members + names + _BYTES_PER_FRAME * frames
+
+    def _complete_manifest(self) -> bytes:
+        assert self._zip is not None
+        content = json.loads(manifest_to_json(self.manifest))
+        content["members"] = {
+            info.filename: [info.header_offset + _LOCAL_HEADER.size + len(info.filename.encode()), info.file_size]
+            for info in self._zip.infolist()
+            if info.filename != MANIFEST_NAME
+        }
+        text = json.dumps(content, allow_nan=False, separators=(",", ":")).encode()
+        return text.ljust(self._manifest_room())
+
+    def _overwrite_manifest(self, manifest: bytes) -> None:
+        """Replace the spaces that :meth:`__enter__` wrote, and their checksum."""
+        with open_zip(self._temporary) as archive:
+            header = archive.getinfo(MANIFEST_NAME).header_offset
+        with self._temporary.open("rb+") as stream:
+            stream.seek(header + _CRC_OFFSET)
+            stream.write(struct.pack("<L", zlib.crc32(manifest)))
+            stream.seek(header + _LOCAL_HEADER.size + len(MANIFEST_NAME))
+            stream.write(manifest)

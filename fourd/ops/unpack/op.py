@@ -1,0 +1,71 @@
+"""Decoding of packed scenes with the CPU kernel. :mod:`fourd.baking.packing.members` describes the data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.ops.loading import load_native, simd_name
+
+SH_NUMBERS = 48
+
+
+def unpack_harmonics(
+    content: NDArray[np.uint8], basis: NDArray[np.float32], mean: NDArray[np.float32], points: int
+) -> NDArray[np.float16]:
+    """Return ``mean + factors @ basis`` (N, 48), rounded to float16.
+
+    Args:
+        content: (2 K N,) zigzag-coded factors: the low bytes (K, N), then the high bytes (K, N).
+        basis: (K, 48) rows, multiplied by the step of the factors.
+        mean: (48,) mean coefficients.
+        points: N.
+
+    Raises:
+        ImportError: if the native module is not built.
+        ValueError: if the sizes do not match.
+    """
+    out = np.empty((points, SH_NUMBERS), np.float16)
+    load_native().unpack_harmonics(content, basis, mean, simd_name(), out.view(np.uint16))
+    return out
+
+
+def unpack_views(
+    contents: Sequence[NDArray[np.uint8]],
+    mean: NDArray[np.uint8],
+    weights: NDArray[np.float16],
+    colour_step: int,
+    *,
+    every_point_has_colours: bool,
+) -> tuple[NDArray[np.float16], NDArray[np.uint8]]:
+    """Return the blend weights (N, V) and the colours (N, V, 3) of V source views.
+
+    Args:
+        contents: for each view, N weight codes, then the colour levels of M points as three planes: green, red - green
+            and blue - green, modulo 256. The M points are those whose code is not 0, or all points.
+        mean: (N, 3) colours to which ``colour_step`` times the signed levels are added. With a step of 1, sums are
+            modulo 256. With larger steps, sums are clamped to [0, 255]. Points without levels have the mean colour.
+        weights: (256,) blend weight of each code.
+        colour_step: 1 to 127.
+        every_point_has_colours: whether M is N.
+
+    Raises:
+        ImportError: if the native module is not built.
+        ValueError: if the sizes do not match.
+    """
+    points = len(mean)
+    out_weights = np.empty((points, len(contents)), np.float16)
+    out_rgb = np.empty((points, len(contents), 3), np.uint8)
+    load_native().unpack_views(
+        list(contents),
+        mean,
+        weights.view(np.uint16),
+        colour_step,
+        every_point_has_colours,
+        simd_name(),
+        out_weights.view(np.uint16),
+        out_rgb,
+    )
+    return out_weights, out_rgb
