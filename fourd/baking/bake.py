@@ -17,6 +17,7 @@ from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
+from fourd.baking.packing.colours import fill_unseen_colours
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, SceneBackground, SceneManifest, to_triple
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError
@@ -159,7 +160,7 @@ def _bake_points(
     sh = model.harmonics(evaluated)
     weights, rgb = _bake_blending(model, evaluated, sources, get_source_view)
     count = evaluated.xyz.shape[0]
-    return BakedFrame(
+    frame = BakedFrame(
         xyz=evaluated.xyz.numpy(),
         radius=evaluated.radius.numpy().astype(np.float16),
         density=evaluated.density.numpy().astype(np.float16),
@@ -167,6 +168,8 @@ def _bake_points(
         blend_weights=weights.numpy().astype(np.float16),
         rgb=(rgb * 255).round().clamp(0, 255).byte().numpy(),
     )
+    # Points with an optimised colour have this colour in the views that do not see them.
+    return fill_unseen_colours(frame) if evaluated.rgb is None else frame
 
 
 def _bake_blending(

@@ -22,8 +22,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.archive import ZIP_ERRORS, check_members, damaged, disk_errors, make_member, open_zip
 from fourd.baking.combine import combine_frames
+from fourd.baking.files.archive import ZIP_ERRORS, check_members, damaged, disk_errors, make_member, open_zip
 from fourd.baking.manifest import ManifestError, NewerVersionError, manifest_from_json, manifest_to_json
 from fourd.baking.packing.encoding import CloudEncoding
 from fourd.baking.packing.members import decode_cloud, optional_member, packed_names

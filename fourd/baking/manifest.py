@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fourd.baking.attributes import ATTRIBUTES
-from fourd.baking.json_node import JsonNode, ManifestError
+from fourd.baking.files.json_node import JsonNode, ManifestError
 from fourd.baking.packing.encoding_json import encoding_from_json, encoding_to_json
 from fourd.baking.scene import (
     FORMAT_NAME,

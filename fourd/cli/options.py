@@ -49,6 +49,23 @@ LpipsWeights = Annotated[
 ]
 
 
+TIER_HELP = (
+    "full: looks like the unpacked scene.",
+    "stream: coarser steps; a player fetches only the source views that it needs.",
+    "light: no source views; all colour is in spherical harmonics.",
+)
+MaxMbps = Annotated[
+    float | None,
+    option("FLOAT", "no limit", "Choose the best tier that a connection of this many megabits per second can play."),
+]
+
+
+def check_mbps(max_mbps: float | None) -> None:
+    """Raise UserError if ``max_mbps`` is given and not a number above 0."""
+    if max_mbps is not None and not 0 < max_mbps < 1e9:
+        raise UserError(f"--max-mbps: expected a number of megabits per second above 0, got {max_mbps}")
+
+
 @dataclass(frozen=True)
 class SelectionOptions:
     """Cameras and frames of the capture to use."""

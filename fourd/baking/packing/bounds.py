@@ -56,7 +56,8 @@ def _check_views(
     seen = true > 0
     if not np.array_equal(seen, weights > 0):
         raise RuntimeError("blend_weights: expected zeros at the same places, got others")
-    octaves = np.log2(true.max(axis=1, keepdims=True) / np.where(seen, true, 1))
+    largest = np.where(seen.any(axis=1), true.max(axis=1), 1)[:, None]
+    octaves = np.log2(largest / np.where(seen, true, 1))
     decoded_octaves = np.log2(LARGEST_WEIGHT / np.where(seen, weights.astype(np.float64), 1))
     in_range = seen & (octaves < min((MAX_CODE - 2) / encoding.weight_steps, 20))
     _check("blend_weights", np.abs(decoded_octaves - octaves)[in_range], 0.5001 / encoding.weight_steps + 0.03)

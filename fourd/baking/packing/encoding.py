@@ -17,6 +17,7 @@ source views: all colour is in spherical harmonics."""
 SH_NUMBERS = 3 * SH_TERMS
 MAX_POSITION_BITS = 21
 """Maximum number of bits per coordinate. The Morton code of three coordinates then fits in 63 bits."""
+MAX_COLOUR_STEP = 127
 MAX_CODE = 255
 """Largest code of a density or of a blend weight."""
 
@@ -38,7 +39,7 @@ class CloudEncoding:
         sh_step: step of the factors of the rows.
         weight_steps: weight codes per factor of 2. The code 1 is the largest weight of the point, and the code 0 is the
             weight 0.
-        colour_step: step of colours in source views, in units of 1/255, at most 127.
+        colour_step: step of colours in source views, in units of 1/255, at most MAX_COLOUR_STEP.
         every_point_has_colours: whether colours are stored for all source views of a point, or only for the views with
             a blend weight above 0. Without a stored colour, a point has its mean colour.
     """

@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from fourd.baking.json_node import JsonNode
+from fourd.baking.files.json_node import JsonNode
 from fourd.baking.packing.encoding import (
     MAX_CODE,
+    MAX_COLOUR_STEP,
     MAX_POSITION_BITS,
     SH_NUMBERS,
     CloudEncoding,
@@ -63,7 +64,7 @@ def _cloud_from_json(node: JsonNode) -> CloudEncoding:
         sh_mean=node.array("sh_mean", (SH_NUMBERS,)).astype(np.float32),
         sh_step=node.number("sh_step", 1e-9, 1e3),
         weight_steps=node.integer("weight_steps", 1, MAX_STEPS),
-        colour_step=node.integer("colour_step", 1, 127),
+        colour_step=node.integer("colour_step", 1, MAX_COLOUR_STEP),
         every_point_has_colours=node.flag("every_point_has_colours"),
     )
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.packing.encoding import MAX_POSITION_BITS, SH_NUMBERS, CloudEncoding, Tier
+from fourd.baking.packing.colours import has_own_unseen_colours
+from fourd.baking.packing.encoding import MAX_COLOUR_STEP, MAX_POSITION_BITS, SH_NUMBERS, CloudEncoding, Tier
 from fourd.baking.scene import BakedFrame
 
 SAMPLES_PER_FRAME = 2000
@@ -18,7 +19,8 @@ SAMPLES_PER_FRAME = 2000
 class Precision:
     """Steps of a tier. See :class:`fourd.baking.packing.encoding.CloudEncoding`.
 
-    ``positions_per_radius`` is the number of position steps per median radius.
+    ``positions_per_radius`` is the number of position steps per median radius. ``keeps_unseen_colours`` states whether
+    colours of points in views that do not see them are kept.
     """
 
     positions_per_radius: int
@@ -27,7 +29,19 @@ class Precision:
     sh_step: float
     weight_steps: int
     colour_step: int
-    every_point_has_colours: bool
+    keeps_unseen_colours: bool
+
+    def coarser(self, factor: int) -> Precision:
+        """Return the precision with all steps multiplied by ``factor``."""
+        return Precision(
+            max(self.positions_per_radius // factor, 1),
+            max(self.radius_steps // factor, 1),
+            max(self.density_levels // factor, 1),
+            self.sh_step * factor,
+            max(self.weight_steps // factor, 1),
+            min(self.colour_step * factor, MAX_COLOUR_STEP),
+            self.keeps_unseen_colours,
+        )
 
 
 PRECISIONS: dict[Tier, Precision] = {
@@ -46,6 +60,7 @@ class CloudSamples:
         radius_lower: smallest radius above 0.
         radii: sampled radii.
         sh: (S, 48) float32, sampled coefficients.
+        has_own_unseen_colours: whether some point has another colour than its mean in a view that does not see it.
     """
 
     lower: NDArray[np.float64]
@@ -53,6 +68,7 @@ class CloudSamples:
     radius_lower: float
     radii: NDArray[np.float32]
     sh: NDArray[np.float32]
+    has_own_unseen_colours: bool
 
     def merged(self, other: CloudSamples) -> CloudSamples:
         """Return the samples of both clouds."""
@@ -62,6 +78,7 @@ class CloudSamples:
             min(self.radius_lower, other.radius_lower),
             np.concatenate([self.radii, other.radii]),
             np.concatenate([self.sh, other.sh]),
+            self.has_own_unseen_colours or other.has_own_unseen_colours,
         )
 
 
@@ -70,7 +87,7 @@ def sample_cloud(frame: BakedFrame) -> CloudSamples:
     if frame.point_count == 0:
         nothing = np.zeros(0, np.float32)
         return CloudSamples(
-            np.full(3, np.inf), np.full(3, -np.inf), np.inf, nothing, np.zeros((0, SH_NUMBERS), np.float32)
+            np.full(3, np.inf), np.full(3, -np.inf), np.inf, nothing, np.zeros((0, SH_NUMBERS), np.float32), False
         )
     chosen = np.unique(np.linspace(0, frame.point_count - 1, SAMPLES_PER_FRAME).astype(np.int64))
     radius = frame.radius.astype(np.float32)
@@ -81,6 +98,7 @@ def sample_cloud(frame: BakedFrame) -> CloudSamples:
         float(positive.min()) if len(positive) else np.inf,
         radius[chosen],
         frame.sh[chosen].reshape(len(chosen), SH_NUMBERS).astype(np.float32),
+        has_own_unseen_colours(frame),
     )
 
 
@@ -103,7 +121,7 @@ def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
         sh_step=precision.sh_step,
         weight_steps=precision.weight_steps,
         colour_step=precision.colour_step,
-        every_point_has_colours=precision.every_point_has_colours,
+        every_point_has_colours=precision.keeps_unseen_colours and samples.has_own_unseen_colours,
     )
 
 

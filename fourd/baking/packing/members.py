@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.baking.packing.colours import mean_colours
 from fourd.baking.packing.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
 from fourd.baking.packing.positions import decode_positions, encode_positions
 from fourd.baking.packing.streams import StreamError, decompress, decompress_exactly, join_planes, split_planes, zigzag
@@ -93,14 +94,6 @@ def decode_cloud(
         every_point_has_colours=encoding.every_point_has_colours,
     )
     return arrays
-
-
-def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
-    """Return the mean colours (N, 3) over the source views, weighted by the blend weights."""
-    weights = frame.blend_weights.astype(np.float32)
-    weights[~weights.any(axis=1)] = 1
-    mean = np.einsum("nv,nvc->nc", weights, frame.rgb.astype(np.float32)) / weights.sum(axis=1, keepdims=True)
-    return np.rint(mean).astype(np.uint8)
 
 
 def weight_table(encoding: CloudEncoding) -> NDArray[np.float16]:

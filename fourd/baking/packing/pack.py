@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.container import SceneReader
+from fourd.baking.container import SceneReader, frame_folder
 from fourd.baking.packing.bounds import check_bounds
 from fourd.baking.packing.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.baking.packing.fit import PRECISIONS, fit_encoding, sample_cloud
 from fourd.baking.packing.light import LIGHT_SH_BASE, LIGHT_SH_RANGE, LightFit
 from fourd.baking.packing.members import encode_cloud, morton_sorted, optional_member
+from fourd.baking.packing.streams import compress
 from fourd.baking.packing.writer import PackedWriter
 from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
 from fourd.progress import Track, untracked
@@ -38,7 +39,7 @@ class PackReport:
     streamed: float
 
 
-def pack_scene(source: Path, out: Path, tier: Tier, track: Track = untracked) -> PackReport:
+def pack_scene(source: Path, out: Path, tier: Tier, track: Track = untracked, *, coarseness: int = 1) -> PackReport:
     """Write the scene ``source`` as a packed scene of a tier. Frames are read twice, one at a time.
 
     Args:
@@ -46,44 +47,69 @@ def pack_scene(source: Path, out: Path, tier: Tier, track: Track = untracked) ->
         out: path of the packed scene. ``out`` may be the same path as ``source``.
         tier: see :data:`fourd.baking.packing.encoding.Tier`.
         track: reports progress.
+        coarseness: factor by which all steps are larger than those of the tier.
 
     Raises:
         UserError: if ``source`` is not a valid scene, or if ``out`` cannot be written.
     """
     reader = SceneReader(source)
     try:
-        return _pack(reader, out, tier, track)
+        packer = _Packer(reader, tier, coarseness, range(reader.manifest.frame_count), track)
+        return packer.write(out, track)
     finally:
         reader.close()
 
 
-def _pack(reader: SceneReader, out: Path, tier: Tier, track: Track) -> PackReport:
-    manifest = reader.manifest
-    convert, described = _conversion(manifest, tier)
-    frames = range(manifest.frame_count)
-    sampled = (sample_cloud(convert(reader.read_dynamic(index))) for index in frames)
-    dynamic = reduce(lambda one, other: one.merged(other), track(sampled, len(frames), "sample"))
-    background = reader.read_background()
-    background = None if background is None else convert(background)
-    precision = PRECISIONS[tier]
-    encoding = SceneEncoding(
-        tier,
-        fit_encoding(dynamic, precision),
-        None if background is None else fit_encoding(sample_cloud(background), precision),
-    )
-    described = replace(described, encoding=encoding, points=manifest.points, background=manifest.background)
-    with PackedWriter(out, described) as writer:
-        order: NDArray[np.int64] | None = None
-        if background is not None and encoding.background is not None:
-            order = morton_sorted(background, encoding.background)
-            writer.add_background(_members(background, encoding.background, order))
-        for index in track(frames, len(frames), "pack"):
-            frame = convert(reader.read_dynamic(index))
-            shadow = reader.read_shadow(index)
-            shadow_bytes = None if shadow is None or order is None else shadow[order].tobytes()
-            members = _members(frame, encoding.dynamic, morton_sorted(frame, encoding.dynamic))
-            writer.add_frame(index, members, shadow_bytes)
-    return _report(out, writer.sizes, described)
+def measure_frames(reader: SceneReader, frames: Sequence[int], tier: Tier, coarseness: int) -> float:
+    """Return the mean bytes per frame that a player fetches for one viewer, measured on some of the frames.
+
+    ``frames`` are indices of frames. The background is not included, because it is fetched once.
+    """
+    packer = _Packer(reader, tier, coarseness, frames, untracked)
+    sizes = {
+        f"{frame_folder(index)}/{name}": len(compress(content))
+        for index in frames
+        for name, content in packer.frame_members(index).items()
+    }
+    return _report(0, sizes, len(frames), packer.manifest).streamed
+
+
+class _Packer:
+    """Packs the frames of a scene with one encoding, which is fitted to some of the frames."""
+
+    def __init__(self, reader: SceneReader, tier: Tier, coarseness: int, frames: Sequence[int], track: Track) -> None:
+        self.reader = reader
+        self.convert, manifest = _conversion(reader.manifest, tier)
+        sampled = (sample_cloud(self.convert(reader.read_dynamic(index))) for index in frames)
+        dynamic = reduce(lambda one, other: one.merged(other), track(sampled, len(frames), "sample"))
+        background = reader.read_background()
+        self.background = None if background is None else self.convert(background)
+        precision = PRECISIONS[tier].coarser(coarseness)
+        self.encoding = SceneEncoding(
+            tier,
+            fit_encoding(dynamic, precision),
+            None if self.background is None else fit_encoding(sample_cloud(self.background), precision),
+        )
+        self.manifest = replace(manifest, encoding=self.encoding)
+
+    def frame_members(self, index: int) -> dict[str, bytes]:
+        """Return the content of the members of a frame, without its shadow."""
+        frame = self.convert(self.reader.read_dynamic(index))
+        return _members(frame, self.encoding.dynamic, morton_sorted(frame, self.encoding.dynamic))
+
+    def write(self, out: Path, track: Track) -> PackReport:
+        """Write all frames and the background."""
+        frames = range(self.manifest.frame_count)
+        with PackedWriter(out, self.manifest) as writer:
+            order: NDArray[np.int64] | None = None
+            if self.background is not None and self.encoding.background is not None:
+                order = morton_sorted(self.background, self.encoding.background)
+                writer.add_background(_members(self.background, self.encoding.background, order))
+            for index in track(frames, len(frames), "pack"):
+                shadow = self.reader.read_shadow(index)
+                shadow_bytes = None if shadow is None or order is None else shadow[order].tobytes()
+                writer.add_frame(index, self.frame_members(index), shadow_bytes)
+        return _report(out.stat().st_size, writer.sizes, len(frames), self.manifest)
 
 
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
@@ -114,8 +140,8 @@ def _members(cloud: BakedFrame, encoding: CloudEncoding, order: NDArray[np.int64
     return members
 
 
-def _report(out: Path, sizes: dict[str, int], manifest: SceneManifest) -> PackReport:
-    frames = max(manifest.frame_count, 1)
+def _report(file_bytes: int, sizes: dict[str, int], frames: int, manifest: SceneManifest) -> PackReport:
+    frames = max(frames, 1)
     parts: dict[str, float] = {}
     for name, size in sizes.items():
         folder, _, member = name.partition("/")
@@ -124,4 +150,4 @@ def _report(out: Path, sizes: dict[str, int], manifest: SceneManifest) -> PackRe
     views = parts.get("views", 0.0)
     fetched = views * min(manifest.neighbours, manifest.view_count) / max(manifest.view_count, 1)
     per_frame = sum(size for kind, size in parts.items() if kind != "background")
-    return PackReport(out.stat().st_size, parts, per_frame - views + fetched)
+    return PackReport(file_bytes, parts, per_frame - views + fetched)

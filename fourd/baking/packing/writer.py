@@ -15,8 +15,8 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 
-from fourd.baking.archive import disk_errors, make_member, open_zip
 from fourd.baking.container import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder
+from fourd.baking.files.archive import disk_errors, make_member, open_zip
 from fourd.baking.manifest import manifest_to_json
 from fourd.baking.packing.members import packed_names
 from fourd.baking.packing.streams import compress

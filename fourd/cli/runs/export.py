@@ -10,7 +10,9 @@ import tyro
 from rich.console import Console
 
 from fourd.baking.bake import BAKED_LAYERS
-from fourd.cli.options import RunPath, check_rendering, option
+from fourd.baking.packing.encoding import Tier
+from fourd.baking.packing.report import PackSettings
+from fourd.cli.options import TIER_HELP, MaxMbps, RunPath, check_mbps, check_rendering, describe, option
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
@@ -28,13 +30,22 @@ class Arguments:
     """Number of points composited per pixel (K), 1 to 64."""
     fps: Annotated[float | None, option("FLOAT", "the recording's, or 30 if it is not known")] = None
     """Playback rate in frames per second."""
+    tier: Annotated[
+        Tier | None,
+        describe("Write a compact file, like `fourd pack`.", *TIER_HELP),
+        option("{full,stream,light}", "not packed"),
+    ] = None
+    max_mbps: MaxMbps = None
 
 
 def run(arguments: Arguments) -> None:
     """Load the newest checkpoint and bake every frame."""
     check_rendering(arguments.layers, fps=arguments.fps)
+    check_mbps(arguments.max_mbps)
     console = Console(stderr=True)
-    stage = bake_stage(BakeFiles(arguments.run, arguments.out), BakeSettings(arguments.layers, arguments.fps))
+    packed = arguments.tier is not None or arguments.max_mbps is not None
+    pack = PackSettings(arguments.tier or "full", arguments.max_mbps) if packed else None
+    stage = bake_stage(BakeFiles(arguments.run, arguments.out), BakeSettings(arguments.layers, arguments.fps, pack))
     Runner(Context(console)).run([stage])
     size = arguments.out.stat().st_size / 2**20
     console.print(

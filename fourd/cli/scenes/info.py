@@ -99,8 +99,10 @@ def _scene(path: Path) -> Rows:
     frames = manifest.frame_count
     seconds = frames / manifest.fps
     lower, upper = manifest.bounds
+    packed = "" if manifest.encoding is None else f"packed, tier {manifest.encoding.tier}, "
+    background_bytes = manifest.background_nbytes if manifest.encoding is None else 0
     return [
-        ("format", f"version {manifest.version}, made by {manifest.producer}"),
+        ("format", f"version {manifest.version}, {packed}made by {manifest.producer}"),
         ("kind", "the object on black" if manifest.kind == "object" else "object and background"),
         (
             "frames",
@@ -109,7 +111,7 @@ def _scene(path: Path) -> Rows:
         *([] if manifest.is_fps_known else [("frame rate", "assumed: the scene does not state the recording's rate")]),
         ("points", f"{_span(points)} per frame, {sum(points):,} in total"),
         *_background(manifest.background),
-        ("size", f"{_bytes(size)}, {_bytes((size - manifest.background_nbytes) / max(frames, 1))} per frame"),
+        ("size", f"{_bytes(size)}, {_bytes((size - background_bytes) / max(frames, 1))} per frame"),
         ("source views", f"{manifest.view_count} ({manifest.neighbours} blended): {_names(manifest.source_names)}"),
         ("other views", _names(manifest.other_names) or "none"),
         ("image sizes", _sizes((camera.width, camera.height) for camera in manifest.cameras) or "none"),

@@ -10,10 +10,8 @@ import tyro
 from rich.console import Console
 
 from fourd.baking.packing.encoding import Tier
-from fourd.baking.packing.pack import pack_scene
-from fourd.cli.options import describe
-from fourd.cli.scenes.sizes import print_sizes
-from fourd.progress import Tracker
+from fourd.baking.packing.report import PackSettings, pack_and_report
+from fourd.cli.options import TIER_HELP, MaxMbps, check_mbps, describe
 
 ScenePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
 
@@ -26,18 +24,16 @@ class Arguments:
     """The .4dv file to convert, of any version."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The .4dv file to write."""
-    tier: Annotated[
-        Tier,
-        describe(
-            "full: looks like the input.",
-            "stream: coarser steps; a player fetches only the source views that it needs.",
-            "light: no source views; all colour is in spherical harmonics.",
-        ),
-    ] = "full"
+    tier: Annotated[Tier, describe(*TIER_HELP)] = "full"
+    max_mbps: MaxMbps = None
 
 
 def run(arguments: Arguments) -> None:
     """Pack the scene and print the sizes of its parts."""
+    check_mbps(arguments.max_mbps)
     console = Console(stderr=True)
-    report = pack_scene(arguments.scene, arguments.out, arguments.tier, Tracker(console).track)
-    print_sizes(console, arguments.out, report)
+    settings = PackSettings(arguments.tier, arguments.max_mbps)
+    pack_and_report(arguments.scene, arguments.out, settings, console)
+    size = arguments.out.stat().st_size / 1e6
+    line = f"{arguments.out}: {size:.1f} MB; next: fourd view {arguments.out}"
+    console.print(line, soft_wrap=True, markup=False)

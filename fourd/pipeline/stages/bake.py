@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.baking.bake import BAKED_LAYERS, bake_run
+from fourd.baking.packing.report import pack_and_report
 from fourd.capture.frame_rate import NAME
+from fourd.files import atomic_path
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.training.run import load_run
 
@@ -41,4 +43,10 @@ def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = 
 
 def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None:
     """Load the newest checkpoint and write every frame to the scene file."""
-    bake_run(load_run(files.run), files.scene, context.console, settings.layers, settings.fps)
+    run = load_run(files.run)
+    if settings.pack is None:
+        bake_run(run, files.scene, context.console, settings.layers, settings.fps)
+        return
+    with atomic_path(files.scene) as unpacked:
+        bake_run(run, unpacked, context.console, settings.layers, settings.fps)
+        pack_and_report(unpacked, unpacked, settings.pack, context.console)

@@ -1,0 +1,1 @@
+"""Checked access to the ZIP archive and to the JSON of a `.4dv`, which are untrusted input."""

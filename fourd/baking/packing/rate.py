@@ -1,0 +1,60 @@
+"""Chooses the tier of a packed scene that a network connection can play without pauses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.baking.container import SceneReader
+from fourd.baking.packing.encoding import Tier
+from fourd.baking.packing.pack import measure_frames
+from fourd.errors import UserError
+
+SAMPLED_FRAMES = 3
+"""Number of frames from which the bytes of a tier are estimated."""
+MARGIN = 0.95
+"""Share of the connection that the estimate may use, because frames differ."""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """A tier, the factor by which its steps are coarser, and its estimated rate in megabits per second."""
+
+    tier: Tier
+    coarseness: int
+    mbps: float
+
+
+CANDIDATES: tuple[tuple[Tier, int], ...] = (
+    ("full", 1),
+    ("stream", 1),
+    ("stream", 2),
+    ("light", 1),
+    ("light", 2),
+    ("light", 4),
+)
+"""Tiers and coarsenesses from best to smallest."""
+
+
+def choose_tier(source: Path, max_mbps: float) -> Choice:
+    """Return the best tier whose frames, as fetched for one viewer, fit ``max_mbps`` megabits per second.
+
+    Raises:
+        UserError: if even the smallest tier needs more, or if ``source`` is not a valid scene.
+    """
+    reader = SceneReader(source)
+    try:
+        count, fps = reader.manifest.frame_count, reader.manifest.fps
+        frames = sorted({round(index * (count - 1) / max(SAMPLED_FRAMES - 1, 1)) for index in range(SAMPLED_FRAMES)})
+        choice = Choice("full", 1, 0.0)
+        for tier, coarseness in CANDIDATES:
+            mbps = measure_frames(reader, frames, tier, coarseness) * fps * 8 / 1e6
+            choice = Choice(tier, coarseness, mbps)
+            if mbps <= MARGIN * max_mbps:
+                return choice
+    finally:
+        reader.close()
+    raise UserError(
+        f"--max-mbps: expected at least {choice.mbps / MARGIN:.1f} for {source} at {fps:g} frames per second, "
+        f"got {max_mbps:g}; use a faster connection, or train with fewer points"
+    )

@@ -1,0 +1,60 @@
+"""Packs a scene as the user asked, and prints the sizes of its parts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+from fourd.baking.packing.encoding import Tier
+from fourd.baking.packing.pack import PackReport, pack_scene
+from fourd.baking.packing.rate import choose_tier
+from fourd.progress import Tracker
+
+CONTENTS = {
+    "points": "positions, radii, densities",
+    "sh": "spherical harmonics",
+    "colour": "mean colours",
+    "views": "colours and blend weights of all source views",
+    "shadow": "shadows on the background",
+    "optional": "optional attributes",
+}
+"""What the members of each kind contain."""
+
+
+@dataclass(frozen=True)
+class PackSettings:
+    """The tier, or the connection in megabits per second for which the tier is chosen.
+
+    The tier is ignored if there is a connection.
+    """
+
+    tier: Tier
+    max_mbps: float | None = None
+
+
+def pack_and_report(source: Path, out: Path, settings: PackSettings, console: Console) -> None:
+    """Pack ``source`` as ``out``, and print the sizes. Raises UserError."""
+    tier, coarseness = settings.tier, 1
+    if settings.max_mbps is not None:
+        choice = choose_tier(source, settings.max_mbps)
+        tier, coarseness = choice.tier, choice.coarseness
+        steps = "" if coarseness == 1 else f" with {coarseness} times coarser steps"
+        console.print(f"--max-mbps {settings.max_mbps:g}: tier {tier}{steps}, {choice.mbps:.1f} Mbit/s")
+    print_sizes(console, pack_scene(source, out, tier, Tracker(console).track, coarseness=coarseness))
+
+
+def print_sizes(console: Console, report: PackReport) -> None:
+    """Print a table of bytes per frame."""
+    table = Table(box=None, pad_edge=False)
+    table.add_column("part")
+    table.add_column("kB per frame", justify="right")
+    for kind, size in report.parts.items():
+        if kind != "background":
+            table.add_row(CONTENTS.get(kind, kind), f"{size / 1e3:.1f}")
+    table.add_row("fetched for one viewer", f"{report.streamed / 1e3:.1f}")
+    console.print(table)
+    if "background" in report.parts:
+        console.print(f"background, stored once: {report.parts['background'] / 1e6:.2f} MB")
