@@ -18,6 +18,7 @@
 #include "tests/random_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
+#include "tests/unpack_inputs.h"
 
 namespace {
 
@@ -258,6 +259,7 @@ int main(int count, char** arguments) {
             run_splat_triangles(seed, simd);
             run_antialias(seed, simd);
             run_mesh(seed, simd);
+            fourd::tests::run_unpack(seed, simd);
         }
         std::printf("all kernels, %s: %u inputs each\n", simd, runs);
     }
