@@ -41,7 +41,13 @@ fp16."""
 
 
 def bake_run(
-    trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float | None = None
+    trained: TrainedRun,
+    out: Path,
+    console: Console,
+    layers: int = BAKED_LAYERS,
+    fps: float | None = None,
+    *,
+    fill_unseen: bool = True,
 ) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
@@ -51,6 +57,8 @@ def bake_run(
         layers: maximum number of points that a pixel composites, stored in the scene.
         fps: playback rate in frames per second. None selects the rate at which the run's frames were recorded, or 30 if
             this rate is not known.
+        fill_unseen: whether dynamic points have their mean colour in the views that do not see them. This improves new
+            views in which no selected view sees a point. Without it, the scene renders like the run.
 
     Raises:
         UserError: if the model's blend weights depend on the viewer, or if the file cannot be written.
@@ -63,7 +71,8 @@ def bake_run(
         if background is not None:
             writer.add_background(background)
         for frame in track(range(run.capture.frame_count), description="export", console=console):
-            writer.add_frame(frame, bake_frame(trained, frame, sources), bake_shadow(trained, frame))
+            baked = bake_frame(trained, frame, sources)
+            writer.add_frame(frame, fill_unseen_colours(baked) if fill_unseen else baked, bake_shadow(trained, frame))
 
 
 def require_bakeable(run: Run) -> None:
@@ -160,7 +169,7 @@ def _bake_points(
     sh = model.harmonics(evaluated)
     weights, rgb = _bake_blending(model, evaluated, sources, get_source_view)
     count = evaluated.xyz.shape[0]
-    frame = BakedFrame(
+    return BakedFrame(
         xyz=evaluated.xyz.numpy(),
         radius=evaluated.radius.numpy().astype(np.float16),
         density=evaluated.density.numpy().astype(np.float16),
@@ -168,8 +177,6 @@ def _bake_points(
         blend_weights=weights.numpy().astype(np.float16),
         rgb=(rgb * 255).round().clamp(0, 255).byte().numpy(),
     )
-    # Points with an optimised colour have this colour in the views that do not see them.
-    return fill_unseen_colours(frame) if evaluated.rgb is None else frame
 
 
 def _bake_blending(
