@@ -1,0 +1,166 @@
+"""The operations of :mod:`fourd.raster.triangles` under the names and arguments of ``nvdiffrast.torch``.
+
+With ``import fourd.raster.nvdiffrast as dr``, a script that is written for ``nvdiffrast.torch`` runs unchanged. The
+device of the tensors decides where an operation runs, so that the same script also runs without a GPU.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from fourd.raster import triangles
+
+__all__ = [
+    "DepthPeeler",
+    "RasterizeCudaContext",
+    "RasterizeGLContext",
+    "antialias",
+    "antialias_construct_topology_hash",
+    "get_log_level",
+    "interpolate",
+    "rasterize",
+    "set_log_level",
+    "texture",
+    "texture_construct_mip",
+]
+
+_LOG_LEVELS = (logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL)
+
+
+class RasterizeCudaContext:
+    """Takes the place of nvdiffrast's context. A context holds no resources here. ``device`` is ignored."""
+
+    output_db = True
+
+    def __init__(self, device: torch.device | str | int | None = None) -> None:
+        pass
+
+
+class RasterizeGLContext:
+    """Takes the place of nvdiffrast's OpenGL context. ``mode`` and ``device`` are ignored.
+
+    Attributes:
+        output_db: whether :func:`rasterize` computes ``rast_db``. Without it, ``rast_db`` has the shape (B, H, W, 0).
+    """
+
+    def __init__(
+        self, output_db: bool = True, mode: str = "automatic", device: torch.device | str | int | None = None
+    ) -> None:
+        if mode not in ("automatic", "manual"):
+            raise ValueError(f"mode: expected 'automatic' or 'manual', got {mode!r}")
+        self.output_db = output_db
+
+    def set_context(self) -> None:
+        """Does nothing."""
+
+    def release_context(self) -> None:
+        """Does nothing."""
+
+
+Context = RasterizeCudaContext | RasterizeGLContext
+
+
+def rasterize(
+    glctx: Context,
+    pos: Tensor,
+    tri: Tensor,
+    resolution: Sequence[int],
+    ranges: Tensor | None = None,
+    grad_db: bool = True,
+) -> tuple[Tensor, Tensor]:
+    """See :func:`fourd.raster.triangles.rasterize`."""
+    return triangles.rasterize(pos, tri, _size(resolution), ranges=ranges, **_outputs(glctx, grad_db))
+
+
+class DepthPeeler(triangles.DepthPeeler):
+    """See :class:`fourd.raster.triangles.DepthPeeler`."""
+
+    def __init__(
+        self,
+        glctx: Context,
+        pos: Tensor,
+        tri: Tensor,
+        resolution: Sequence[int],
+        ranges: Tensor | None = None,
+        grad_db: bool = True,
+    ) -> None:
+        super().__init__(pos, tri, _size(resolution), ranges=ranges, **_outputs(glctx, grad_db))
+
+
+def interpolate(
+    attr: Tensor,
+    rast: Tensor,
+    tri: Tensor,
+    rast_db: Tensor | None = None,
+    diff_attrs: Literal["all"] | Sequence[int] | None = None,
+) -> tuple[Tensor, Tensor]:
+    """See :func:`fourd.raster.triangles.interpolate`."""
+    return triangles.interpolate(attr, rast, tri, rast_db, diff_attrs)
+
+
+def texture(
+    tex: Tensor,
+    uv: Tensor,
+    uv_da: Tensor | None = None,
+    mip_level_bias: Tensor | None = None,
+    mip: Any = None,
+    filter_mode: Any = "auto",
+    boundary_mode: Any = "wrap",
+    max_mip_level: int | None = None,
+) -> Tensor:
+    """See :func:`fourd.raster.triangles.texture`."""
+    return triangles.texture(tex, uv, uv_da, mip_level_bias, mip, filter_mode, boundary_mode, max_mip_level)
+
+
+def texture_construct_mip(tex: Tensor, max_mip_level: int | None = None, cube_mode: bool = False) -> triangles.Mip:
+    """See :func:`fourd.raster.triangles.texture_construct_mip`."""
+    return triangles.texture_construct_mip(tex, max_mip_level, cube_mode)
+
+
+def antialias(
+    color: Tensor,
+    rast: Tensor,
+    pos: Tensor,
+    tri: Tensor,
+    topology_hash: triangles.Topology | None = None,
+    pos_gradient_boost: float = 1.0,
+) -> Tensor:
+    """See :func:`fourd.raster.triangles.antialias`."""
+    return triangles.antialias(color, rast, pos, tri, topology_hash, pos_gradient_boost)
+
+
+def antialias_construct_topology_hash(tri: Tensor) -> triangles.Topology:
+    """See :func:`fourd.raster.triangles.antialias_construct_topology`."""
+    return triangles.antialias_construct_topology(tri)
+
+
+def set_log_level(level: int) -> None:
+    """Set the level of the logger ``fourd.raster.nvdiffrast``: 0 for information, 1 for warnings, 2 for errors, or 3
+    for fatal errors. The operations log no messages."""
+    if level not in range(len(_LOG_LEVELS)):
+        raise ValueError(f"level: expected 0 to {len(_LOG_LEVELS) - 1}, got {level!r}")
+    logging.getLogger(__name__).setLevel(_LOG_LEVELS[level])
+
+
+def get_log_level() -> int:
+    """Return the level of :func:`set_log_level`. The default is 1."""
+    level = logging.getLogger(__name__).level
+    return _LOG_LEVELS.index(level) if level in _LOG_LEVELS else 1
+
+
+def _size(resolution: Sequence[int]) -> tuple[int, int]:
+    if len(resolution) != 2:
+        raise ValueError(f"resolution: expected [height, width], got {list(resolution)}")
+    return int(resolution[0]), int(resolution[1])
+
+
+def _outputs(glctx: object, grad_db: bool) -> dict[str, bool]:
+    if not isinstance(glctx, RasterizeCudaContext | RasterizeGLContext):
+        expected = "a RasterizeCudaContext or a RasterizeGLContext"
+        raise TypeError(f"glctx: expected {expected} as the first argument, got {type(glctx).__name__}")
+    return {"output_db": glctx.output_db, "grad_db": grad_db and glctx.output_db}
