@@ -36,7 +36,7 @@ from fourd.progress import Track
 
 Picture = NDArray[np.uint8]
 
-VERSION = 3
+VERSION = 4
 STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = Path(".fourd") / "mattes.png"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from fourd.matting.motion.background_model import BackgroundModel, fit_background
+from fourd.matting.motion.background_model import BackgroundModel, Deviations, fit_background, fit_deviations
 from fourd.matting.motion.colour_models import BINS, ColourHistogram
 
 
@@ -44,3 +44,21 @@ def test_histogram_is_a_density(rng: np.random.Generator) -> None:
     assert abs(total - 1) < 0.02
     inside, swapped = colours.log_likelihood(np.array([(200, 60, 40), (40, 60, 200)], np.uint8))
     assert inside > swapped + 5
+
+
+def test_shares_of_shadow_and_change_are_learned(rng: np.random.Generator) -> None:
+    """Catches shadow that always counts as rare or frequent, and shares of shadow that include plain pixels, which a
+    shadow of strength 1 explains as well."""
+    count = 40_000
+    mean = np.full((1, count, 3), (120.0, 100.0, 80.0), np.float32)
+    background = BackgroundModel(mean, np.full_like(mean, 9), np.full((1, count), 9, np.float32))
+    light = np.where(rng.random((1, count, 1)) < 0.1, 0.75, 1.0)
+    seen = np.clip(mean * light + rng.normal(0, 3, mean.shape), 0, 255)
+    seen[0, :2000] = (40, 90, 200)
+    plain, shaded = background.plain_and_shaded(seen.astype(np.uint8))
+    found = fit_deviations(plain[0], shaded[0], np.full(count, -14, np.float32))
+    assert abs(found.shaded - 0.1) < 0.03
+    assert abs(found.changed - 0.05) < 0.01
+    nothing = np.zeros(0, np.float32)
+    default = fit_deviations(nothing, nothing, nothing)
+    assert np.allclose([default.shaded, default.changed], [Deviations.shaded, Deviations.changed])

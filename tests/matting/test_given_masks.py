@@ -109,5 +109,13 @@ def test_a_painted_mask_changes_its_frame(capture: Path, tmp_path: Path) -> None
     assert make_mattes(Selection(own), settings, 1, untracked) == 5
     assert (own / ".fourd" / "subject.npz").stat().st_mtime_ns == model
     after = matte_iou(open_capture(own), tmp_path / "truth")
-    assert after[4, 3] > max(0.95, before[4, 3])
+    assert after[4, 3] > 0.95
     assert after.mean() > before.mean() - 0.002
+    # The mattes are nearly perfect without strokes, so that only a wrong painted mask shows that strokes decide. Its
+    # intersection over union with the true mask is 0.59. Edge refinement moves edges back a little.
+    moved = np.roll(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE), 6, axis=1)
+    assert cv2.imwrite(str(tmp_path / "moved.png"), moved)
+    make_mattes(Selection(own), MatteSettings(paint=(Paint("04", 3, tmp_path / "moved.png"),)), 1, untracked)
+    made = cv2.imread(str(own / ".fourd" / "mattes" / "04" / "000003.png"), cv2.IMREAD_GRAYSCALE) > 127
+    painted = moved > 127
+    assert (made & painted).sum() > 0.7 * (made | painted).sum()

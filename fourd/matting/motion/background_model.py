@@ -15,12 +15,28 @@ Picture = NDArray[np.uint8]
 
 SHADOW_DARKEST = 0.55
 SHADOW_BRIGHTEST = 1.1
-SHADOW_LOG_ODDS = np.float32(-2.5)
-"""Prior log-odds that a background pixel is in shadow."""
+MIN_SHARE = 0.002
+"""Minimum share of deviations. Some deviations do not occur in the frames from which the share is learned."""
+PRIOR_PIXELS = 500.0
+"""Weight of the default shares in learned shares, as a number of pixels."""
+SHARE_ITERATIONS = 3
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
 """Total weight of matching frames at which the confidence of a pixel's background colour reaches 1."""
 LOG_TWO_PI = float(np.log(2 * np.pi))
+
+
+@dataclass(frozen=True)
+class Deviations:
+    """How often the background differs from its colour.
+
+    Attributes:
+        shaded: share in (0, 1) of background pixels in shadow or in reflected light.
+        changed: share in (0, 1) of background pixels with another colour.
+    """
+
+    shaded: float = 0.3
+    changed: float = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +58,31 @@ class BackgroundModel:
         """Confidence (h, w) in [0, 1]. The confidence is 1 where enough frames have the same colour."""
         return np.clip(self.frames / CONFIDENT_FRAMES, 0, 1)
 
-    def log_likelihood(self, rgb: Picture) -> Floats:
+    def log_likelihood(self, rgb: Picture, shaded_share: float = Deviations.shaded) -> Floats:
         """Log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
 
-        The log density includes the possibility that the background is in shadow.
+        The log density includes the possibility that the background is in shadow, whose probability is
+        ``shaded_share``.
+        """
+        plain, shaded = self.plain_and_shaded(rgb)
+        return np.maximum(np.maximum(plain, shaded + np.float32(np.log(shaded_share))), MIN_LOG_LIKELIHOOD)
+
+    def plain_and_shaded(self, rgb: Picture) -> tuple[Floats, Floats]:
+        """Log densities (h, w) of each pixel's colour in an image (h, w, 3), without and with shadow.
+
+        The light of a pixel in shadow is unknown, with equal density from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
+        density with shadow is therefore an integral, in Laplace's approximation.
         """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
         value: Floats = rgb.astype(np.float32)
         plain = -0.5 * channel_sum(np.square(value - self.mean) * inverse)
         weighted = self.mean * inverse
-        light = channel_sum(value * weighted) / np.maximum(channel_sum(self.mean * weighted), 1e-3)
-        light = np.clip(light, SHADOW_DARKEST, SHADOW_BRIGHTEST)
-        shaded = -0.5 * channel_sum(np.square(value - light[..., None] * self.mean) * inverse) + SHADOW_LOG_ODDS
-        return np.maximum(np.maximum(plain, shaded) + scale, MIN_LOG_LIKELIHOOD)
+        precision = np.maximum(channel_sum(self.mean * weighted), 1e-3)
+        light = np.clip(channel_sum(value * weighted) / precision, SHADOW_DARKEST, SHADOW_BRIGHTEST)
+        shaded = -0.5 * channel_sum(np.square(value - light[..., None] * self.mean) * inverse)
+        shaded += np.minimum(0.5 * (LOG_TWO_PI - np.log(precision)) - np.log(SHADOW_BRIGHTEST - SHADOW_DARKEST), 0)
+        return plain + scale, (shaded + scale).astype(np.float32)
 
     def similarity(self, rgb: Picture) -> Floats:
         """Similarity (h, w) in [0, 1] between colours (h, w, 3) and the background's mean."""
@@ -68,6 +95,10 @@ class BackgroundModel:
             total += weight * _match(value.astype(np.float32) - self.mean, noise)
         return total
 
+    def crop(self, rows: slice, columns: slice) -> BackgroundModel:
+        """The model of a part of the image."""
+        return BackgroundModel(self.mean[rows, columns], self.variance[rows, columns], self.frames[rows, columns])
+
     def resize(self, width: int, height: int) -> BackgroundModel:
         """Resize the model to another image size."""
         mean, variance, frames = (
@@ -75,6 +106,28 @@ class BackgroundModel:
             for plane in (self.mean, self.variance, self.frames)
         )
         return BackgroundModel(mean, variance, frames)
+
+
+def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations:
+    """Fit the shares of pixels that are in shadow or changed to pixels that certainly show the background.
+
+    The shares are the weights of a mixture, by expectation maximisation. The default shares count like PRIOR_PIXELS
+    pixels, so that a few pixels change them little.
+
+    Args:
+        plain: (N,) log densities of the pixels' colours according to the background model.
+        shaded: (N,) log densities if the background is in shadow.
+        changed: (N,) log densities of the colours of the surroundings.
+    """
+    default = np.array([1 - Deviations.shaded - Deviations.changed, Deviations.shaded, Deviations.changed])
+    density = np.stack([plain, shaded, changed]).astype(np.float64)
+    density = np.exp(density - density.max(axis=0))
+    shares = default
+    for _ in range(SHARE_ITERATIONS):
+        joint = shares[:, None] * density
+        counts = (joint / joint.sum(axis=0)).sum(axis=1) + PRIOR_PIXELS * default
+        shares = np.maximum(counts / counts.sum(), MIN_SHARE)
+    return Deviations(float(shares[1]), float(shares[2]))
 
 
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:

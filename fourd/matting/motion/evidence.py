@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fourd.matting.channels import channel_max, channel_min
 from fourd.matting.motion.agreement import NO_CELL_LOG_ODDS, VoxelGrid
-from fourd.matting.motion.background_model import BackgroundModel
+from fourd.matting.motion.background_model import BackgroundModel, Deviations
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.local_evidence import LocalEvidence
 
@@ -53,6 +53,7 @@ class Appearance:
         surround: colours of the background near the subject.
         region: (h, w) bool mask that contains the subject in all frames.
         still_px: length in pixels of the optical flow of static pixels.
+        deviations: how often the background differs from its model.
     """
 
     background: BackgroundModel
@@ -60,6 +61,7 @@ class Appearance:
     surround: ColourHistogram
     region: NDArray[np.bool_]
     still_px: float
+    deviations: Deviations = field(default_factory=Deviations)
 
     def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
         """Log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera alone.
@@ -68,8 +70,9 @@ class Appearance:
         """
         confidence = self.background.confidence
         surround = self.surround.log_likelihood(rgb)
-        at_pixel = self.background.log_likelihood(rgb)
-        background = np.logaddexp(at_pixel + np.log(0.95 * confidence + 1e-4), surround + np.log(1 - 0.95 * confidence))
+        at_pixel = self.background.log_likelihood(rgb, self.deviations.shaded)
+        known = np.float32(1 - self.deviations.changed) * confidence
+        background = np.logaddexp(at_pixel + np.log(known + 1e-4), surround + np.log(1 - known))
         odds = np.clip(self.subject.log_likelihood(rgb) - background, -MAX_LOG_ODDS, MAX_LOG_ODDS)
         # Where the background is unknown, colours alone are weak evidence against the subject.
         weight = UNKNOWN_BACKGROUND_WEIGHT + (1 - UNKNOWN_BACKGROUND_WEIGHT) * confidence
@@ -84,7 +87,7 @@ class Appearance:
         height, width = background.frames.shape
         region = cv2.resize(self.region.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.25
         zoom = width / self.region.shape[1]
-        return Appearance(background, self.subject, self.surround, region, self.still_px * zoom)
+        return replace(self, background=background, region=region, still_px=self.still_px * zoom)
 
     def match_exposure(self, rgb: Picture) -> Picture:
         """Scale each channel of an image to the exposure of the background model.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.matting.channels import channel_max
-from fourd.matting.motion.background_model import BackgroundModel, fit_background
+from fourd.matting.motion.background_model import BackgroundModel, fit_background, fit_deviations
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.evidence import Appearance, probability
 from fourd.matting.motion.local_colours import LocalColours
@@ -36,6 +36,10 @@ CONFIRMED_FRAMES = 1.5
 
 A frame counts if the pixel is outside the other views' hull and the pixel's colour matches the background model.
 """
+CLEAR_PX = 8
+"""Minimum distance in pixels from the hull of the other views of the pixels that show how often the background changes.
+Pixels that are closer may show parts of the subject that the hull misses."""
+CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
 """A trusted probability confirms background below the inverse of this value."""
@@ -108,7 +112,7 @@ class Learner:
         weights = free * np.maximum(_background_weight(odds), np.float32(0.5) * off_hull)
         confirmation = np.maximum(_background_confirmation(odds), off_hull)
         if is_trusted:
-            trusted = np.clip(1 - TRUST_SLOPE * dilated, 0, 1)
+            trusted = np.clip(1 - TRUST_SLOPE * alpha, 0, 1)
             weights, confirmation = np.maximum(weights, trusted), np.maximum(confirmation, trusted)
         self._set_background(weights, weights * confirmation)
         confident = alpha > 0.8
@@ -118,6 +122,24 @@ class Learner:
         if not_subject.any():
             surround = ColourHistogram.from_colours(_subsample(rgb[not_subject], rng))
             self.appearance = replace(self.appearance, surround=surround)
+        self._fit_deviations(off_hull)
+
+    def _fit_deviations(self, off_hull: Flags) -> None:
+        """Learn how often known background is in shadow or changes, from the pixels far from the hull.
+
+        ``off_hull`` (T, h, w) is True outside the other views' visual hull. Frames without a hull do not count.
+        """
+        rows, columns = _bounding_window(self.appearance.region)
+        background = self.appearance.background.crop(rows, columns)
+        known = self.appearance.region[rows, columns] & (background.confidence > CERTAIN_CONFIDENCE)
+        densities = []
+        for rgb, free in zip(self.sample.rgb[:, rows, columns], off_hull, strict=True):
+            clear = cv2.erode(free.astype(np.uint8), np.ones((2 * CLEAR_PX + 1,) * 2, np.uint8))[rows, columns] > 0
+            chosen = clear & known & (not free.all())
+            changed = self.appearance.surround.log_likelihood(rgb[chosen])
+            densities.append(np.stack([*(plane[chosen] for plane in background.plain_and_shaded(rgb)), changed]))
+        deviations = fit_deviations(*np.concatenate(densities, axis=1))
+        self.appearance = replace(self.appearance, deviations=deviations)
 
     def _confirmed_background(self, weights: Floats) -> Flags:
         """Mask (h, w) of the pixels near the subject whose background colour is known.

@@ -12,7 +12,7 @@ import numpy as np
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.files import atomic_path
-from fourd.matting.motion.background_model import BackgroundModel
+from fourd.matting.motion.background_model import BackgroundModel, Deviations
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.evidence import Appearance
 from fourd.matting.motion.mattes import MatteMaker
@@ -31,6 +31,7 @@ def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundM
             f"surroundings_{index}": appearance.surround.log_density,
             f"region_{index}": appearance.region,
             f"still_{index}": np.array(appearance.still_px),
+            f"deviations_{index}": np.array([appearance.deviations.shaded, appearance.deviations.changed]),
         }
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
@@ -55,7 +56,8 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
                 backgrounds.append(fine)
                 colours, surround = (ColourHistogram(arrays[f"{name}_{index}"]) for name in ("subject", "surroundings"))
                 region, still_px = arrays[f"region_{index}"], float(arrays[f"still_{index}"])
-                appearances.append(Appearance(fine, colours, surround, region, still_px))
+                deviations = Deviations(*(float(share) for share in arrays[f"deviations_{index}"]))
+                appearances.append(Appearance(fine, colours, surround, region, still_px, deviations))
     except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
         raise UserError(f"{path}: expected a learned model of the subject, got '{error}'; delete the file") from error
     subject = Subject(tuple(appearances), tuple(cameras), (box[0], box[1]) if len(box) else None)

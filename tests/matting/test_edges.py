@@ -1,0 +1,34 @@
+"""Alpha at the edge of a mask, compared with the exact coverage of pixels."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from fourd.matting.edges import estimate_edge_alpha
+
+SIZE, OVERSAMPLING = 96, 8
+FUR, WALL = np.array([200.0, 130, 60]), np.array([90.0, 100, 120])
+
+
+def disc_coverage(offset_px: float) -> np.ndarray:
+    """Coverage (SIZE, SIZE) of the pixels by a disc whose centre is shifted by ``offset_px``."""
+    at = (np.arange(SIZE * OVERSAMPLING) + 0.5) / OVERSAMPLING - SIZE / 2
+    inside = (at[:, None] ** 2 + (at[None] - offset_px) ** 2 < 30**2).astype(np.float32)
+    return np.asarray(cv2.resize(inside, (SIZE, SIZE), interpolation=cv2.INTER_AREA))
+
+
+@pytest.mark.parametrize("is_known", [True, False], ids=["known background", "unknown background"])
+@pytest.mark.parametrize("grown_px", [-1, 0, 1])
+def test_alpha_is_the_coverage_of_edge_pixels(is_known: bool, grown_px: int, rng: np.random.Generator) -> None:
+    """Catches edges that are softer than the image's, and masks that are a pixel too large or too small and stay so."""
+    truth = disc_coverage(0.3)
+    rgb = truth[..., None] * FUR + (1 - truth[..., None]) * WALL + rng.normal(0, 2, (SIZE, SIZE, 3))
+    mask = (truth > 0.5).astype(np.uint8)
+    mask = (cv2.erode, np.asarray, cv2.dilate)[grown_px + 1](mask, *([np.ones((3, 3), np.uint8)] * abs(grown_px)))
+    plate = np.dstack([np.broadcast_to(WALL, (SIZE, SIZE, 3)), np.ones((SIZE, SIZE))]).astype(np.float32)
+    alpha = estimate_edge_alpha(np.clip(rgb, 0, 255).astype(np.uint8), mask, 1, plate if is_known else None)
+    contour_px = 2 * np.pi * 30
+    assert np.abs(alpha - truth).sum() / contour_px < 0.25
+    assert abs((alpha - truth).sum()) / contour_px < 0.12
