@@ -71,8 +71,8 @@ def bake_run(
         if background is not None:
             writer.add_background(background)
         for frame in track(range(run.capture.frame_count), description="export", console=console):
-            baked = bake_frame(trained, frame, sources)
-            writer.add_frame(frame, fill_unseen_colours(baked) if fill_unseen else baked, bake_shadow(trained, frame))
+            baked = bake_frame(trained, frame, sources, fill_unseen=fill_unseen)
+            writer.add_frame(frame, baked, bake_shadow(trained, frame))
 
 
 def require_bakeable(run: Run) -> None:
@@ -120,10 +120,10 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
     )
 
 
-def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
+def bake_frame(trained: TrainedRun, frame: int, sources: list[int], *, fill_unseen: bool = True) -> BakedFrame:
     """Evaluate all properties of one frame's dynamic points that do not depend on the viewer.
 
-    ``sources`` are the camera indices from :func:`select_baked_views`.
+    ``sources`` are the camera indices from :func:`select_baked_views`. For ``fill_unseen``, see :func:`bake_run`.
     """
     views = trained.renderer.views
     occlusion = trained.model.config.occlusion
@@ -132,7 +132,8 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
         return with_surface_depth(views.sources([index], frame), points, occlusion)
 
     points, time = trained.frames.get(frame), trained.run.capture.time(frame)
-    return _bake_points(trained.model, points, time, sources, get_source_view)
+    baked = _bake_points(trained.model, points, time, sources, get_source_view)
+    return fill_unseen_colours(baked) if fill_unseen else baked
 
 
 def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:
