@@ -74,7 +74,8 @@ def rasterize(
     grad_db: bool = True,
 ) -> tuple[Tensor, Tensor]:
     """See :func:`fourd.raster.triangles.rasterize`."""
-    return triangles.rasterize(pos, tri, _size(resolution), ranges=ranges, **_outputs(glctx, grad_db))
+    has_db = _has_db(glctx)
+    return triangles.rasterize(pos, tri, _size(resolution), ranges=ranges, output_db=has_db, grad_db=grad_db and has_db)
 
 
 class DepthPeeler(triangles.DepthPeeler):
@@ -89,7 +90,8 @@ class DepthPeeler(triangles.DepthPeeler):
         ranges: Tensor | None = None,
         grad_db: bool = True,
     ) -> None:
-        super().__init__(pos, tri, _size(resolution), ranges=ranges, **_outputs(glctx, grad_db))
+        has_db = _has_db(glctx)
+        super().__init__(pos, tri, _size(resolution), ranges=ranges, output_db=has_db, grad_db=grad_db and has_db)
 
 
 def interpolate(
@@ -159,8 +161,8 @@ def _size(resolution: Sequence[int]) -> tuple[int, int]:
     return int(resolution[0]), int(resolution[1])
 
 
-def _outputs(glctx: object, grad_db: bool) -> dict[str, bool]:
+def _has_db(glctx: object) -> bool:
     if not isinstance(glctx, RasterizeCudaContext | RasterizeGLContext):
         expected = "a RasterizeCudaContext or a RasterizeGLContext"
         raise TypeError(f"glctx: expected {expected} as the first argument, got {type(glctx).__name__}")
-    return {"output_db": glctx.output_db, "grad_db": grad_db and glctx.output_db}
+    return glctx.output_db

@@ -1,0 +1,25 @@
+"""The test runs examples/triangles/black_box.py as a user would run it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PIL import Image
+
+from tests.examples.test_examples import ROOT, run
+
+
+def test_fitting_through_opengl_reduces_the_error(tmp_path: Path) -> None:
+    """Catches ids that do not belong to the image, and a wrong sign of the gradient: then the error does not fall."""
+    out = tmp_path / "pictures.png"
+    printed = run("triangles/black_box.py", "--size", 48, "--triangles", 40, "--steps", 100, "--out", out)
+    words = printed.split()
+    before, after = float(words[words.index("before,") - 1]), float(words[words.index("after") - 1])
+    assert after < 0.6 * before
+    with Image.open(out) as picture:
+        assert picture.size == (144, 48)
+
+
+def test_readme_lists_the_example() -> None:
+    """Catches an example that nobody finds."""
+    assert "(triangles/black_box.py)" in (ROOT / "examples" / "README.md").read_text(encoding="utf-8")
