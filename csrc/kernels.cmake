@@ -65,6 +65,13 @@ fourd_kernel(similarity
   DISPATCH cpu/loops.cpp WIDEST avx2 TOLERANT
   BINDING binding.cpp)
 
+fourd_kernel(soft_triangles
+  CPU cpu/render.cpp
+  DISPATCH cpu/tiles.cpp WIDEST avx512 EXACT
+  CUDA cuda/render.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
+
 fourd_kernel(sources
   CPU cpu/sample.cpp
   DISPATCH cpu/loops.cpp WIDEST avx2 TOLERANT

@@ -14,9 +14,10 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <type_traits>
 
 #include "common/host_device.h"
-#include "tiles/geometry.h"
+#include "tiles/corners.h"
 
 namespace fourd::splat_triangles {
 
@@ -24,9 +25,22 @@ constexpr float kMaxAlpha = 0.99f;            // Larger alphas are clamped, so t
 constexpr float kInverseMinAlpha = 255.0f;    // Triangles with an alpha below 1 / 255 are skipped at a pixel.
 constexpr float kMinTransmittance = 1e-4f;    // A pixel is complete at or below this transmittance.
 constexpr float kSmallestWindow = 1e-7f;      // Smaller values of min_k a_k are rounding errors.
-constexpr float kThinnest = 1e-4f;            // Triangles with a smaller inradius in pixels are culled.
-constexpr float kFarthestPixel = 16777216.0f;  // 2^24: triangles with a vertex farther from the image are culled.
 constexpr float kLn2 = 0.693147181f;
+
+using tiles::constant;
+using tiles::Corners;
+using tiles::corners_backward;
+using tiles::corners_of;
+using tiles::Edges;
+using tiles::edges_of;
+using tiles::exp2_of;
+using tiles::is_in_range;
+using tiles::log2_of;
+using tiles::maximum;
+using tiles::minimum;
+using tiles::Pinhole;
+using tiles::select;
+using tiles::tile_span;
 
 // A projected triangle.
 struct alignas(64) Splat {
@@ -47,69 +61,6 @@ struct ShapeGradient {
     float opacity, sigma;
 };
 
-// Functions on floats, of which tiles/lanes.h has overloads for Lanes.
-FOURD_HD static inline float constant(float value, const float*) { return value; }
-FOURD_HD static inline float select(bool condition, float a, float b) { return condition ? a : b; }
-FOURD_HD static inline float minimum(float a, float b) { return a < b ? a : b; }
-FOURD_HD static inline float maximum(float a, float b) { return a > b ? a : b; }
-FOURD_HD static inline float square_root(float a) { return sqrtf(a); }
-FOURD_HD static inline float log2_of(float a) { return log2f(a); }
-FOURD_HD static inline float exp2_of(float a) { return exp2f(a); }
-
-// The largest whole number that is at most `a`, for numbers between -2^22 and 2^22.
-template <typename Number>
-FOURD_HD static inline Number floor_of(Number a) {
-    const Number* const tag = nullptr;
-    const Number magic = constant(12582912.0f, tag);  // 1.5 * 2^23: floats of this size have no fractional bits.
-    const Number rounded = (a + magic) - magic;
-    return select(rounded > a, rounded - constant(1.0f, tag), rounded);
-}
-
-// A projected triangle. Index k stands for the vertex k, or for the edge opposite to it.
-template <typename Number>
-struct Corners {
-    Number u[3], v[3], z[3];
-};
-
-template <typename Number>
-FOURD_HD static inline void project_corner(const tiles::Pinhole& camera, const Number* xyz, Number* u, Number* v,
-                                           Number* z) {
-    const Number* const tag = nullptr;
-    Number in_camera[3];
-    for (int i = 0; i < 3; ++i) {
-        const float* row = camera.rotation + 3 * i;
-        in_camera[i] = constant(row[0], tag) * xyz[0] + constant(row[1], tag) * xyz[1] +
-                       constant(row[2], tag) * xyz[2] + constant(camera.translation[i], tag);
-    }
-    const float* k = camera.intrinsics;
-    const Number x = in_camera[0], y = in_camera[1];
-    *z = in_camera[2];
-    *u = (constant(k[0], tag) * x + constant(k[1], tag) * y) / *z + constant(k[2], tag);
-    *v = (constant(k[3], tag) * x + constant(k[4], tag) * y) / *z + constant(k[5], tag);
-}
-
-// The edges of a projected triangle. Edge k runs from vertex k + 1 to vertex k + 2.
-template <typename Number>
-struct Edges {
-    Number x[3], y[3], length[3];
-    Number perimeter;
-    Number doubled_area;  // Signed.
-};
-
-template <typename Number>
-FOURD_HD static inline Edges<Number> edges_of(const Corners<Number>& at) {
-    Edges<Number> out;
-    for (int k = 0; k < 3; ++k) {
-        const int from = (k + 1) % 3, to = (k + 2) % 3;
-        out.x[k] = at.u[to] - at.u[from];
-        out.y[k] = at.v[to] - at.v[from];
-        out.length[k] = square_root(out.x[k] * out.x[k] + out.y[k] * out.y[k]);
-    }
-    out.perimeter = out.length[0] + out.length[1] + out.length[2];
-    out.doubled_area = out.x[1] * out.y[2] - out.x[2] * out.y[1];
-    return out;
-}
-
 // The triangle after projection. If `visible` is false, the other members have no defined values.
 template <typename Number, typename Condition>
 struct Projection {
@@ -118,41 +69,19 @@ struct Projection {
     Condition visible;
 };
 
-// The range of tiles along one axis that has the pixel centres between low and high. Returns whether there are any.
-template <typename Number>
-FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number* first, Number* last) {
-    const Number* const tag = nullptr;
-    const Number zero = constant(0.0f, tag), half = constant(0.5f, tag);
-    const Number end = constant(static_cast<float>(size - 1), tag);
-    // Hits have a rounding error. A margin makes sure that the range contains them.
-    const Number margin = constant(1e-3f, tag) + (high - low) * constant(1e-5f, tag);
-    const Number from = maximum(low - margin - half, zero), to = minimum(high + margin - half, end);
-    *first = floor_of(from * constant(1.0f / tiles::kTile, tag));
-    *last = floor_of(maximum(to, zero) * constant(1.0f / tiles::kTile, tag));
-    return (to >= zero) & (end >= from) & (to >= from);
-}
-
 // Projects a triangle. All comparisons are false for NaN.
 template <typename Number>
-FOURD_HD static inline auto project(const tiles::Pinhole& camera, float near_depth, const Corners<Number>& at,
-                                    Number opacity, Number sigma) {
+FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, const Corners<Number>& at, Number opacity,
+                                    Number sigma) {
     const Number* const tag = nullptr;
-    const auto within = [tag](Number value, float low, float high) {
-        return (value >= constant(low, tag)) & (constant(high, tag) >= value);
-    };
-    constexpr float kMaxFloat = 3.402823466e38f, kMaxDepth = 1e38f;
+    constexpr float kMaxFloat = 3.402823466e38f;
     const Edges<Number> edges = edges_of(at);
     const Number zero = constant(0.0f, tag), one = constant(1.0f, tag);
-    const Number area = maximum(edges.doubled_area, zero - edges.doubled_area);
     const Number scaled_opacity = opacity * constant(kInverseMinAlpha, tag);
-    auto visible = (area > constant(kThinnest, tag) * edges.perimeter) & (scaled_opacity >= one) &
-                   (constant(kMaxFloat, tag) >= scaled_opacity) & (sigma > zero) &
-                   (constant(kMaxFloat, tag) >= sigma);
-    for (int k = 0; k < 3; ++k) {
-        visible = visible & within(at.z[k], near_depth, kMaxDepth) & within(at.u[k], -kFarthestPixel, kFarthestPixel) &
-                  within(at.v[k], -kFarthestPixel, kFarthestPixel);
-    }
-    Projection<Number, decltype(visible)> out;
+    const auto visible = is_in_range(at, edges, near_depth) & (scaled_opacity >= one) &
+                         (constant(kMaxFloat, tag) >= scaled_opacity) & (sigma > zero) &
+                         (constant(kMaxFloat, tag) >= sigma);
+    Projection<Number, std::decay_t<decltype(visible)>> out;
     out.x = at.u[0] + (edges.length[1] * edges.x[2] - edges.length[2] * edges.x[1]) / edges.perimeter;
     out.y = at.v[0] + (edges.length[1] * edges.y[2] - edges.length[2] * edges.y[1]) / edges.perimeter;
     for (int k = 0; k < 3; ++k) {
@@ -163,10 +92,12 @@ FOURD_HD static inline auto project(const tiles::Pinhole& camera, float near_dep
     const Number power = exp2_of((zero - log2_of(maximum(scaled_opacity, one))) / sigma);
     out.smallest = maximum(power, constant(kSmallestWindow, tag));
     out.z = (at.z[0] + at.z[1] + at.z[2]) / constant(3.0f, tag);
-    const auto across = tile_span(minimum(minimum(at.u[0], at.u[1]), at.u[2]),
-                                  maximum(maximum(at.u[0], at.u[1]), at.u[2]), camera.width, &out.left, &out.right);
-    const auto down = tile_span(minimum(minimum(at.v[0], at.v[1]), at.v[2]),
-                                maximum(maximum(at.v[0], at.v[1]), at.v[2]), camera.height, &out.top, &out.bottom);
+    const Number left = minimum(minimum(at.u[0], at.u[1]), at.u[2]);
+    const Number right = maximum(maximum(at.u[0], at.u[1]), at.u[2]);
+    const Number top = minimum(minimum(at.v[0], at.v[1]), at.v[2]);
+    const Number bottom = maximum(maximum(at.v[0], at.v[1]), at.v[2]);
+    const auto across = tile_span(left, right, camera.width, zero, &out.left, &out.right);
+    const auto down = tile_span(top, bottom, camera.height, zero, &out.top, &out.bottom);
     out.visible = visible & across & down;
     return out;
 }
@@ -201,19 +132,9 @@ FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x,
     return out;
 }
 
-// The corners of a triangle, from vertex indices.
-FOURD_HD static inline Corners<float> corners_of(const tiles::Pinhole& camera, const float* xyz,
-                                                 const std::int32_t* tri) {
-    Corners<float> out;
-    for (int k = 0; k < 3; ++k) {
-        project_corner(camera, xyz + 3 * static_cast<std::size_t>(tri[k]), out.u + k, out.v + k, out.z + k);
-    }
-    return out;
-}
-
 // Back-projects the sums of a triangle to the positions of its vertices: `out` has 3 rows of 3.
-FOURD_HD static inline void project_backward(const tiles::Pinhole& camera, const Corners<float>& at,
-                                             const Splat& splat, const ShapeGradient& sums, float* out) {
+FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at, const Splat& splat,
+                                             const ShapeGradient& sums, float* out) {
     const Edges<float> edges = edges_of(at);
     const float perimeter = edges.perimeter, area = edges.doubled_area;
     float to_x = 0.0f, to_y = 0.0f;  // Gradient of the incentre.
@@ -247,14 +168,8 @@ FOURD_HD static inline void project_backward(const tiles::Pinhole& camera, const
         to_u[(k + 1) % 3] -= x;
         to_v[(k + 1) % 3] -= y;
     }
-    const float* r = camera.rotation;
-    const float* m = camera.intrinsics;
-    for (int k = 0; k < 3; ++k) {
-        const float u = to_u[k] / at.z[k], v = to_v[k] / at.z[k];
-        const float x = m[0] * u + m[3] * v, y = m[1] * u + m[4] * v;
-        const float z = -(u * (at.u[k] - m[2]) + v * (at.v[k] - m[5]));
-        for (int axis = 0; axis < 3; ++axis) out[3 * k + axis] = r[axis] * x + r[3 + axis] * y + r[6 + axis] * z;
-    }
+    const float to_z[3] = {0.0f, 0.0f, 0.0f};
+    corners_backward(camera, at, to_u, to_v, to_z, out);
 }
 
 }  // namespace fourd::splat_triangles

@@ -11,11 +11,13 @@
 #include "points/cpu/workspace.h"
 #include "shade/shade.h"
 #include "similarity/similarity.h"
+#include "soft_triangles/cpu/workspace.h"
 #include "splat_triangles/cpu/workspace.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
+#include "tests/soft_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
 #include "tests/unpack_inputs.h"
@@ -241,6 +243,16 @@ void run_mesh(unsigned seed, const char* simd) {
     inputs.expect_finite_results(seed);
 }
 
+void run_soft_triangles(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::SoftInputs inputs(random, 100, seed % 2 ? 0.1f : 0.0f, simd);
+    fourd::soft_triangles::Workspace workspace;
+    fourd::soft_triangles::render(inputs.mesh(), inputs.settings, workspace, inputs.picture());
+    fourd::soft_triangles::render_backward(inputs.mesh(), inputs.settings, workspace, inputs.upstream(),
+                                           inputs.gradient());
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -256,6 +268,7 @@ int main(int count, char** arguments) {
             run_shade(seed, simd);
             run_similarity(seed, simd);
             run_sources(seed, simd);
+            run_soft_triangles(seed, simd);
             run_splat_triangles(seed, simd);
             run_antialias(seed, simd);
             run_mesh(seed, simd);

@@ -12,12 +12,14 @@
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
 #include "rasterize/cuda/rasterize.h"
+#include "soft_triangles/cuda/render.h"
 #include "sources/cuda/sample.h"
 #include "splat_triangles/cuda/render.h"
 #include "tests/antialias_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
+#include "tests/soft_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
 
@@ -182,6 +184,20 @@ void run_mesh(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_soft_triangles(unsigned seed) {
+    Random random(seed);
+    fourd::tests::SoftInputs inputs(random, 30, seed % 2 ? 0.1f : 0.0f, "");
+    const fourd::soft_triangles::Mesh mesh = inputs.mesh();
+    const int width = inputs.settings.camera.width, height = inputs.settings.camera.height;
+    const std::size_t entries = static_cast<std::size_t>(random_int(random, 0, 2) ? 4000 : random_int(random, 0, 20));
+    const Memory memory(
+        fourd::soft_triangles::cuda::workspace_bytes(mesh.count, mesh.channels, width, height, entries), entries);
+    fourd::soft_triangles::cuda::render(mesh, inputs.settings, memory.buffer(), inputs.picture(), nullptr);
+    fourd::soft_triangles::cuda::render_backward(mesh, inputs.settings, memory.buffer(), inputs.upstream(),
+                                                 inputs.gradient(), nullptr);
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -192,6 +208,7 @@ int main(int count, char** arguments) {
         run_planes(seed);
         run_hashgrid(seed);
         run_sources(seed);
+        run_soft_triangles(seed);
         run_splat_triangles(seed);
         run_antialias(seed);
         run_mesh(seed);

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from fourd.baking.player import Player
 from fourd.benchmarks.peers import pytorch3d_compositor
-from fourd.benchmarks.soft_triangles import splatting
+from fourd.benchmarks.soft_triangles import soft_silhouette, splatting
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
@@ -64,6 +64,8 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     yield plane_case(65_536, CPU)
     yield sampling_case(65_536, CPU)
     yield _similarity(512)
+    silhouette = soft_silhouette(1_300, 256, 50)
+    yield Case("soft silhouette, 1,300 triangles, 256 x 256, K = 50, forward + backward", silhouette)
     for backward in (False, True):
         yield Case(f"splat 100,000 triangles, 1024 x 1024, {PASSES[backward]}", splatting(100_000, 1024, backward))
     if steps:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import SEED, make_camera, make_points
-from fourd.raster.triangles import splat_triangles
+from fourd.raster.triangles import rasterize_soft, splat_triangles
 
 CIRCUMRADIUS = 2.2
 """Circumradius of the triangles, as a multiple of the spacing of their centres. The triangles overlap about 8 deep."""
@@ -44,6 +44,34 @@ def splatting(count: int, side: int, backward: bool) -> Work:
     image = splat_triangles(**soup, camera=camera, geometry=False)  # type: ignore[arg-type]
     total = image.features.sum() + image.alpha.sum()
     return lambda: torch.autograd.grad(total, free, retain_graph=True)
+
+
+def make_sphere(count: int) -> tuple[Tensor, Tensor]:
+    """Make a closed sphere of about ``count`` triangles that covers most of the image of ``make_camera``: vertices
+    (V, 3) float32 and triangles (T, 3) int32."""
+    rows = max(2, round((count / 4) ** 0.5) + 1)
+    columns = 2 * rows
+    theta, phi = np.meshgrid(np.linspace(0, np.pi, rows + 1), np.arange(columns) * 2 * np.pi / columns, indexing="ij")
+    xyz = 0.9 * np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
+    row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    a, b = row * columns + column, row * columns + (column + 1) % columns
+    upper = np.stack([a, b + columns, b], axis=-1)[1:]
+    lower = np.stack([a, a + columns, b + columns], axis=-1)[:-1]
+    tri = np.concatenate([upper.reshape(-1, 3), lower.reshape(-1, 3)])
+    return torch.from_numpy(xyz.reshape(-1, 3).astype(np.float32)), torch.from_numpy(tri.astype(np.int32))
+
+
+def soft_silhouette(count: int, side: int, layers: int) -> Work:
+    """Return a function that renders a soft silhouette and computes the gradient of the vertices."""
+    xyz, tri = make_sphere(count)
+    xyz.requires_grad_()
+    features, camera = torch.ones(len(tri), 1), make_camera(side, side)
+
+    def work() -> object:
+        alpha = rasterize_soft(xyz, tri, features, camera, sigma=1e-4, layers=layers)[1]
+        return torch.autograd.grad(alpha.square().sum(), xyz)
+
+    return work
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

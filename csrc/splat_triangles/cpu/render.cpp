@@ -2,6 +2,7 @@
 #include <cstring>
 
 #include "splat_triangles/cpu/workspace.h"
+#include "tiles/corner_sums.h"
 
 namespace fourd::splat_triangles {
 namespace {
@@ -51,15 +52,6 @@ void gather_gradient(const Mesh& mesh, const Settings& settings, Workspace& work
     out.sigma[triangle] = sums.sigma;
     const Corners<float> at = corners_of(settings.camera, mesh.xyz, mesh.tri + 3 * triangle);
     project_backward(settings.camera, at, workspace.splats[triangle], sums, corners);
-}
-
-// Adds the gradients of the corners to the vertices, in the order of the triangles.
-void add_corners(const Mesh& mesh, const Buffer<float>& corners, float* xyz) {
-    std::fill_n(xyz, 3 * mesh.vertices, 0.0f);
-    for (std::size_t corner = 0; corner < 3 * mesh.count; ++corner) {
-        float* to = xyz + 3 * static_cast<std::size_t>(mesh.tri[corner]);
-        for (std::size_t axis = 0; axis < 3; ++axis) to[axis] += corners[3 * corner + axis];
-    }
 }
 
 }  // namespace
@@ -144,7 +136,7 @@ void render_backward(const Mesh& mesh, const Settings& settings, Workspace& work
     for_triangles(mesh.count, team, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) gather_gradient(mesh, settings, workspace, i, out);
     });
-    add_corners(mesh, workspace.corners, out.xyz);
+    tiles::add_corners(workspace.corners.data(), mesh.tri, mesh.count, out.xyz, mesh.vertices);
 }
 
 }  // namespace fourd::splat_triangles

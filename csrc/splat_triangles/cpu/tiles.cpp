@@ -12,6 +12,7 @@ namespace {
 
 #include "tiles/lanes.h"
 #include "tiles/powers.inc"
+#include "tiles/gather.inc"
 #include "tiles/grid.inc"
 #include "splat_triangles/cpu/projection.inc"
 #include "splat_triangles/cpu/coverage.inc"

@@ -47,10 +47,10 @@ def splat_triangles_reference(
     near: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Compute the composited features (H, W, C), the alpha (H, W) and the weight (T,)."""
-    kept = _cull(_project_corners(xyz.detach(), tri, camera), opacity.detach(), sigma.detach(), near)
-    projected = _project(_project_corners(xyz, tri[kept], camera), opacity[kept], sigma[kept])
+    kept = _cull(project_corners(xyz.detach(), tri, camera), opacity.detach(), sigma.detach(), near)
+    projected = _project(project_corners(xyz, tri[kept], camera), opacity[kept], sigma[kept])
     colours, alphas, best = [], [], xyz.new_zeros(len(kept))
-    for pixels in _pixels(camera, xyz).split(max(1, CHUNK // (len(kept) + 1))):
+    for pixels in pixel_centres(camera, xyz).split(max(1, CHUNK // (len(kept) + 1))):
         colour, alpha, weights = _composite(projected, features[kept], pixels, layers)
         colours.append(colour)
         alphas.append(alpha)
@@ -63,7 +63,7 @@ def splat_triangles_reference(
     return torch.cat(colours).reshape(*shape, -1) + zero, torch.cat(alphas).reshape(shape) + zero, weight
 
 
-def _project_corners(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
+def project_corners(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     """Return the pixel coordinates u, v and the camera depth of the corners, (T, 3 corners, 3)."""
     k = torch.as_tensor(camera.intrinsics.copy()).to(xyz)
     r = torch.as_tensor(camera.rotation.copy()).to(xyz)
@@ -80,19 +80,25 @@ def _project_corners(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
 def _cull(corners: Tensor, opacity: Tensor, sigma: Tensor, near: float) -> Tensor:
     """Return the indices of the triangles that are not culled, nearest first. Triangles of equal depth are sorted by
     index."""
-    u, v, z = corners.unbind(-1)
-    _, _, length, area = _edges(u, v)
-    perimeter = length[:, 0] + length[:, 1] + length[:, 2]
-    keep = (area.abs() > torch.as_tensor(THINNEST_PX, dtype=u.dtype) * perimeter) & (opacity * 255 >= 1) & (sigma > 0)
+    z = corners[..., 2]
+    keep = triangles_in_range(corners, near) & (opacity * 255 >= 1) & (sigma > 0)
     keep &= torch.isfinite(opacity * 255) & torch.isfinite(sigma)
-    keep &= ((z >= torch.as_tensor(near, dtype=z.dtype)) & (z <= 1e38)).all(dim=1)
-    keep &= ((u.abs() <= FARTHEST_PX) & (v.abs() <= FARTHEST_PX)).all(dim=1)
     index = torch.nonzero(keep)[:, 0]
     depth = (z[:, 0] + z[:, 1] + z[:, 2]) / 3
     return index[torch.argsort(depth[index], stable=True)]
 
 
-def _edges(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def triangles_in_range(corners: Tensor, near: float) -> Tensor:
+    """Return a mask (T,) of the projected triangles that are neither too near, nor too far, nor too thin."""
+    u, v, z = corners.unbind(-1)
+    _, _, length, area = edges_of(u, v)
+    perimeter = length[:, 0] + length[:, 1] + length[:, 2]
+    keep = area.abs() > torch.as_tensor(THINNEST_PX, dtype=u.dtype) * perimeter
+    keep &= ((z >= torch.as_tensor(near, dtype=z.dtype)) & (z <= 1e38)).all(dim=1)
+    return keep & ((u.abs() <= FARTHEST_PX) & (v.abs() <= FARTHEST_PX)).all(dim=1)
+
+
+def edges_of(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return x, y and length of the edges (M, 3), and the doubled signed area (M,). Edge k runs from vertex k + 1 to
     vertex k + 2."""
     x = u[:, [2, 0, 1]] - u[:, [1, 2, 0]]
@@ -103,7 +109,7 @@ def _edges(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 def _project(corners: Tensor, opacity: Tensor, sigma: Tensor) -> Projected:
     u, v, _ = corners.unbind(-1)
-    x, y, length, area = _edges(u, v)
+    x, y, length, area = edges_of(u, v)
     perimeter = length[:, 0] + length[:, 1] + length[:, 2]
     centre_x = u[:, 0] + (length[:, 1] * x[:, 2] - length[:, 2] * x[:, 1]) / perimeter
     centre_y = v[:, 0] + (length[:, 1] * y[:, 2] - length[:, 2] * y[:, 1]) / perimeter
@@ -114,7 +120,7 @@ def _project(corners: Tensor, opacity: Tensor, sigma: Tensor) -> Projected:
     return Projected(centre_x, centre_y, -y * scale, x * scale, smallest, opacity, sigma)
 
 
-def _pixels(camera: Camera, like: Tensor) -> Tensor:
+def pixel_centres(camera: Camera, like: Tensor) -> Tensor:
     """Return the pixel centres (H W, 2), row by row."""
     rows = torch.arange(camera.height, dtype=like.dtype, device=like.device) + 0.5
     columns = torch.arange(camera.width, dtype=like.dtype, device=like.device) + 0.5

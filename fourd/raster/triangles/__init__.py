@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from fourd.raster.triangles.interpolation import interpolate
     from fourd.raster.triangles.peeling import DepthPeeler
     from fourd.raster.triangles.rasterization import rasterize
+    from fourd.raster.triangles.soft import rasterize_soft
     from fourd.raster.triangles.splatting import TriangleRender, splat_triangles
     from fourd.raster.triangles.textures import Mip, texture, texture_construct_mip
     from fourd.raster.triangles.visibility_edges import edge_gradients
@@ -31,6 +32,7 @@ _MODULES: dict[str, str] = {
     "estimate_gradient": "gradient_estimates",
     "interpolate": "interpolation",
     "rasterize": "rasterization",
+    "rasterize_soft": "soft",
     "splat_triangles": "splatting",
     "texture": "textures",
     "texture_construct_mip": "textures",
@@ -49,6 +51,7 @@ __all__ = [
     "estimate_gradient",
     "interpolate",
     "rasterize",
+    "rasterize_soft",
     "splat_triangles",
     "texture",
     "texture_construct_mip",

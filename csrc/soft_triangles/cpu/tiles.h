@@ -1,0 +1,54 @@
+// The inner loops over triangles and over single tiles, compiled once for each instruction set.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/dispatch.h"
+#include "soft_triangles/soft_triangles.h"
+
+namespace fourd::soft_triangles {
+
+using tiles::Item;
+using tiles::kBlock;
+using tiles::kBlocks;
+using tiles::kTile;
+using tiles::pixel_centre;
+using tiles::TileRange;
+
+struct Tile {
+    const Face* faces;             // Indexed by triangle.
+    const float* features;         // Indexed by triangle, with `channels` floats per triangle.
+    const std::uint32_t* entries;  // Triangles of the tile, in index order.
+    std::size_t count;             // Number of entries.
+    Softness softness;
+    int channels;
+    int layers;
+    int column, row;    // Position of the first pixel of the tile.
+    int width, height;  // Size of the image.
+};
+
+// Scratch memory. A visit is an entry that hits pixels of a block.
+struct Visits {
+    std::uint16_t* blocks;   // (count,): mask of the blocks that each entry may hit.
+    std::uint32_t* entries;  // (count,): entries of the visits of a block.
+    float* x;                // (count, 16): log-odds of D.
+    float* depth;            // (count, 16): kNoHit at pixels that do not take the triangle.
+};
+
+struct Loops {
+    // Projects triangles [begin, end) into faces and tile_ranges, which are both indexed by triangle. Lists the visible
+    // triangles in items and returns their number.
+    std::size_t (*project)(const Mesh& mesh, const Settings& settings, std::size_t begin, std::size_t end, Face* faces,
+                           TileRange* tile_ranges, Item* items);
+
+    void (*render)(const Tile& tile, const Visits& visits, const Image& out);
+
+    // `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and then the gradient of the features.
+    void (*render_backward)(const Tile& tile, const Visits& visits, const ImageGradient& gradient,
+                            const std::size_t* slots, float* sums);
+};
+
+FOURD_DISPATCH(Loops, Simd::avx512)
+
+}  // namespace fourd::soft_triangles

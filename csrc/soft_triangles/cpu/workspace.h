@@ -1,0 +1,39 @@
+// The memory for rendering an image, which is kept for the next image.
+#pragma once
+
+#include <vector>
+
+#include "soft_triangles/cpu/tiles.h"
+#include "tiles/depth_bins.h"
+
+namespace fourd::soft_triangles {
+
+struct Workspace {
+    // The memory of one worker for one tile.
+    struct Scratch {
+        Buffer<std::size_t> slots;
+        Buffer<std::uint16_t> blocks;
+        Buffer<std::uint32_t> entries;
+        Buffer<float> x, depth;
+
+        // Makes space for the visits of a tile.
+        Visits visits(const Tile& tile);
+    };
+
+    tiles::DepthBins bins;
+    tiles::Slots slots;
+    Buffer<Face> faces;                      // Indexed by triangle. Only visible triangles have a valid face.
+    Buffer<float> sums;                      // Indexed by slot.
+    Buffer<float> corners;                   // Gradients of the positions of the 3 vertices of each triangle.
+    std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
+
+    // Projects and bins the triangles of a mesh.
+    void fill(const Mesh& mesh, const Settings& settings, Team& team);
+
+    // The inputs for rendering the tile with this index. Tiles are numbered row by row.
+    Tile tile(const Mesh& mesh, const Settings& settings, int index) const;
+
+    std::size_t bytes() const;  // Size of the memory that is kept between images.
+};
+
+}  // namespace fourd::soft_triangles

@@ -1,0 +1,24 @@
+// Soft rasterization on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU memory.
+#pragma once
+
+#include <cstddef>
+
+#include "soft_triangles/soft_triangles.h"
+#include "tiles/cuda/entry_buffer.h"
+
+namespace fourd::soft_triangles::cuda {
+
+using tiles::cuda::EntryBuffer;
+
+// The size in bytes of the workspace for render or render_backward.
+std::size_t workspace_bytes(std::size_t count, int channels, int width, int height, std::size_t entries);
+
+// Renders the triangles. The function ignores settings.threads and settings.simd.
+void render(const Mesh& mesh, const Settings& settings, const EntryBuffer& buffer, const Image& out, void* stream);
+
+// Sums over the pixels of a triangle and over the triangles of a vertex have no fixed order, so the last bits of
+// gradients can differ between calls.
+void render_backward(const Mesh& mesh, const Settings& settings, const EntryBuffer& buffer,
+                     const ImageGradient& gradient, const MeshGradient& out, void* stream);
+
+}  // namespace fourd::soft_triangles::cuda

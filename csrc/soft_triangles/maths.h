@@ -1,0 +1,263 @@
+// The maths of soft rasterization (SoftRas, Liu et al. 2019), shared by every backend.
+// fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
+//
+// A triangle covers the pixel p by D = sigmoid(x), x = +-d^2 / sigma, positive inside. d is the distance of p from the
+// nearest edge, or the smallest barycentric coordinate. The depth z of the triangle at p interpolates 1 / z linearly in
+// the image, with barycentric coordinates that are clamped to at least 0 and normalised to the sum 1. The weight of
+// the triangle is D exp(-z per_depth), which is the weight D exp((far - z) / ((far - near) gamma)) of the paper up to
+// a factor.
+//
+// Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
+// compiled once per instruction set (common/dispatch.h).
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <type_traits>
+
+#include "common/host_device.h"
+#include "tiles/corners.h"
+
+namespace fourd::soft_triangles {
+
+constexpr float kLog2E = 1.44269504f;
+constexpr float kNoHit = 3.4e38f;  // The depth at pixels that a triangle does not hit.
+constexpr int kShapeSums = 9;      // Sums of gradients per triangle: one ShapeGradient.
+
+using tiles::constant;
+using tiles::Corners;
+using tiles::corners_backward;
+using tiles::corners_of;
+using tiles::Edges;
+using tiles::edges_of;
+using tiles::exp2_of;
+using tiles::is_in_range;
+using tiles::maximum;
+using tiles::minimum;
+using tiles::Pinhole;
+using tiles::select;
+using tiles::tile_span;
+
+struct Softness {
+    bool barycentric;        // Whether d is the smallest barycentric coordinate.
+    float sharpness;         // x / d^2: 1 / sigma, for distances in pixels divided by the square of a pixel's size.
+    float cut;               // A triangle hits the pixels where x >= -cut.
+    float reach;             // The largest distance d outside a triangle at which it hits pixels.
+    float per_depth;         // 1 / ((far - near) gamma).
+    float far_depth;         // At a larger depth z, a triangle does not hit the pixel.
+    float background_depth;  // The background has the weight of a triangle with D = 1 at this depth.
+};
+
+// A projected triangle. Index k stands for the vertex k, or for the edge opposite to it.
+struct alignas(64) Face {
+    float x, y;          // Centroid in pixels.
+    float u[3], v[3];    // Corners in pixels, relative to the centroid.
+    float inverse_z[3];  // 1 / camera depth of the corners.
+    float inverse_area;  // 1 / doubled signed area.
+    float inverse_square[3];     // 1 / squared length of the edges.
+    float slope_x[3], slope_y[3];  // Derivatives of the distances from the edges, in the unit of Softness::reach.
+    tiles::TileRange range;
+};
+
+FOURD_HD static inline tiles::TileRange tile_range_of(const Face& face) { return face.range; }
+
+// Sums of gradients over the pixels of a triangle, with respect to the corners in pixels and their inverse depths.
+struct ShapeGradient {
+    float u[3], v[3], inverse_z[3];
+};
+
+// The triangle after projection. If `visible` is false, the other members have no defined values.
+template <typename Number, typename Condition>
+struct Projection {
+    Number x, y, u[3], v[3], inverse_z[3], inverse_area, inverse_square[3], slope_x[3], slope_y[3];
+    Number left, right, top, bottom;  // Inclusive range of tiles, as whole numbers.
+    Condition visible;
+};
+
+// Projects a triangle. All comparisons are false for NaN.
+template <typename Number>
+FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, const Softness& softness,
+                                    const Corners<Number>& at) {
+    const Number* const tag = nullptr;
+    const Number one = constant(1.0f, tag), zero = constant(0.0f, tag), three = constant(3.0f, tag);
+    const Edges<Number> edges = edges_of(at);
+    const auto in_range = is_in_range(at, edges, near_depth);
+    Projection<Number, std::decay_t<decltype(in_range)>> out;
+    out.x = (at.u[0] + at.u[1] + at.u[2]) / three;
+    out.y = (at.v[0] + at.v[1] + at.v[2]) / three;
+    out.inverse_area = one / edges.doubled_area;
+    for (int k = 0; k < 3; ++k) {
+        out.u[k] = at.u[k] - out.x;
+        out.v[k] = at.v[k] - out.y;
+        out.inverse_z[k] = one / at.z[k];
+        out.inverse_square[k] = one / (edges.length[k] * edges.length[k]);
+        const Number area = maximum(edges.doubled_area, zero - edges.doubled_area);
+        const Number unit = softness.barycentric ? one : area / edges.length[k];
+        out.slope_x[k] = zero - edges.y[k] * out.inverse_area * unit;
+        out.slope_y[k] = edges.x[k] * out.inverse_area * unit;
+    }
+    // With barycentric distances, a triangle hits the pixels in a triangle that is 1 + 3 reach times as large.
+    const Number scale = constant(softness.barycentric ? 1.0f + 3.0f * softness.reach : 1.0f, tag);
+    const Number margin = constant(softness.barycentric ? 0.0f : softness.reach, tag);
+    const Number left = minimum(minimum(out.u[0], out.u[1]), out.u[2]) * scale + out.x;
+    const Number right = maximum(maximum(out.u[0], out.u[1]), out.u[2]) * scale + out.x;
+    const Number top = minimum(minimum(out.v[0], out.v[1]), out.v[2]) * scale + out.y;
+    const Number bottom = maximum(maximum(out.v[0], out.v[1]), out.v[2]) * scale + out.y;
+    const auto across = tile_span(left, right, camera.width, margin, &out.left, &out.right);
+    const auto down = tile_span(top, bottom, camera.height, margin, &out.top, &out.bottom);
+    out.visible = in_range & across & down;
+    return out;
+}
+
+// How a triangle covers a pixel.
+template <typename Number, typename Condition>
+struct Coverage {
+    Number lambda[3];          // Barycentric coordinates.
+    Number x;                  // Log-odds of D.
+    Number depth;              // Camera depth, or kNoHit where the triangle does not hit the pixel.
+    Number total;              // Sum of the barycentric coordinates above 0.
+    Number inverse_depth;
+    Number along, off_x, off_y;  // The nearest point of the edges: its place on the edge, and the vector from it to p.
+    Condition nearest[3];      // Whether edge k is the nearest, or has the smallest barycentric coordinate.
+    Condition inside;
+};
+
+template <typename Number>
+FOURD_HD static inline auto coverage_at(const Face& face, const Softness& softness, Number pixel_x, Number pixel_y) {
+    const Number* const tag = nullptr;
+    const auto c = [tag](float value) { return constant(value, tag); };
+    const Number zero = c(0.0f), one = c(1.0f);
+    const Number px = pixel_x - c(face.x), py = pixel_y - c(face.y);
+    using Condition = std::decay_t<decltype(zero > one)>;
+    Coverage<Number, Condition> out;
+    Number to_x[3], to_y[3];  // Vectors from the pixel to the corners.
+    for (int k = 0; k < 3; ++k) {
+        to_x[k] = c(face.u[k]) - px;
+        to_y[k] = c(face.v[k]) - py;
+    }
+    for (int k = 0; k < 3; ++k) {
+        const int a = (k + 1) % 3, b = (k + 2) % 3;
+        out.lambda[k] = (to_x[a] * to_y[b] - to_x[b] * to_y[a]) * c(face.inverse_area);
+    }
+    const Number smallest = minimum(out.lambda[0], minimum(out.lambda[1], out.lambda[2]));
+    out.inside = smallest > zero;
+    Number square;
+    out.along = out.off_x = out.off_y = zero;
+    if (softness.barycentric) {
+        square = smallest * smallest;
+        out.nearest[0] = smallest >= out.lambda[0];
+        out.nearest[1] = (smallest >= out.lambda[1]) & (out.lambda[0] > smallest);
+        out.nearest[2] = (out.lambda[0] > smallest) & (out.lambda[1] > smallest);
+    } else {
+        Number squares[3], along[3], off_x[3], off_y[3];
+        for (int k = 0; k < 3; ++k) {
+            const int a = (k + 1) % 3, b = (k + 2) % 3;
+            const Number edge_x = c(face.u[b] - face.u[a]), edge_y = c(face.v[b] - face.v[a]);
+            const Number dot = (zero - to_x[a]) * edge_x + (zero - to_y[a]) * edge_y;
+            along[k] = minimum(maximum(dot * c(face.inverse_square[k]), zero), one);
+            off_x[k] = zero - to_x[a] - along[k] * edge_x;
+            off_y[k] = zero - to_y[a] - along[k] * edge_y;
+            squares[k] = off_x[k] * off_x[k] + off_y[k] * off_y[k];
+        }
+        square = minimum(squares[0], minimum(squares[1], squares[2]));
+        out.nearest[0] = square >= squares[0];
+        out.nearest[1] = (square >= squares[1]) & (squares[0] > square);
+        out.nearest[2] = (squares[0] > square) & (squares[1] > square);
+        out.along = select(out.nearest[0], along[0], select(out.nearest[1], along[1], along[2]));
+        out.off_x = select(out.nearest[0], off_x[0], select(out.nearest[1], off_x[1], off_x[2]));
+        out.off_y = select(out.nearest[0], off_y[0], select(out.nearest[1], off_y[1], off_y[2]));
+    }
+    const Number scaled = square * c(softness.sharpness);
+    out.x = select(out.inside, scaled, zero - scaled);
+    Number clamped[3];
+    for (int k = 0; k < 3; ++k) clamped[k] = maximum(out.lambda[k], zero);
+    out.total = clamped[0] + clamped[1] + clamped[2];
+    const Number sum = clamped[0] * c(face.inverse_z[0]) + clamped[1] * c(face.inverse_z[1]) +
+                       clamped[2] * c(face.inverse_z[2]);
+    out.inverse_depth = sum / out.total;
+    const Number depth = one / out.inverse_depth;
+    const Condition hit = (out.x >= c(-softness.cut)) & (c(softness.far_depth) >= depth);
+    out.depth = select(hit, depth, c(kNoHit));
+    return out;
+}
+
+// D = sigmoid(x), and 1 - D.
+template <typename Number>
+struct Odds {
+    Number covered, open;
+};
+
+template <typename Number>
+FOURD_HD static inline Odds<Number> odds_of(Number x) {
+    const Number* const tag = nullptr;
+    const Number zero = constant(0.0f, tag), one = constant(1.0f, tag);
+    const Number power = exp2_of((zero - maximum(x, zero - x)) * constant(kLog2E, tag));
+    const Number large = one / (one + power), small = power * large;
+    const auto positive = x >= zero;
+    return {select(positive, large, small), select(positive, small, large)};
+}
+
+// exp((nearest - depth) per_depth), which is at most 1.
+template <typename Number>
+FOURD_HD static inline Number depth_weight(const Softness& softness, Number nearest, Number depth) {
+    const Number* const tag = nullptr;
+    return exp2_of((nearest - depth) * constant(softness.per_depth * kLog2E, tag));
+}
+
+// Adds the gradient of one triangle at a pixel to `sums` (ShapeGradient's members in their order), from the gradients
+// of x and of the depth, which must be 0 where the triangle does not hit the pixel.
+template <typename Number, typename Condition>
+FOURD_HD static inline void add_gradient(const Face& face, const Softness& softness, Number pixel_x, Number pixel_y,
+                                         const Coverage<Number, Condition>& at, Number to_x, Number to_depth,
+                                         Number* sums) {
+    const Number* const tag = nullptr;
+    const auto c = [tag](float value) { return constant(value, tag); };
+    const Number zero = c(0.0f), one = c(1.0f);
+    const Number signed_x = to_x * c(softness.sharpness);
+    const Number to_square = select(at.inside, signed_x, zero - signed_x);
+    // The derivative of the depth: depth = 1 / q, q = sum of max(lambda_k, 0) / z_k / total.
+    const Number to_inverse = (zero - to_depth) / (at.inverse_depth * at.inverse_depth);
+    const Number to_each = to_inverse / at.total;
+    Number to_lambda[3], mean = zero;
+    for (int k = 0; k < 3; ++k) {
+        const Number clamped = maximum(at.lambda[k], zero);
+        sums[6 + k] = sums[6 + k] + to_each * clamped;
+        const Number through_depth = to_each * (c(face.inverse_z[k]) - at.inverse_depth);
+        to_lambda[k] = select(at.lambda[k] > zero, through_depth, zero);
+        if (softness.barycentric) {
+            const Number through_x = c(2.0f) * at.lambda[k] * to_square;
+            to_lambda[k] = to_lambda[k] + select(at.nearest[k], through_x, zero);
+        }
+        mean = mean + to_lambda[k] * at.lambda[k];
+    }
+    const Number px = pixel_x - c(face.x), py = pixel_y - c(face.y);
+    for (int k = 0; k < 3; ++k) {
+        const int a = (k + 1) % 3, b = (k + 2) % 3;
+        const Number to_cross = (to_lambda[k] - mean) * c(face.inverse_area);
+        sums[a] = sums[a] + to_cross * (c(face.v[b]) - py);
+        sums[3 + a] = sums[3 + a] - to_cross * (c(face.u[b]) - px);
+        sums[b] = sums[b] - to_cross * (c(face.v[a]) - py);
+        sums[3 + b] = sums[3 + b] + to_cross * (c(face.u[a]) - px);
+    }
+    if (softness.barycentric) return;
+    const Number grad_x = c(-2.0f) * to_square * at.off_x, grad_y = c(-2.0f) * to_square * at.off_y;
+    for (int k = 0; k < 3; ++k) {
+        const int a = (k + 1) % 3, b = (k + 2) % 3;
+        const Number begin = select(at.nearest[k], one - at.along, zero), end = select(at.nearest[k], at.along, zero);
+        sums[a] = sums[a] + grad_x * begin;
+        sums[3 + a] = sums[3 + a] + grad_y * begin;
+        sums[b] = sums[b] + grad_x * end;
+        sums[3 + b] = sums[3 + b] + grad_y * end;
+    }
+}
+
+// Back-projects the sums of a triangle to the positions of its vertices: `out` has 3 rows of 3.
+FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at,
+                                             const ShapeGradient& sums, float* out) {
+    float to_z[3];
+    for (int k = 0; k < 3; ++k) to_z[k] = -sums.inverse_z[k] / (at.z[k] * at.z[k]);
+    corners_backward(camera, at, sums.u, sums.v, to_z, out);
+}
+
+}  // namespace fourd::soft_triangles

@@ -1,0 +1,21 @@
+// Adds gradients of the corners of triangles to the vertices.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+
+namespace fourd::tiles {
+
+// `corners` has 9 floats for each of `count` triangles, `tri` 3 vertex indices, and `xyz` 3 floats per vertex. The sums
+// have the order of the triangles.
+inline void add_corners(const float* corners, const std::int32_t* tri, std::size_t count, float* xyz,
+                        std::size_t vertices) {
+    std::fill_n(xyz, 3 * vertices, 0.0f);
+    for (std::size_t corner = 0; corner < 3 * count; ++corner) {
+        float* to = xyz + 3 * static_cast<std::size_t>(tri[corner]);
+        for (std::size_t axis = 0; axis < 3; ++axis) to[axis] += corners[3 * corner + axis];
+    }
+}
+
+}  // namespace fourd::tiles

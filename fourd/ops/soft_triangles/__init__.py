@@ -1,0 +1,1 @@
+"""Differentiable soft rasterization of triangles (``csrc/soft_triangles``)."""

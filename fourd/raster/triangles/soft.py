@@ -1,0 +1,119 @@
+"""Soft rasterization for torch tensors: :func:`rasterize_soft`."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.ops.meshes.backends import Backend, select_backend
+from fourd.ops.meshes.checks import check_tensor, check_triangles
+from fourd.ops.points.validation import check_camera, pack_camera
+from fourd.ops.soft_triangles import op
+from fourd.ops.soft_triangles.reference import rasterize_soft_reference
+from fourd.ops.soft_triangles.softness import Softness
+
+MAX_CHANNELS = 32
+ALL_LAYERS = 2**20
+"""More triangles than a pixel can take. Stands for ``layers=None``."""
+
+
+def rasterize_soft(
+    xyz: Tensor,
+    tri: Tensor,
+    features: Tensor,
+    camera: Camera,
+    *,
+    sigma: float = 1e-5,
+    gamma: float = 1e-4,
+    layers: int | None = 50,
+    distance: Literal["euclidean", "barycentric"] = "euclidean",
+    cutoff: float = 1e-4,
+    near: float = 0.01,
+    far: float = 100.0,
+    eps: float = 1e-3,
+    backend: Backend = "auto",
+    threads: int = 0,
+) -> tuple[Tensor, Tensor]:
+    """Render triangles with soft edges and soft occlusion (SoftRas, Liu et al. 2019, equations 1 to 4).
+
+    Triangle j covers pixel i by D_ij = sigmoid(+-d_ij^2 / sigma), with + inside the triangle. Silhouettes are combined
+    by alpha_i = 1 - prod_j (1 - D_ij). Features are the mean of the triangles' features, weighted by
+    D_ij exp(zbar_ij / gamma), and of a background with features 0 and the weight exp(eps / gamma). zbar_ij is the
+    depth of the triangle at the pixel in clamped barycentric coordinates, 1 at ``near`` and 0 at ``far``.
+
+    Differentiable in xyz and features, with the selection of triangles as a constant. On the CPU, results and gradients
+    are bit-identical for any number of threads.
+
+    Args:
+        xyz: (V, 3) vertices, world units.
+        tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
+        features: (T, C) colours or other features, with C from 1 to 32. Values are not checked.
+        camera: a pinhole camera without lens distortion.
+        sigma: width of the edges, above 0: a squared distance.
+        gamma: temperature of the depth softmax, above 0.
+        layers: the nearest ``layers`` triangles of a pixel count, by depth at the pixel and by index at equal depth.
+            None means all triangles.
+        distance: "euclidean": d is the distance from the nearest edge, in units of half of the image's shorter side.
+            "barycentric": d is the smallest barycentric coordinate.
+        cutoff: triangles with D below ``cutoff`` are skipped at a pixel, in (0, 0.5).
+        near, far: range of camera depths in world units. Triangles with a vertex nearer than ``near``, thinner than
+            1e-4 pixels or with a number that is not finite are culled. They have zero gradients. Triangles are skipped
+            at pixels where they are farther than ``far``.
+        eps: zbar of the background.
+        backend, threads: as in :func:`fourd.raster.triangles.splat_triangles`.
+
+    Returns:
+        features (H, W, C), and alpha (H, W) in [0, 1].
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        RuntimeError: if the backend is not built.
+    """
+    _check_tensors(xyz, tri, features, camera, backend)
+    limit = _check_layers(layers)
+    softness = _check_softness(distance, sigma, gamma, cutoff, near, far, eps)
+    if select_backend(backend, "xyz", xyz) == "reference":
+        return rasterize_soft_reference(xyz, tri, features, camera, softness, limit)
+    view = (pack_camera(camera), camera.width, camera.height)
+    return op.rasterize(xyz, tri, features, *view, softness.pack(), limit, threads)
+
+
+def _check_tensors(xyz: Tensor, tri: Tensor, features: Tensor, camera: Camera, backend: str) -> None:
+    check_camera(camera)
+    dtypes = (torch.float32, torch.float64) if backend == "reference" else (torch.float32,)
+    like = ("xyz", check_tensor("xyz", xyz, ("V", 3), dtypes=dtypes))
+    count = check_triangles(tri, xyz.shape[0], like).shape[0]
+    check_tensor("features", features, (count, "C"), like=like)
+    if not 1 <= features.shape[1] <= MAX_CHANNELS:
+        raise ValueError(f"features: expected 1 to {MAX_CHANNELS} channels, got {features.shape[1]}")
+
+
+def _check_layers(layers: int | None) -> int:
+    if layers is None:
+        return ALL_LAYERS
+    if isinstance(layers, bool) or not isinstance(layers, int):
+        raise TypeError(f"layers: expected an integer or None, got {type(layers).__name__}")
+    if not 1 <= layers <= ALL_LAYERS:
+        raise ValueError(f"layers: expected 1 to {ALL_LAYERS}, got {layers}")
+    return layers
+
+
+def _check_softness(
+    distance: str, sigma: float, gamma: float, cutoff: float, near: float, far: float, eps: float
+) -> Softness:
+    if distance not in ("euclidean", "barycentric"):
+        raise ValueError(f"distance: expected 'euclidean' or 'barycentric', got {distance!r}")
+    for name, value in {"sigma": sigma, "gamma": gamma, "near": near}.items():
+        if not (value > 0 and math.isfinite(value)):
+            raise ValueError(f"{name}: expected a finite number above 0, got {value}")
+    if not 0 < cutoff < 0.5:
+        raise ValueError(f"cutoff: expected a number above 0 and below 0.5, got {cutoff}")
+    if not (far > near and math.isfinite(far)):
+        raise ValueError(f"far: expected a finite distance above near = {near}, got {far}")
+    if not 0 <= eps < 1:
+        raise ValueError(f"eps: expected a number from 0 to below 1, got {eps}")
+    return Softness(distance == "barycentric", sigma, gamma, cutoff, near, far, eps)
