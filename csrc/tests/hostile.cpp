@@ -20,6 +20,7 @@
 #include "tests/soft_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
+#include "tests/texture_inputs.h"
 #include "tests/unpack_inputs.h"
 
 namespace {
@@ -253,6 +254,21 @@ void run_soft_triangles(unsigned seed, const char* simd) {
     inputs.expect_finite_results(seed);
 }
 
+void run_texture(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::TextureInputs inputs(random, 60, seed % 2 ? 0.1f : 0.0f);
+    inputs.query.simd = fourd::simd_named(simd);
+    if (inputs.is_chain) {
+        const std::vector<float*> mips = inputs.mips();
+        fourd::texture::build_mips(inputs.query.texture.shape, inputs.levels[0].data(), mips.data(),
+                                   inputs.query.threads, inputs.query.simd);
+    }
+    fourd::texture::sample(inputs.query, inputs.out.data());
+    fourd::texture::sample_backward(inputs.query, inputs.gradient.data(), inputs.is_chain,
+                                    inputs.gradients(seed % 3 > 0));
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -273,6 +289,7 @@ int main(int count, char** arguments) {
             run_antialias(seed, simd);
             run_mesh(seed, simd);
             fourd::tests::run_unpack(seed, simd);
+            run_texture(seed, simd);
         }
         std::printf("all kernels, %s: %u inputs each\n", simd, runs);
     }

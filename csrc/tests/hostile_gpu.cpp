@@ -22,6 +22,8 @@
 #include "tests/soft_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
+#include "tests/texture_inputs.h"
+#include "texture/cuda/sample.h"
 
 namespace {
 
@@ -198,6 +200,19 @@ void run_soft_triangles(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_texture(unsigned seed) {
+    Random random(seed);
+    fourd::tests::TextureInputs inputs(random, 25, seed % 2 ? 0.1f : 0.0f);
+    if (inputs.is_chain) {
+        const std::vector<float*> mips = inputs.mips();
+        fourd::texture::cuda::build_mips(inputs.query.texture.shape, inputs.levels[0].data(), mips.data(), nullptr);
+    }
+    fourd::texture::cuda::sample(inputs.query, inputs.out.data(), nullptr);
+    fourd::texture::cuda::sample_backward(inputs.query, inputs.gradient.data(), inputs.is_chain,
+                                          inputs.gradients(seed % 3 > 0), nullptr);
+    inputs.expect_finite_results(seed);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -212,6 +227,7 @@ int main(int count, char** arguments) {
         run_splat_triangles(seed);
         run_antialias(seed);
         run_mesh(seed);
+        run_texture(seed);
     }
     std::printf("all kernels, emulated GPU: %u inputs each\n", runs);
 }
