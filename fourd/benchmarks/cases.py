@@ -12,6 +12,7 @@ from torch import Tensor
 from fourd.baking.player import Player
 from fourd.benchmarks.peers import pytorch3d_compositor
 from fourd.benchmarks.soft_triangles import soft_silhouette, splatting
+from fourd.benchmarks.textures import trilinear_texture
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.training_step import training_steps
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
@@ -68,6 +69,11 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     yield Case("soft silhouette, 1,300 triangles, 256 x 256, K = 50, forward + backward", silhouette)
     for backward in (False, True):
         yield Case(f"splat 100,000 triangles, 1024 x 1024, {PASSES[backward]}", splatting(100_000, 1024, backward))
+    for backward in (False, True):
+        passes = "backward" if backward else "forward, with mip levels"
+        yield Case(
+            f"trilinear texture 1024 x 1024 x 3, 1024 x 1024 pixels, {passes}", trilinear_texture(1024, backward)
+        )
     if steps:
         for name, work in training_steps(resources):
             yield Case(name, work)

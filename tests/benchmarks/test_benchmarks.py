@@ -13,6 +13,7 @@ from fourd.baking.player import Player
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.report import Row, markdown, to_json
+from fourd.benchmarks.textures import make_textured_plane, trilinear_texture
 from fourd.benchmarks.timing import Clock, Timing
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
 from fourd.cli.main import main
@@ -73,3 +74,15 @@ def test_quick_bench_command(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert all(row["timing"]["ms"] > 0 for row in content["rows"])
     assert "K-Planes" in shown
     assert (tmp_path / "b.md").read_text().count("\n| ") == len(content["rows"]) + 1
+
+
+def test_the_textured_plane_needs_mip_levels() -> None:
+    """Catches footprints of less than a texel everywhere, with which a lookup blends no levels, and a backward pass
+    that computes no gradients."""
+    plane = make_textured_plane(64)
+    by_x, by_y = plane["uv_da"].unflatten(-1, (2, 2)).unbind(-1)
+    longer = 64 * torch.maximum(by_x.norm(dim=-1), by_y.norm(dim=-1))
+    assert 0.5 < float(longer.min()) < 1
+    assert 2.5 < float(longer.max()) < 5
+    assert trilinear_texture(32, False)().shape == (1, 32, 32, 3)  # type: ignore[attr-defined]
+    assert all(gradient.abs().max() > 0 for gradient in trilinear_texture(32, True)())  # type: ignore[attr-defined]

@@ -1,0 +1,51 @@
+"""Benchmark work of texture lookups."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from fourd.benchmarks.timing import Work
+from fourd.raster.triangles import texture
+
+SEED = 5
+
+
+def make_textured_plane(side: int) -> dict[str, Tensor]:
+    """Make the arguments of ``texture`` for a plane that is seen obliquely and is turned by 0.4 radians: a random
+    texture ``tex`` (1, side, side, 3), and ``uv`` and ``uv_da`` of a picture of side x side pixels.
+
+    The texture repeats. The longer axes of the footprints are from 1 to 4.7 texels long.
+    """
+    generator = torch.Generator().manual_seed(SEED)
+    places = torch.arange(side, dtype=torch.float64) + 0.5
+    rows, columns = torch.meshgrid(places, places, indexing="ij")
+
+    def position(x: Tensor, y: Tensor) -> Tensor:
+        across, down = x / side - 0.5, y / side - 0.5
+        depth = 1.2 + down
+        cosine, sine = math.cos(0.4), math.sin(0.4)
+        return (
+            torch.stack([cosine * across + sine * down, cosine * down - sine * across], -1) * (1.7 / depth)[..., None]
+        )
+
+    by_x = position(columns + 0.5, rows) - position(columns - 0.5, rows)
+    by_y = position(columns, rows + 0.5) - position(columns, rows - 0.5)
+    return {
+        "tex": torch.rand(1, side, side, 3, generator=generator),
+        "uv": position(columns, rows)[None].float(),
+        "uv_da": torch.stack([by_x, by_y], -1).flatten(-2)[None].float(),
+    }
+
+
+def trilinear_texture(side: int, backward: bool) -> Work:
+    """Return a function that samples a texture with mip levels that it builds, or only computes all gradients."""
+    arguments = make_textured_plane(side)
+    if not backward:
+        return lambda: texture(**arguments)  # type: ignore[arg-type]
+    leaves = [one.requires_grad_() for one in arguments.values()]
+    total = texture(leaves[0], leaves[1], leaves[2])
+    upstream = torch.randn(total.shape, generator=torch.Generator().manual_seed(SEED))
+    return lambda: torch.autograd.grad(total, leaves, upstream, retain_graph=True)
