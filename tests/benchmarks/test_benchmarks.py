@@ -82,7 +82,7 @@ def test_the_textured_plane_needs_mip_levels() -> None:
     plane = make_textured_plane(64)
     by_x, by_y = plane["uv_da"].unflatten(-1, (2, 2)).unbind(-1)
     longer = 64 * torch.maximum(by_x.norm(dim=-1), by_y.norm(dim=-1))
-    assert 0.5 < float(longer.min()) < 1
-    assert 2.5 < float(longer.max()) < 5
+    assert 0.9 < float(longer.min()) < 1.2
+    assert 4 < float(longer.max()) < 5
     assert trilinear_texture(32, False)().shape == (1, 32, 32, 3)  # type: ignore[attr-defined]
     assert all(gradient.abs().max() > 0 for gradient in trilinear_texture(32, True)())  # type: ignore[attr-defined]
