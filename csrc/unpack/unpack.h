@@ -1,4 +1,4 @@
-// Decoding of packed scenes. fourd/baking/packing/members.py describes the members; fourd/ops/unpack/op.py documents the
+// Decoding of packed scenes. fourd/baking/packed/members.py describes the members; fourd/ops/unpack/op.py documents the
 // operations. Callers check sizes.
 #pragma once
 

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
-from fourd.baking.packing.colours import fill_unseen_colours
+from fourd.baking.packed.colours import fill_unseen_colours
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, SceneBackground, SceneManifest, to_triple
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError

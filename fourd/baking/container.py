@@ -24,10 +24,10 @@ from numpy.typing import NDArray
 
 from fourd.baking.combine import combine_frames
 from fourd.baking.files.archive import ZIP_ERRORS, check_members, damaged, disk_errors, make_member, open_zip
+from fourd.baking.files.encoding import CloudEncoding
 from fourd.baking.manifest import ManifestError, NewerVersionError, manifest_from_json, manifest_to_json
-from fourd.baking.packing.encoding import CloudEncoding
-from fourd.baking.packing.members import decode_cloud, optional_member, packed_names
-from fourd.baking.packing.streams import StreamError, decompress_exactly
+from fourd.baking.packed.members import decode_cloud, optional_member, packed_names
+from fourd.baking.packed.streams import StreamError, decompress_exactly
 from fourd.baking.scene import FULL_VERSION, OBJECT_VERSION, BakedFrame, SceneBackground, SceneManifest, make_frame
 from fourd.errors import UserError
 from fourd.files import atomic_path
@@ -224,7 +224,9 @@ class SceneReader:
         """Read the dynamic points of frame ``index``. Raises IndexError if the scene has no such frame."""
         self._require_frame(index)
         encoding = self.manifest.encoding
-        return self._read(frame_folder(index), self.manifest.points[index], encoding and encoding.dynamic)
+        return self._read(
+            frame_folder(index), self.manifest.points[index], None if encoding is None else encoding.dynamic
+        )
 
     def read_background(self) -> BakedFrame | None:
         """Return the cached background points, without shadows. Returns None for an object scene."""
@@ -234,7 +236,9 @@ class SceneReader:
         with self._lock:
             if self._background is None:
                 encoding = self.manifest.encoding
-                self._background = self._read(BACKGROUND, described.points, encoding and encoding.background)
+                self._background = self._read(
+                    BACKGROUND, described.points, None if encoding is None else encoding.background
+                )
             return self._background
 
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from fourd.baking.attributes import ATTRIBUTES
+from fourd.baking.files.encoding_json import encoding_from_json, encoding_to_json
 from fourd.baking.files.json_node import JsonNode, ManifestError
-from fourd.baking.packing.encoding_json import encoding_from_json, encoding_to_json
 from fourd.baking.scene import (
     FORMAT_NAME,
     FORMAT_VERSION,

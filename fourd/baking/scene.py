@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.attributes import ATTRIBUTES, Attribute
-from fourd.baking.packing.encoding import SceneEncoding
+from fourd.baking.files.encoding import SceneEncoding
 from fourd.cameras import Camera
 
 FORMAT_NAME = "fourd-scene"

@@ -10,7 +10,7 @@ import torch
 
 from fourd.baking import open_scene
 from fourd.baking.bake import bake_run
-from fourd.baking.packing.colours import mean_colours
+from fourd.baking.packed.colours import mean_colours
 from fourd.model.appearance import MIN_VISIBILITY
 from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS
 from fourd.training.run import TrainedRun, load_run

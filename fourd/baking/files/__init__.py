@@ -1,1 +1,2 @@
-"""Checked access to the ZIP archive and to the JSON of a `.4dv`, which are untrusted input."""
+"""Checked access to the ZIP archive and to the JSON of a `.4dv`, which are untrusted input, and the encoding of packed
+scenes."""

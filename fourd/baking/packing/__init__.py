@@ -1,1 +1,1 @@
-"""Packed scenes (version 3 of the `.4dv`): quantised and compressed frames, each of which decodes alone."""
+"""Writing of packed scenes: quantised and compressed frames, each of which decodes alone."""

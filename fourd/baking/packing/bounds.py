@@ -7,9 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.packing.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
-from fourd.baking.packing.members import LARGEST_WEIGHT, decode_cloud
-from fourd.baking.packing.streams import stored
+from fourd.baking.files.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
+from fourd.baking.packed.members import LARGEST_WEIGHT, decode_cloud
+from fourd.baking.packed.streams import stored
 from fourd.baking.scene import BakedFrame
 
 HALF_PRECISION = 2.0**-11

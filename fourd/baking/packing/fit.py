@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.packing.colours import has_own_unseen_colours
-from fourd.baking.packing.encoding import MAX_COLOUR_STEP, MAX_POSITION_BITS, SH_NUMBERS, CloudEncoding, Tier
+from fourd.baking.files.encoding import MAX_COLOUR_STEP, MAX_POSITION_BITS, SH_NUMBERS, CloudEncoding, Tier
+from fourd.baking.packed.colours import has_own_unseen_colours
 from fourd.baking.scene import BakedFrame
 
 SAMPLES_PER_FRAME = 2000
@@ -17,7 +17,7 @@ SAMPLES_PER_FRAME = 2000
 
 @dataclass(frozen=True)
 class Precision:
-    """Steps of a tier. See :class:`fourd.baking.packing.encoding.CloudEncoding`.
+    """Steps of a tier. See :class:`fourd.baking.files.encoding.CloudEncoding`.
 
     ``positions_per_radius`` is the number of position steps per median radius. ``keeps_unseen_colours`` states whether
     colours of points in views that do not see them are kept.

@@ -41,15 +41,11 @@ class LightFit:
     def convert(self, cloud: BakedFrame) -> BakedFrame:
         """Return the cloud without source views, and with the fitted spherical harmonics."""
         points = cloud.point_count
-        nothing = {
-            "blend_weights": np.zeros((points, 0), np.float16),
-            "rgb": np.zeros((points, 0, 3), np.uint8),
-        }
         sh = np.zeros((points, 3, SH_TERMS), np.float16)
         if points and self.cameras:
-            targets, weights = self._observe(cloud)
-            sh[..., :TERMS] = self._fit(cloud.xyz, targets, weights)
-        return replace(cloud, sh=sh, **nothing)
+            sh[..., :TERMS] = self._fit(cloud.xyz, *self._observe(cloud))
+        weights, rgb = np.zeros((points, 0), np.float16), np.zeros((points, 0, 3), np.uint8)
+        return replace(cloud, sh=sh, blend_weights=weights, rgb=rgb)
 
     def _observe(self, cloud: BakedFrame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the values to fit (C, N, 3), which are colours before tanh, and the weights (C, N) of C cameras."""

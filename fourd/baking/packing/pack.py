@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.container import SceneReader, frame_folder
+from fourd.baking.files.encoding import CloudEncoding, SceneEncoding, Tier
+from fourd.baking.packed.members import encode_cloud, morton_sorted, optional_member
+from fourd.baking.packed.streams import compress
 from fourd.baking.packing.bounds import check_bounds
-from fourd.baking.packing.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.baking.packing.fit import PRECISIONS, fit_encoding, sample_cloud
 from fourd.baking.packing.light import LIGHT_SH_BASE, LIGHT_SH_RANGE, LightFit
-from fourd.baking.packing.members import encode_cloud, morton_sorted, optional_member
-from fourd.baking.packing.streams import compress
 from fourd.baking.packing.writer import PackedWriter
 from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
 from fourd.progress import Track, untracked
@@ -45,7 +45,7 @@ def pack_scene(source: Path, out: Path, tier: Tier, track: Track = untracked, *,
     Args:
         source: a `.4dv` of any version.
         out: path of the packed scene. ``out`` may be the same path as ``source``.
-        tier: see :data:`fourd.baking.packing.encoding.Tier`.
+        tier: see :data:`fourd.baking.files.encoding.Tier`.
         track: reports progress.
         coarseness: factor by which all steps are larger than those of the tier.
 

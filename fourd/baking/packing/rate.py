@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.baking.container import SceneReader
-from fourd.baking.packing.encoding import Tier
+from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.pack import measure_frames
 from fourd.errors import UserError
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from fourd.baking.packing.encoding import Tier
+from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.pack import PackReport, pack_scene
 from fourd.baking.packing.rate import choose_tier
 from fourd.progress import Tracker

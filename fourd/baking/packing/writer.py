@@ -18,8 +18,8 @@ from types import TracebackType
 from fourd.baking.container import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder
 from fourd.baking.files.archive import disk_errors, make_member, open_zip
 from fourd.baking.manifest import manifest_to_json
-from fourd.baking.packing.members import packed_names
-from fourd.baking.packing.streams import compress
+from fourd.baking.packed.members import packed_names
+from fourd.baking.packed.streams import compress
 from fourd.baking.scene import PACKED_VERSION, SceneManifest
 from fourd.files import atomic_path
 

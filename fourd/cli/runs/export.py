@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.baking.bake import BAKED_LAYERS
-from fourd.baking.packing.encoding import Tier
+from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings
 from fourd.cli.options import TIER_HELP, MaxMbps, RunPath, check_mbps, check_rendering, describe, option
 from fourd.pipeline.runner import Runner

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from fourd.baking.packing.encoding import Tier
+from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings, pack_and_report
 from fourd.cli.options import TIER_HELP, MaxMbps, check_mbps, describe
 

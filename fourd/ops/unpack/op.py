@@ -1,4 +1,4 @@
-"""Decoding of packed scenes with the CPU kernel. :mod:`fourd.baking.packing.members` describes the data."""
+"""Decoding of packed scenes with the CPU kernel. :mod:`fourd.baking.packed.members` describes the data."""
 
 from __future__ import annotations
 

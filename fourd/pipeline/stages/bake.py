@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.baking.bake import BAKED_LAYERS, bake_run
-from fourd.baking.packing.report import pack_and_report
+from fourd.baking.packing.report import PackSettings, pack_and_report
 from fourd.capture.frame_rate import NAME
 from fourd.files import atomic_path
 from fourd.pipeline.stage import Artefact, Context, Stage
@@ -23,13 +23,15 @@ class BakeFiles:
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """Number of points composited per pixel, and playback rate in frames per second.
+    """Number of points composited per pixel, playback rate in frames per second, and how the scene is packed.
 
-    If the rate is None, the scene has the frame rate of the run's capture.
+    If the rate is None, the scene has the frame rate of the run's capture. If ``pack`` is None, the scene is not
+    packed.
     """
 
     layers: int = BAKED_LAYERS
     fps: float | None = None
+    pack: PackSettings | None = None
 
 
 def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = None) -> Stage[BakeFiles, BakeSettings]:

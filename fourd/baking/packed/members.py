@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.packing.colours import mean_colours
-from fourd.baking.packing.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
-from fourd.baking.packing.positions import decode_positions, encode_positions
-from fourd.baking.packing.streams import StreamError, decompress, decompress_exactly, join_planes, split_planes, zigzag
+from fourd.baking.files.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
+from fourd.baking.packed.colours import mean_colours
+from fourd.baking.packed.positions import decode_positions, encode_positions
+from fourd.baking.packed.streams import StreamError, decompress, decompress_exactly, join_planes, split_planes, zigzag
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.ops.shade.harmonics import SH_TERMS
 from fourd.ops.unpack.op import unpack_harmonics, unpack_views

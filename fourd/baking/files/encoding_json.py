@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from fourd.baking.files.json_node import JsonNode
-from fourd.baking.packing.encoding import (
+from fourd.baking.files.encoding import (
     MAX_CODE,
     MAX_COLOUR_STEP,
     MAX_POSITION_BITS,
@@ -16,6 +15,7 @@ from fourd.baking.packing.encoding import (
     SceneEncoding,
     Tier,
 )
+from fourd.baking.files.json_node import JsonNode
 
 MAX_STEPS = 1 << 16
 """Largest number of radius codes or weight codes per factor of 2."""

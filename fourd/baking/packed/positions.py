@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.packing.encoding import CloudEncoding
+from fourd.baking.files.encoding import CloudEncoding
 
 _SPREAD = (
     (32, 0x1F00000000FFFF),
