@@ -4,6 +4,7 @@
 // replace it by a copy that is compiled for another instruction set.
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 
 #if defined(__GNUC__)
@@ -45,6 +46,17 @@ FOURD_INLINE void prefetch_for_write(const void* address) {
 #else
     static_cast<void>(address);
 #endif
+}
+
+// Prefetches `bytes` bytes.
+FOURD_INLINE void prefetch_bytes(const void* first, std::size_t bytes) {
+    constexpr std::size_t kLine = 64;
+    for (std::size_t at = 0; at < bytes; at += kLine) prefetch(static_cast<const char*>(first) + at);
+}
+
+FOURD_INLINE void prefetch_bytes_for_write(void* first, std::size_t bytes) {
+    constexpr std::size_t kLine = 64;
+    for (std::size_t at = 0; at < bytes; at += kLine) prefetch_for_write(static_cast<char*>(first) + at);
 }
 
 // The number of bits that are 1 in `bits`.

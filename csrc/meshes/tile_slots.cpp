@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstring>
 
+#include "common/inline.h"
 #include "common/triangle_id.h"
 
 namespace fourd::meshes {
@@ -23,8 +24,11 @@ void TileSlots::fill(const IdImage& image, int column, int row) {
     std::memset(buckets_, 0xff, sizeof buckets_);
     std::memset(slot_of_, 0xff, sizeof slot_of_);
     const int columns = std::min(kTile, image.width - column), rows = std::min(kTile, image.height - row);
+    const std::size_t stride = 4 * static_cast<std::size_t>(image.width);
+    const std::size_t bytes = 4 * sizeof(float) * static_cast<std::size_t>(columns);
     for (int i = 0; i < rows; ++i) {
-        const float* const ids = image.rast + 4 * (static_cast<std::size_t>(row + i) * image.width + column) + 3;
+        const float* const ids = image.rast + static_cast<std::size_t>(row + i) * stride + 4 * column + 3;
+        if (i + kRowsAhead < rows) prefetch_bytes(ids + kRowsAhead * stride, bytes);
         std::int16_t* const slots = slot_of_ + kTile * i;
         float last_id = 0.0f;
         std::int16_t last_slot = -1;

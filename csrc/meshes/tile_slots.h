@@ -14,6 +14,8 @@ namespace fourd::meshes {
 
 constexpr int kTile = 32;  // Side of a tile in pixels.
 constexpr int kTilePixels = kTile * kTile;
+// The rows of a tile are far apart in memory, and processors do not prefetch them by themselves.
+constexpr int kRowsAhead = 4;
 
 // An image of encoded ids (common/triangle_id.h), in the fourth of four channels.
 struct IdImage {

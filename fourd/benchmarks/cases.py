@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from fourd.baking.player import Player
-from fourd.benchmarks.peers import pytorch3d_compositor
+from fourd.benchmarks.meshes import interpolating, make_mesh, project, rasterizing
+from fourd.benchmarks.peers import pytorch3d_compositor, pytorch3d_rasterizer
 from fourd.benchmarks.soft_triangles import soft_silhouette, splatting
 from fourd.benchmarks.textures import trilinear_texture
 from fourd.benchmarks.timing import Work
@@ -65,6 +66,8 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     yield plane_case(65_536, CPU)
     yield sampling_case(65_536, CPU)
     yield _similarity(512)
+    yield from _meshes(100_000, 1024)
+    yield _peer_mesh(10_000, 512)
     silhouette = soft_silhouette(1_300, 256, 50)
     yield Case("soft silhouette, 1,300 triangles, 256 x 256, K = 50, forward + backward", silhouette)
     for backward in (False, True):
@@ -156,6 +159,22 @@ def _play(count: int, view: Camera, layers: int, *, ordered: bool = False) -> Ca
     order = ", in Morton order" if ordered else ""
     name = f"play {count:,} points{order}, {view.width} x {view.height}, K = {layers}: fp16 to RGBA8, 4 views + SH"
     return Case(name, lambda: player.draw(frame, view, scene, layers=layers, out=out))
+
+
+def _meshes(count: int, side: int) -> Iterator[Case]:
+    size = f"{count:,} triangles, {side} x {side}"
+    for backward in (False, True):
+        name = f"rasterize {size}, with derivatives, {PASSES[backward]}"
+        yield Case(name, rasterizing(count, side, backward))
+    for backward in (False, True):
+        yield Case(f"interpolate 3 channels, {size}, {PASSES[backward]}", interpolating(count, side, backward))
+
+
+def _peer_mesh(count: int, side: int) -> Case:
+    xyz, tri = make_mesh(count)
+    peer = pytorch3d_rasterizer(project(xyz, side)[0], tri, side)
+    rivals = {} if peer is None else {"pytorch3d": peer}
+    return Case(f"rasterize {count:,} triangles, {side} x {side}, forward", rasterizing(count, side, False), rivals)
 
 
 def _similarity(side: int) -> Case:

@@ -1,4 +1,4 @@
-"""Point compositing with other libraries, as a comparison in the benchmarks. The other libraries are optional."""
+"""The computations of the benchmarks with other libraries, for comparison. The other libraries are optional."""
 
 from __future__ import annotations
 
@@ -48,6 +48,23 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
         return torch.autograd.grad(image.sum(), list(free.values())) if backward else image
 
     return work
+
+
+def pytorch3d_rasterizer(pos: Tensor, tri: Tensor, side: int) -> Work | None:
+    """Return a function that rasterizes clip coordinates (V, 4) with PyTorch3D, one triangle per pixel and no gradient.
+
+    Returns None if PyTorch3D is not installed.
+    """
+    try:
+        rasterizer: Any = import_module("pytorch3d.renderer.mesh.rasterize_meshes")
+        structures: Any = import_module("pytorch3d.structures")
+    except ImportError:
+        return None
+    # In PyTorch3D, normalized coordinates point left and up, and depth is the distance along the optical axis.
+    vertices = torch.cat([-pos[:, :2] / pos[:, 3:], pos[:, 3:]], 1)
+    mesh = structures.Meshes([vertices], [tri.long()])
+    settings = {"blur_radius": 0.0, "faces_per_pixel": 1, "bin_size": 0, "perspective_correct": True}
+    return lambda: rasterizer.rasterize_meshes(mesh, (side, side), **settings)
 
 
 def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:

@@ -12,12 +12,14 @@ import torch
 from fourd.baking.player import Player
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
+from fourd.benchmarks.meshes import interpolating, make_mesh, project, rasterizing
 from fourd.benchmarks.report import Row, markdown, to_json
 from fourd.benchmarks.textures import make_textured_plane, trilinear_texture
 from fourd.benchmarks.timing import Clock, Timing
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud, make_planes
 from fourd.cli.main import main
 from fourd.ops.planes.op import sample_planes
+from fourd.raster.triangles import rasterize
 
 
 def test_points_cover_the_middle_of_the_picture() -> None:
@@ -41,6 +43,16 @@ def test_backward_work_computes_gradients() -> None:
     assert all(gradient.abs().max() > 0 for gradient in gradients)  # type: ignore[attr-defined]
     tensors, axes = make_planes(side=4, levels=2, features=3, frames=5)
     assert sample_planes(torch.zeros(2, 4), tensors, axes).shape == (2, 36)
+
+
+def test_triangles_cover_half_of_the_picture() -> None:
+    """Catches a mesh outside the image, for which a timing would be meaningless, and gradients that are zero."""
+    xyz, tri = make_mesh(2_000)
+    assert 1_900 < len(tri) < 2_100
+    rast = rasterize(project(xyz, 64), tri, (64, 64))[0]
+    assert 0.3 < float((rast[..., 3] > 0).float().mean()) < 0.7
+    assert float(rasterizing(2_000, 64, True)()[0].abs().max()) > 0  # type: ignore[index]
+    assert [float(gradient.abs().max()) > 0 for gradient in interpolating(2_000, 64, True)()] == [True, True]  # type: ignore[attr-defined]
 
 
 def test_clock_reports_units() -> None:

@@ -1,0 +1,63 @@
+"""Benchmark work of rasterization and interpolation."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from fourd.benchmarks.timing import Work
+from fourd.benchmarks.workloads import make_camera
+from fourd.raster.triangles import clip_matrix, interpolate, rasterize
+
+DEPTH_LIMITS = (0.5, 10.0)
+"""Depths of the near and the far plane, in units of the mesh."""
+
+
+def make_mesh(count: int) -> tuple[Tensor, Tensor]:
+    """Make a closed, wavy surface of about ``count`` triangles: xyz (V, 3) float32 and tri (T, 3) int32.
+
+    In the image of :func:`fourd.benchmarks.workloads.make_camera`, the surface covers 63% of the pixels. Half of
+    its triangles are seen from behind.
+    """
+    cells = max(2, round(math.sqrt(count / 2)))
+    steps = torch.arange(cells + 1, dtype=torch.float64) / cells
+    polar, azimuth = torch.meshgrid(math.pi * steps, 2 * math.pi * steps, indexing="ij")
+    radius = 0.95 + 0.08 * torch.sin(5 * polar) * torch.cos(7 * azimuth)
+    xyz = torch.stack([polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), polar.cos()], -1) * radius[..., None]
+    first = (torch.arange(cells)[:, None] * (cells + 1) + torch.arange(cells)).reshape(-1)
+    right, below = first + 1, first + cells + 1
+    tri = torch.cat([torch.stack([first, right, below], 1), torch.stack([right, below + 1, below], 1)])
+    order = torch.argsort(tri.amin(1), stable=True)  # Neighbours in the list are neighbours on the surface.
+    return xyz.reshape(-1, 3).float(), tri[order].int()
+
+
+def project(xyz: Tensor, side: int) -> Tensor:
+    """Return the clip coordinates (1, V, 4) of points for a square image."""
+    matrix = clip_matrix(make_camera(side, side), *DEPTH_LIMITS)
+    return (torch.cat([xyz, torch.ones_like(xyz[:, :1])], 1) @ matrix.T)[None].contiguous()
+
+
+def rasterizing(count: int, side: int, backward: bool) -> Work:
+    """Return a function that rasterizes about ``count`` triangles with derivatives, or only computes the gradient."""
+    xyz, tri = make_mesh(count)
+    pos = project(xyz, side)
+    if not backward:
+        return lambda: rasterize(pos, tri, (side, side))
+    pos.requires_grad_()
+    outputs = rasterize(pos, tri, (side, side))
+    upstream = [torch.ones_like(output) for output in outputs]
+    return lambda: torch.autograd.grad(outputs, pos, upstream, retain_graph=True)
+
+
+def interpolating(count: int, side: int, backward: bool) -> Work:
+    """Return a function that interpolates three channels, or only computes the gradients of attributes and weights."""
+    xyz, tri = make_mesh(count)
+    rast, _ = rasterize(project(xyz, side), tri, (side, side))
+    if not backward:
+        return lambda: interpolate(xyz, rast, tri)
+    leaves = (xyz.requires_grad_(), rast.requires_grad_())
+    out, _ = interpolate(*leaves, tri)
+    upstream = torch.ones_like(out)
+    return lambda: torch.autograd.grad(out, leaves, upstream, retain_graph=True)
