@@ -1,0 +1,111 @@
+"""Find the pose of a cube from one image, from random first poses.
+
+    python examples/triangles/pose.py --starts 20
+
+Each start optimises a quaternion. The image has local minima, so the first half of the steps is a series of trials.
+Each trial starts from the best pose so far plus a random rotation. The random rotations become smaller from trial to
+trial.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from common import (
+    angle_deg,
+    cube,
+    face_colours,
+    perspective,
+    random_rotations,
+    rigid,
+    rotation_of_quaternion,
+    save,
+    to_clip,
+)
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from fourd.raster.triangles import antialias, interpolate, rasterize
+
+TRIAL_STEPS = 20
+"""In the first half of the steps, a noisy copy of the best pose is optimised for this many steps."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Options of the search."""
+
+    starts: int = 10
+    """Number of random pairs of a true and a first pose."""
+    steps: int = 500
+    """Steps of Adam per start."""
+    size: int = 128
+    """Width and height of the image, in pixels."""
+    seed: int = 0
+    """Seed of the poses."""
+    out: Path = Path("pose.png")
+    """Output image of the last start: the true, the first and the found pose."""
+
+
+def main(arguments: Arguments) -> float:
+    """Search the poses. Returns the share of starts that end within 2 degrees of the true pose."""
+    rng = np.random.default_rng(arguments.seed)
+    found = []
+    for start in range(arguments.starts):
+        R_true, R_first = random_rotations(2, rng)
+        target = render(R_true, arguments.size)
+        R_found = search(target, R_first, arguments, rng)
+        error = float(angle_deg(R_true, R_found))
+        found.append(error < 2)
+        print(f"start {start}: {float(angle_deg(R_true, R_first)):.1f} degrees before, {error:.2f} degrees after")
+    share = sum(found) / len(found)
+    print(f"{sum(found)} of {len(found)} starts found the pose within 2 degrees")
+    save([render(R, 256) for R in (R_true, R_first, R_found)], arguments.out)
+    return share
+
+
+def search(target: Tensor, R_first: Tensor, arguments: Arguments, rng: np.random.Generator) -> Tensor:
+    """Optimise the pose so that the rendered cube matches ``target`` (H, W, 3). Returns the best rotation (3, 3)."""
+    best_loss, best = float("inf"), quaternion_of_rotation(R_first)
+    quaternion = best.clone().requires_grad_()
+    optimizer = torch.optim.Adam([quaternion], lr=2e-2)
+    for step in range(arguments.steps):
+        remaining = 1 - step / arguments.steps
+        if step % TRIAL_STEPS == 0 and remaining > 0.5:
+            noise_rad = np.pi / 2 * (2 * remaining - 1) * rng.normal(size=3)
+            noise = torch.from_numpy(Rotation.from_rotvec(noise_rad).as_matrix()).float()
+            with torch.no_grad():
+                quaternion.copy_(quaternion_of_rotation(noise @ rotation_of_quaternion(best)))
+        elif step % TRIAL_STEPS == 0:
+            optimizer.param_groups[0]["lr"] = 2e-2 * remaining
+        loss = (render(rotation_of_quaternion(quaternion), arguments.size) - target).square().mean()
+        if float(loss) < best_loss:
+            best_loss, best = float(loss), quaternion.detach().clone()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return rotation_of_quaternion(best)
+
+
+def quaternion_of_rotation(R: Tensor) -> Tensor:
+    """Return the unit quaternion (4,) of a rotation (3, 3), in the order w, x, y, z."""
+    return torch.from_numpy(Rotation.from_matrix(R.numpy()).as_quat(scalar_first=True)).float()
+
+
+def render(R: Tensor, size: int) -> Tensor:
+    """Render the cube with the rotation ``R`` (3, 3), on black. Returns (size, size, 3)."""
+    xyz, tri = cube()
+    colours, colour_tri = face_colours()
+    pos = to_clip((perspective(0.4) @ rigid(R, (0, 0, -5.5)))[None], xyz)
+    rast, _ = rasterize(pos, tri, (size, size))
+    colour, _ = interpolate(colours, rast, colour_tri)
+    colour = torch.where(rast[..., 3:] > 0, colour, torch.zeros_like(colour))
+    return antialias(colour, rast, pos, tri)[0]
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
