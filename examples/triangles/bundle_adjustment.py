@@ -146,8 +146,8 @@ class Renderer:
 def ring(count: int) -> Poses:
     """Return cameras on a ring of radius 5 that look at the origin."""
     angles = np.linspace(0, 2 * np.pi, count, endpoint=False)
-    rotations = Rotation.from_euler("xy", np.stack([np.full(count, 0.35), np.zeros(count)], axis=1))
-    turns = Rotation.from_euler("y", angles)
+    rotations = Rotation.from_euler("x", 0.35)
+    turns = Rotation.from_euler("y", angles[:, None])
     quaternion = (rotations * turns).as_quat(scalar_first=True)
     return Poses(torch.from_numpy(quaternion).float(), torch.tensor([0.0, 0.0, -5.0]).repeat(count, 1))
 
