@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Build fourd for this machine's NVIDIA GPU, run every parity and gradient test on it, and print the benchmark table.
 # No network is needed. Requirements: CUDA's nvcc, and Python 3.11+ with torch, numpy, opencv, pyyaml, rich,
-# safetensors, cachetools, pytest, scikit-build-core, nanobind, cmake and ninja.
+# safetensors, cachetools, zstandard, trimesh, scipy, pytest, scikit-build-core, nanobind, cmake and ninja.
 # Variables: PYTHON is the interpreter (default python3), ARCHITECTURES the GPU architectures (default: this GPU's).
 #
 #   tools/gpu_check.sh              tests and table
@@ -34,7 +34,8 @@ if not has_gpu():
     sys.exit("gpu_check: expected a CUDA device and kernels built for it, got none")
 PYTHON
 tests=(tests/ops/test_points_cuda.py tests/ops/test_planes.py tests/ops/test_sources.py
-  tests/ops/test_hashgrid.py tests/baking/test_gpu_player.py)
+  tests/ops/test_hashgrid.py tests/baking/test_gpu_player.py tests/raster/triangles tests/ops/texture tests/ops/antialias
+  tests/ops/test_splat_triangles.py tests/ops/test_soft_triangles.py)
 if [ "${1:-}" = sanitize ]; then
   # Without torch's memory pool, compute-sanitizer checks each allocation separately.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 \

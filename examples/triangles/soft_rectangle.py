@@ -5,7 +5,8 @@
 The two rectangles do not overlap at first. A hard rasterizer gives no gradient that moves the rectangle towards the
 target, because no pixel of the target is near its edges. In the soft rasterizer (SoftRas, Liu et al. 2019), every
 triangle contributes to every pixel with a weight that decreases with the distance. The width of the decrease, sigma,
-shrinks during the fit, so that the result is sharp.
+shrinks during the fit, so that the result is sharp. The target has the same sigma. With a sharp target, the rectangle
+shrinks until it is empty, because its own pixels are wrong and no pixel of the target is near.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from torch import Tensor
 
 from fourd.cameras import Camera, look_at
 from fourd.raster.triangles import rasterize_soft
+
+FIRST_SIGMA, LAST_SIGMA = 1.0, 1e-6
+"""Width of the edges at the start and at the end of the fit."""
 
 
 @dataclass(frozen=True)
@@ -39,22 +43,21 @@ def main(arguments: Arguments) -> float:
     """Fit centre and size of the rectangle. Returns the final intersection over union with the target."""
     camera = front_camera(arguments.size)
     true = torch.tensor([0.45, 0.4, 0.3, 0.2])
-    target = render(true, camera, sigma=1e-6).detach()
     first = torch.tensor([-0.5, -0.45, 0.15, 0.35])
     shape = first.clone().requires_grad_()
     optimizer = torch.optim.Adam([shape], lr=2e-2)
     for step in range(arguments.steps):
         progress = step / arguments.steps
-        sigma = 0.3 * (1e-6 / 0.3) ** progress
-        alpha = render(shape, camera, sigma)
-        loss = (alpha - target).square().mean()
+        sigma = FIRST_SIGMA * (LAST_SIGMA / FIRST_SIGMA) ** progress
+        target = render(true, camera, sigma).detach()
+        loss = (render(shape, camera, sigma) - target).square().mean()
         optimizer.param_groups[0]["lr"] = 2e-2 * 0.05**progress
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         if step % max(arguments.steps // 5, 1) == 0 or step == arguments.steps - 1:
             print(f"step {step}: sigma {sigma:.1e}, intersection over union {overlap(shape, true):.4f}")
-    pictures = [target, render(first, camera, 1e-6), render(shape, camera, 1e-6)]
+    pictures = [render(rectangle, camera, LAST_SIGMA) for rectangle in (true, first, shape)]
     save([picture[..., None].expand(-1, -1, 3) for picture in pictures], arguments.out, scale=4, bottom_up=False)
     return overlap(shape, true)
 

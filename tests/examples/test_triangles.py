@@ -69,7 +69,7 @@ def test_the_pose_search_reports_its_success(tmp_path: Path) -> None:
 
 def test_the_soft_rectangle_reaches_its_target(tmp_path: Path) -> None:
     """Catches a soft rasterizer without gradients far from the edges."""
-    printed = run("soft_rectangle.py", "--steps", 150, "--size", 32, "--out", tmp_path / "rectangle.png")
+    printed = run("soft_rectangle.py", "--steps", 250, "--size", 32, "--out", tmp_path / "rectangle.png")
     overlaps = [float(value) for value in re.findall(r"intersection over union (\S+)", printed)]
     assert overlaps[0] == 0
     assert overlaps[-1] > 0.8
