@@ -6,7 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 BITS = 10
-"""Number of bits per axis. The Morton code of three axes then fits in 32 bits."""
+"""Number of bits per axis that :func:`morton_order` compares."""
+MAX_BITS = 21
+"""Maximum number of bits per axis. The Morton code of three axes then fits in 63 bits."""
+_SPREAD = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+"""Shifts and masks that insert two zero bits before each of the MAX_BITS lowest bits of a number, one after another."""
+_LOWEST_BITS = 2**MAX_BITS - 1
 
 
 def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
@@ -15,13 +26,27 @@ def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
         return np.zeros(0, np.int64)
     lower = xyz.min(axis=0).astype(np.float64)
     side = max(float((xyz.max(axis=0) - lower).max()), 1e-30)
-    cells = ((xyz - lower) * ((2**BITS - 1) / side)).astype(np.uint32)
-    codes = _spread_bits(cells[:, 0]) | _spread_bits(cells[:, 1]) << 1 | _spread_bits(cells[:, 2]) << 2
-    return np.argsort(codes, kind="stable")
+    cells = ((xyz - lower) * ((2**BITS - 1) / side)).astype(np.uint64)
+    return np.argsort(morton_codes(cells), kind="stable")
 
 
-def _spread_bits(values: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """Insert two zero bits before each of the ten lowest bits of every value."""
-    for shift, mask in ((16, 0x030000FF), (8, 0x0300F00F), (4, 0x030C30C3), (2, 0x09249249)):
-        values = (values | values << np.uint32(shift)) & np.uint32(mask)
+def morton_codes(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return the Morton codes (N,) of cells (N, 3) with coordinates below 2^21. Bit b of axis a is bit 3 b + a."""
+    x, y, z = (spread_bits(cells[:, axis]) << np.uint64(axis) for axis in range(3))
+    return x | y | z
+
+
+def spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Insert two zero bits before each of the 21 lowest bits of every value."""
+    for shift, mask in _SPREAD:
+        values = (values | values << np.uint64(shift)) & np.uint64(mask)
+    return values
+
+
+def gather_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Return the values of :func:`spread_bits`. Other bits of ``values`` are ignored."""
+    values = values & np.uint64(_SPREAD[-1][1])
+    masks = [mask for _, mask in _SPREAD[-2::-1]] + [_LOWEST_BITS]
+    for (shift, _), mask in zip(reversed(_SPREAD), masks, strict=True):
+        values = (values | values >> np.uint64(shift)) & np.uint64(mask)
     return values

@@ -2,8 +2,10 @@
 // exceptions and sanitizers. The pool does not need OpenMP.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <condition_variable>
+#include <cstddef>
 #include <exception>
 #include <functional>
 #include <mutex>
@@ -44,5 +46,15 @@ class Team {
     unsigned round_ = 0;
     bool closing_ = false;
 };
+
+// Splits [0, count) into parts of `per_part` elements, and calls work(begin, end) for each part on the team. The parts do
+// not depend on the number of threads.
+template <typename Work>
+void run_parts(Team& team, std::size_t count, std::size_t per_part, const Work& work) {
+    team.run(static_cast<int>((count + per_part - 1) / per_part), [&](int task, int) {
+        const std::size_t begin = task * per_part;
+        work(begin, std::min(count, begin + per_part));
+    });
+}
 
 }  // namespace fourd

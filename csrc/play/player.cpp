@@ -10,15 +10,6 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 8192;
 
-// Splits count elements into consecutive parts and calls visit(begin, end) for the parts in parallel.
-template <typename Visit>
-void in_runs(std::size_t count, Team& team, const Visit& visit) {
-    team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
-        const std::size_t begin = task * kPointsPerTask;
-        visit(begin, std::min(count, begin + kPointsPerTask));
-    });
-}
-
 }  // namespace
 
 void Sizes::require(std::size_t count) {
@@ -37,10 +28,12 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     sizes_.require(count);
     colour_.require(3 * count);
     Team team(settings.threads);
-    in_runs(count, team, [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
+    run_parts(team, count, kPointsPerTask,
+              [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
     const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
     workspace_.fill(cloud, settings, team);
-    in_runs(count, team, [&](std::size_t begin, std::size_t end) { shade_visible(frame, shading, begin, end); });
+    run_parts(team, count, kPointsPerTask,
+              [&](std::size_t begin, std::size_t end) { shade_visible(frame, shading, begin, end); });
     const points::Loops& loops = points::select_loops(settings.simd);
     team.run(workspace_.bins.tiles(),
              [&](int index, int) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
@@ -62,10 +55,11 @@ std::size_t DepthSorter::sort(const Frame& frame, const points::Settings& settin
     const std::size_t count = frame.points.count;
     sizes_.require(count);
     Team team(settings.threads);
-    in_runs(count, team, [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
+    run_parts(team, count, kPointsPerTask,
+              [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
     const points::Cloud cloud{frame.points.xyz, nullptr, sizes_.radius.data(), sizes_.density.data(), count, 0};
     bins_.sort_points(cloud, settings, team);
-    in_runs(bins_.visible(), team, [&](std::size_t begin, std::size_t end) {
+    run_parts(team, bins_.visible(), kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         for (std::size_t rank = begin; rank < end; ++rank) out[rank] = bins_.order()[rank].index;
     });
     return bins_.visible();

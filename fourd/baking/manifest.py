@@ -29,6 +29,7 @@ MAX_FRAMES = 1_000_000
 MAX_POINTS = 1 << 26
 MAX_VIEWS = 4096
 MAX_PIXELS = 1 << 16
+KINDS: tuple[SceneKind, ...] = ("object", "full")
 
 
 class NewerVersionError(ManifestError):
@@ -79,7 +80,7 @@ def manifest_from_json(text: bytes) -> SceneManifest:
     optional_attributes = _check_attributes(root.node("attributes"))
     source_names, source_cameras = _views(root.items("source_views", MAX_VIEWS))
     other_names, other_cameras = _views(root.items("other_views", MAX_VIEWS))
-    kind = _kind(root)
+    kind = root.choice("kind", KINDS)
     background = _background(root, kind, version)
     frames = root.items("frames", MAX_FRAMES)
     sh = root.node("sh")
@@ -114,15 +115,6 @@ def manifest_from_json(text: bytes) -> SceneManifest:
         raise
     except ValueError as error:
         raise ManifestError(f"manifest.json: {error}") from error
-
-
-def _kind(root: JsonNode) -> SceneKind:
-    kind = root.text("kind")
-    if kind == "object":
-        return "object"
-    if kind == "full":
-        return "full"
-    raise root.fail("kind", '"object" or "full"')
 
 
 def _background_to_json(background: SceneBackground | None) -> dict[str, Any]:

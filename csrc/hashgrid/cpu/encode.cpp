@@ -12,15 +12,6 @@ namespace {
 // table entries of a level are reused for many points.
 constexpr std::size_t kPointsPerTask = 4096;
 
-// Splits the points into parts and calls work(begin, end) for each part, on all workers of the team.
-template <typename Work>
-void for_stretches(const Query& query, Team& team, const Work& work) {
-    team.run(static_cast<int>((query.count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
-        const std::size_t begin = task * kPointsPerTask;
-        work(begin, std::min(query.count, begin + kPointsPerTask));
-    });
-}
-
 // Sets the entries of a level, and the padding after them, to zero.
 void clear(const Query& query, int l, float* grad_table) {
     const std::size_t begin = query.levels[l].first;
@@ -33,7 +24,7 @@ void clear(const Query& query, int l, float* grad_table) {
 void encode(const Query& query, float* out) {
     const LevelLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
-    for_stretches(query, team, [&](std::size_t begin, std::size_t end) {
+    run_parts(team, query.count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         for (int l = 0; l < query.level_count; ++l) loops.encode(query, l, begin, end, out);
     });
 }
@@ -52,7 +43,7 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
         });
     }
     if (grad_coordinates == nullptr) return;
-    for_stretches(query, team, [&](std::size_t begin, std::size_t end) {
+    run_parts(team, query.count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         std::memset(grad_coordinates + 3 * begin, 0, 3 * (end - begin) * sizeof(float));
         for (int l = 0; l < query.level_count; ++l)
             loops.coordinate_gradient(query, l, begin, end, gradient, grad_coordinates);

@@ -8,15 +8,6 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 4096;
 
-// Splits the points into parts and calls work(begin, end) for each part.
-template <typename Work>
-void for_points(std::size_t count, Team& team, const Work& work) {
-    team.run(static_cast<int>((count + kPointsPerTask - 1) / kPointsPerTask), [&](int task, int) {
-        const std::size_t begin = task * kPointsPerTask;
-        work(begin, std::min(count, begin + kPointsPerTask));
-    });
-}
-
 Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     Fingerprint out;
     out.add(&settings.camera, sizeof settings.camera);
@@ -127,7 +118,7 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& wo
         loops.render_backward(tile, gradient, {scratch.transmittance.data(), scratch.tags.data(), visits},
                               scratch.slots.data(), workspace.sums.data());
     });
-    for_points(cloud.count, team, [&](std::size_t begin, std::size_t end) {
+    run_parts(team, cloud.count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         const auto gather = cloud.channels == 3   ? gather_gradient<3>
                             : cloud.channels == 4 ? gather_gradient<4>
                                                   : gather_gradient<0>;

@@ -99,9 +99,7 @@ void render_backward(const Mesh& mesh, const Settings& settings, Workspace& work
         workspace.slots.of_tile(workspace.bins, index, scratch.slots);
         loops.render_backward(tile, scratch.visits(tile), gradient, scratch.slots.data(), workspace.sums.data());
     });
-    const int tasks = static_cast<int>((mesh.count + kTrianglesPerTask - 1) / kTrianglesPerTask);
-    team.run(tasks, [&](int task, int) {
-        const std::size_t begin = task * kTrianglesPerTask, end = std::min(mesh.count, begin + kTrianglesPerTask);
+    run_parts(team, mesh.count, kTrianglesPerTask, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) gather_gradient(mesh, settings, workspace, i, out);
     });
     tiles::add_corners(workspace.corners.data(), mesh.tri, mesh.count, out.xyz, mesh.vertices);

@@ -9,15 +9,6 @@ namespace {
 
 constexpr std::size_t kTrianglesPerTask = 4096;
 
-// Splits the triangles into parts and calls work(begin, end) for each part.
-template <typename Work>
-void for_triangles(std::size_t count, Team& team, const Work& work) {
-    team.run(static_cast<int>((count + kTrianglesPerTask - 1) / kTrianglesPerTask), [&](int task, int) {
-        const std::size_t begin = task * kTrianglesPerTask;
-        work(begin, std::min(count, begin + kTrianglesPerTask));
-    });
-}
-
 Fingerprint fingerprint(const Mesh& mesh, const Settings& settings) {
     Fingerprint out;
     out.add(&settings.camera, sizeof settings.camera);
@@ -107,7 +98,7 @@ void render(const Mesh& mesh, const Settings& settings, Workspace& workspace, co
         scratch.best.require(16 * tile.count);
         loops.render(tile, out, scratch.best.data(), scratch.slots.data(), workspace.sums.data());
     });
-    for_triangles(mesh.count, team, [&](std::size_t begin, std::size_t end) {
+    run_parts(team, mesh.count, kTrianglesPerTask, [&](std::size_t begin, std::size_t end) {
         for (std::size_t triangle = begin; triangle < end; ++triangle) {
             float best = 0.0f;
             for (std::size_t slot = workspace.slots.begin(triangle); slot < workspace.slots.end(triangle); ++slot) {
@@ -133,7 +124,7 @@ void render_backward(const Mesh& mesh, const Settings& settings, Workspace& work
         workspace.slots.of_tile(workspace.bins, index, scratch.slots);
         loops.render_backward(tile, gradient, scratch.slots.data(), workspace.sums.data());
     });
-    for_triangles(mesh.count, team, [&](std::size_t begin, std::size_t end) {
+    run_parts(team, mesh.count, kTrianglesPerTask, [&](std::size_t begin, std::size_t end) {
         for (std::size_t i = begin; i < end; ++i) gather_gradient(mesh, settings, workspace, i, out);
     });
     tiles::add_corners(workspace.corners.data(), mesh.tri, mesh.count, out.xyz, mesh.vertices);

@@ -13,10 +13,9 @@ from fourd.ops.shade.harmonics import SH_TERMS
 Tier = Literal["full", "stream", "light"]
 """How much a packed scene keeps. "full" looks like the unpacked scene. "stream" has coarser steps. "light" has no
 source views: all colour is in spherical harmonics."""
+TIERS: tuple[Tier, ...] = ("full", "stream", "light")
 
 SH_NUMBERS = 3 * SH_TERMS
-MAX_POSITION_BITS = 21
-"""Maximum number of bits per coordinate. The Morton code of three coordinates then fits in 63 bits."""
 MAX_COLOUR_STEP = 127
 MAX_CODE = 255
 """Largest code of a density or of a blend weight."""

@@ -9,13 +9,13 @@ import numpy as np
 from fourd.baking.files.encoding import (
     MAX_CODE,
     MAX_COLOUR_STEP,
-    MAX_POSITION_BITS,
     SH_NUMBERS,
+    TIERS,
     CloudEncoding,
     SceneEncoding,
-    Tier,
 )
 from fourd.baking.files.json_node import JsonNode
+from fourd.morton import MAX_BITS
 
 MAX_STEPS = 1 << 16
 """Largest number of radius codes or weight codes per factor of 2."""
@@ -30,7 +30,7 @@ def encoding_to_json(encoding: SceneEncoding) -> dict[str, Any]:
 def encoding_from_json(node: JsonNode, *, has_background: bool) -> SceneEncoding:
     """Parse and check an encoding. Raises ManifestError."""
     background = _cloud_from_json(node.node("background")) if has_background else None
-    return SceneEncoding(_tier(node), _cloud_from_json(node.node("dynamic")), background)
+    return SceneEncoding(node.choice("tier", TIERS), _cloud_from_json(node.node("dynamic")), background)
 
 
 def _cloud_to_json(cloud: CloudEncoding) -> dict[str, Any]:
@@ -56,7 +56,7 @@ def _cloud_from_json(node: JsonNode) -> CloudEncoding:
     return CloudEncoding(
         lower=node.array("lower", (3,)),
         position_step=node.number("position_step", 1e-30, 1e30),
-        position_bits=node.integer("position_bits", 1, MAX_POSITION_BITS),
+        position_bits=node.integer("position_bits", 1, MAX_BITS),
         radius_lower=node.number("radius_lower", 1e-30, 1e4),
         radius_steps=node.integer("radius_steps", 1, MAX_STEPS),
         density_levels=node.integer("density_levels", 1, MAX_CODE),
@@ -72,14 +72,3 @@ def _cloud_from_json(node: JsonNode) -> CloudEncoding:
 def _floats(values: np.ndarray[Any, np.dtype[np.float32]]) -> list[float]:
     """Return the shortest decimal numbers that give the same float32 values."""
     return [float(str(value)) for value in values.ravel()]
-
-
-def _tier(node: JsonNode) -> Tier:
-    tier = node.text("tier")
-    if tier == "full":
-        return "full"
-    if tier == "stream":
-        return "stream"
-    if tier == "light":
-        return "light"
-    raise node.fail("tier", '"full", "stream" or "light"')

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 MAX_NAME = 255
+Option = TypeVar("Option", bound=str)
 
 
 class ManifestError(ValueError):
@@ -46,6 +48,15 @@ class JsonNode:
         if not isinstance(value, str) or len(value) > MAX_NAME or not value.isprintable():
             raise self.fail(key, f"printable text of at most {MAX_NAME} characters")
         return value
+
+    def choice(self, key: str, options: Sequence[Option]) -> Option:
+        """The text of a key, which must be one of the options."""
+        text = self.text(key)
+        for option in options:
+            if text == option:
+                return option
+        quoted = [f'"{option}"' for option in options]
+        raise self.fail(key, f"{', '.join(quoted[:-1])} or {quoted[-1]}")
 
     def integer(self, key: str, low: int, high: int) -> int:
         value = self.get(key)

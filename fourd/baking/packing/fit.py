@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.files.encoding import MAX_COLOUR_STEP, MAX_POSITION_BITS, SH_NUMBERS, CloudEncoding, Tier
+from fourd.baking.files.encoding import MAX_COLOUR_STEP, SH_NUMBERS, CloudEncoding, Tier
 from fourd.baking.packed.colours import has_own_unseen_colours
 from fourd.baking.scene import BakedFrame
+from fourd.morton import MAX_BITS
 
-SAMPLES_PER_FRAME = 2000
-"""Number of points per frame from which the basis of the spherical harmonics is computed."""
+SAMPLES, SAMPLES_PER_FRAME = 200_000, 2000
+"""Maximum number of points, in total and per frame, from which the basis of the spherical harmonics is computed."""
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ PRECISIONS: dict[Tier, Precision] = {
 
 @dataclass(frozen=True, eq=False)
 class CloudSamples:
-    """Extremes and samples of a cloud, over all frames added so far.
+    """Extremes and samples of the points of a cloud.
 
     Attributes:
         lower, upper: (3,) float64, smallest and largest coordinates.
@@ -70,26 +72,29 @@ class CloudSamples:
     sh: NDArray[np.float32]
     has_own_unseen_colours: bool
 
-    def merged(self, other: CloudSamples) -> CloudSamples:
-        """Return the samples of both clouds."""
-        return CloudSamples(
-            np.minimum(self.lower, other.lower),
-            np.maximum(self.upper, other.upper),
-            min(self.radius_lower, other.radius_lower),
-            np.concatenate([self.radii, other.radii]),
-            np.concatenate([self.sh, other.sh]),
-            self.has_own_unseen_colours or other.has_own_unseen_colours,
-        )
+
+def merge_samples(samples: Iterable[CloudSamples]) -> CloudSamples:
+    """Return the samples of all frames of a cloud. There must be at least one frame."""
+    parts = list(samples)
+    return CloudSamples(
+        np.min([part.lower for part in parts], axis=0),
+        np.max([part.upper for part in parts], axis=0),
+        min(part.radius_lower for part in parts),
+        np.concatenate([part.radii for part in parts]),
+        np.concatenate([part.sh for part in parts]),
+        any(part.has_own_unseen_colours for part in parts),
+    )
 
 
-def sample_cloud(frame: BakedFrame) -> CloudSamples:
-    """Sample the points of a cloud at equal distances in the order of its points."""
+def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
+    """Sample the points of one of ``frames`` frames of a cloud, at equal distances in the order of its points."""
     if frame.point_count == 0:
         nothing = np.zeros(0, np.float32)
         return CloudSamples(
             np.full(3, np.inf), np.full(3, -np.inf), np.inf, nothing, np.zeros((0, SH_NUMBERS), np.float32), False
         )
-    chosen = np.unique(np.linspace(0, frame.point_count - 1, SAMPLES_PER_FRAME).astype(np.int64))
+    count = max(min(SAMPLES_PER_FRAME, SAMPLES // frames), 1)
+    chosen = np.unique(np.linspace(0, frame.point_count - 1, count).astype(np.int64))
     radius = frame.radius.astype(np.float32)
     positive = radius[radius > 0]
     return CloudSamples(
@@ -107,12 +112,12 @@ def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
     basis, mean = _sh_basis(samples.sh, precision.sh_step)
     radius = float(np.median(samples.radii)) if len(samples.radii) else 0.0
     side = float((samples.upper - samples.lower).max()) if np.isfinite(samples.lower).all() else 0.0
-    smallest_step = max(side, 1e-9) / (2**MAX_POSITION_BITS - 1)
+    smallest_step = max(side, 1e-9) / (2**MAX_BITS - 1)
     step = max(radius / precision.positions_per_radius, smallest_step)
     return CloudEncoding(
         lower=samples.lower if np.isfinite(samples.lower).all() else np.zeros(3),
         position_step=step,
-        position_bits=min(max(int(np.ceil(np.log2(side / step + 1.5))), 1), MAX_POSITION_BITS),
+        position_bits=min(max(int(np.ceil(np.log2(side / step + 1.5))), 1), MAX_BITS),
         radius_lower=samples.radius_lower if np.isfinite(samples.radius_lower) else 1.0,
         radius_steps=precision.radius_steps,
         density_levels=precision.density_levels,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from fourd.baking.files.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.baking.packed.members import encode_cloud, morton_sorted, optional_member
 from fourd.baking.packed.streams import compress
 from fourd.baking.packing.bounds import check_bounds
-from fourd.baking.packing.fit import PRECISIONS, fit_encoding, sample_cloud
+from fourd.baking.packing.fit import PRECISIONS, fit_encoding, merge_samples, sample_cloud
 from fourd.baking.packing.light import LIGHT_SH_BASE, LIGHT_SH_RANGE, LightFit
 from fourd.baking.packing.writer import PackedWriter
 from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
@@ -80,8 +79,8 @@ class _Packer:
     def __init__(self, reader: SceneReader, tier: Tier, coarseness: int, frames: Sequence[int], track: Track) -> None:
         self.reader = reader
         self.convert, manifest = _conversion(reader.manifest, tier)
-        sampled = (sample_cloud(self.convert(reader.read_dynamic(index))) for index in frames)
-        dynamic = reduce(lambda one, other: one.merged(other), track(sampled, len(frames), "sample"))
+        sampled = (sample_cloud(self.convert(reader.read_dynamic(index)), len(frames)) for index in frames)
+        dynamic = merge_samples(track(sampled, len(frames), "sample"))
         background = reader.read_background()
         self.background = None if background is None else self.convert(background)
         precision = PRECISIONS[tier].coarser(coarseness)

@@ -10,6 +10,9 @@ from fourd.ops.meshes.ids import MAX_TRIANGLES
 MAX_SIDE_PX = 2**15
 """Maximum width or height of an image. Subpixel positions of this range fit into the kernels' integers."""
 
+ALL_LAYERS = 2**20
+"""Number of composited triangles per pixel that stands for all triangles."""
+
 Axis = int | str
 """The size of an axis, or the letter of an axis of any size."""
 
@@ -80,6 +83,21 @@ def check_triangles(tri: object, vertices: int, like: tuple[str, Tensor], *, che
             wrong = low if low < 0 else high
             raise ValueError(f"tri: expected vertex indices from 0 to {vertices - 1}, got {wrong}")
     return tri
+
+
+def check_layers(layers: int | None) -> int:
+    """Check a maximum number of composited triangles per pixel and return it. None becomes ALL_LAYERS.
+
+    Raises:
+        TypeError, ValueError: with a message that names the argument.
+    """
+    if layers is None:
+        return ALL_LAYERS
+    if isinstance(layers, bool) or not isinstance(layers, int):
+        raise TypeError(f"layers: expected an integer or None, got {type(layers).__name__}")
+    if not 1 <= layers <= ALL_LAYERS:
+        raise ValueError(f"layers: expected 1 to {ALL_LAYERS}, got {layers}")
+    return layers
 
 
 def _value_range(values: Tensor) -> tuple[int, int]:

@@ -10,15 +10,13 @@ from torch import Tensor
 
 from fourd.cameras import Camera
 from fourd.ops.meshes.backends import Backend, select_backend
-from fourd.ops.meshes.checks import check_tensor, check_triangles
+from fourd.ops.meshes.checks import check_layers, check_tensor, check_triangles
 from fourd.ops.points.validation import check_camera, pack_camera
 from fourd.ops.soft_triangles import op
 from fourd.ops.soft_triangles.reference import rasterize_soft_reference
 from fourd.ops.soft_triangles.softness import Softness
 
 MAX_CHANNELS = 32
-ALL_LAYERS = 2**20
-"""More triangles than a pixel can take. Stands for ``layers=None``."""
 
 
 def rasterize_soft(
@@ -74,7 +72,7 @@ def rasterize_soft(
         RuntimeError: if the backend is not built.
     """
     _check_tensors(xyz, tri, features, camera, backend)
-    limit = _check_layers(layers)
+    limit = check_layers(layers)
     softness = _check_softness(distance, sigma, gamma, cutoff, near, far, eps)
     if select_backend(backend, "xyz", xyz) == "reference":
         return rasterize_soft_reference(xyz, tri, features, camera, softness, limit)
@@ -90,16 +88,6 @@ def _check_tensors(xyz: Tensor, tri: Tensor, features: Tensor, camera: Camera, b
     check_tensor("features", features, (count, "C"), like=like)
     if not 1 <= features.shape[1] <= MAX_CHANNELS:
         raise ValueError(f"features: expected 1 to {MAX_CHANNELS} channels, got {features.shape[1]}")
-
-
-def _check_layers(layers: int | None) -> int:
-    if layers is None:
-        return ALL_LAYERS
-    if isinstance(layers, bool) or not isinstance(layers, int):
-        raise TypeError(f"layers: expected an integer or None, got {type(layers).__name__}")
-    if not 1 <= layers <= ALL_LAYERS:
-        raise ValueError(f"layers: expected 1 to {ALL_LAYERS}, got {layers}")
-    return layers
 
 
 def _check_softness(

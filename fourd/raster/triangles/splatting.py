@@ -10,14 +10,12 @@ from torch import Tensor
 
 from fourd.cameras import Camera
 from fourd.ops.meshes.backends import Backend, select_backend
-from fourd.ops.meshes.checks import check_tensor, check_triangles
+from fourd.ops.meshes.checks import check_layers, check_tensor, check_triangles
 from fourd.ops.points.validation import check_camera, pack_camera
 from fourd.ops.splat_triangles import op
 from fourd.ops.splat_triangles.reference import splat_triangles_reference
 
 MAX_CHANNELS = 32
-ALL_LAYERS = 2**20
-"""More triangles than a pixel can take before its transmittance is too small. Stands for ``layers=None``."""
 LARGEST_COORDINATE = 1e9
 """Larger coordinates count as 0 in normals and depths, because their squares could overflow."""
 
@@ -151,10 +149,4 @@ def _check_limits(camera: Camera, layers: int | None, near: float) -> int:
     check_camera(camera)
     if not (near > 0 and math.isfinite(near)):
         raise ValueError(f"near: expected a finite distance above 0, got {near}")
-    if layers is None:
-        return ALL_LAYERS
-    if isinstance(layers, bool) or not isinstance(layers, int):
-        raise TypeError(f"layers: expected an integer or None, got {type(layers).__name__}")
-    if not 1 <= layers <= ALL_LAYERS:
-        raise ValueError(f"layers: expected 1 to {ALL_LAYERS}, got {layers}")
-    return layers
+    return check_layers(layers)

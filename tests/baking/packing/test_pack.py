@@ -16,12 +16,12 @@ from fourd.baking import BakedFrame, SceneReader, open_scene
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packed.colours import fill_unseen_colours, mean_colours
 from fourd.baking.packed.members import encode_cloud, morton_sorted, view_member
-from fourd.baking.packed.positions import gather_bits, spread_bits
 from fourd.baking.packing.bounds import check_bounds
 from fourd.baking.packing.fit import PRECISIONS, fit_encoding, sample_cloud
 from fourd.baking.packing.pack import pack_scene
 from fourd.baking.scene import make_frame
 from fourd.errors import UserError
+from fourd.morton import gather_bits, spread_bits
 from tests.baking.scenes import manifest, random_frame, write_full_scene, write_scene
 from tests.baking.test_container import rewritten, with_manifest
 
