@@ -124,6 +124,21 @@ def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) 
     assert leftovers <= {str(os.getpid())}, "each command removes its own folder"
 
 
+def test_export_packs_scenes(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches an export that ignores its tier, leaves temporary files, or names a temporary file in its error."""
+    run, out = made.with_suffix(".work") / "run", tmp_path / "packed.4dv"
+    assert main(["export", str(run), "-o", str(out), "--max-mbps", "0.001"]) == 2
+    assert "--max-mbps: expected at least" in (error := capsys.readouterr().err)
+    assert str(out) in error
+    assert list(tmp_path.iterdir()) == []
+    assert main(["export", str(run), "-o", str(out), "--tier", "stream"]) == 0
+    encoding = SceneReader(out).manifest.encoding
+    assert encoding is not None
+    assert encoding.tier == "stream"
+    assert [path.name for path in tmp_path.iterdir()] == ["packed.4dv"]
+    assert out.stat().st_size < made.stat().st_size / 2
+
+
 def test_render_writes_views_paths_and_videos(made: Path, tmp_path: Path) -> None:
     """Catches rendered images that are empty, have the wrong size or are in the wrong folder."""
     run = made.with_suffix(".work") / "run"

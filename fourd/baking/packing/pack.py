@@ -18,6 +18,7 @@ from fourd.baking.packing.fit import PRECISIONS, fit_encoding, merge_samples, sa
 from fourd.baking.packing.light import LIGHT_SH_BASE, LIGHT_SH_RANGE, LightFit
 from fourd.baking.packing.writer import PackedWriter
 from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
+from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 
@@ -49,7 +50,7 @@ def pack_scene(source: Path, out: Path, tier: Tier, track: Track = untracked, *,
         coarseness: factor by which all steps are larger than those of the tier.
 
     Raises:
-        UserError: if ``source`` is not a valid scene, or if ``out`` cannot be written.
+        UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.
     """
     reader = SceneReader(source)
     try:
@@ -77,6 +78,8 @@ class _Packer:
     """Packs the frames of a scene with one encoding, which is fitted to some of the frames."""
 
     def __init__(self, reader: SceneReader, tier: Tier, coarseness: int, frames: Sequence[int], track: Track) -> None:
+        if not frames:
+            raise UserError(f"{reader.path}: expected a scene with at least one frame, got none; export the run again")
         self.reader = reader
         self.convert, manifest = _conversion(reader.manifest, tier)
         sampled = (sample_cloud(self.convert(reader.read_dynamic(index)), len(frames)) for index in frames)

@@ -36,8 +36,10 @@ CANDIDATES: tuple[tuple[Tier, int], ...] = (
 """Tiers and coarsenesses from best to smallest."""
 
 
-def choose_tier(source: Path, max_mbps: float) -> Choice:
+def choose_tier(source: Path, max_mbps: float, name: Path) -> Choice:
     """Return the best tier whose frames, as fetched for one viewer, fit ``max_mbps`` megabits per second.
+
+    ``name`` is the file that the error message names, because ``source`` may be a temporary file.
 
     Raises:
         UserError: if even the smallest tier needs more, or if ``source`` is not a valid scene.
@@ -55,6 +57,6 @@ def choose_tier(source: Path, max_mbps: float) -> Choice:
     finally:
         reader.close()
     raise UserError(
-        f"--max-mbps: expected at least {choice.mbps / MARGIN:.1f} for {source} at {fps:g} frames per second, "
+        f"--max-mbps: expected at least {choice.mbps / MARGIN:.1f} for {name} at {fps:g} frames per second, "
         f"got {max_mbps:g}; use a faster connection, or train with fewer points"
     )

@@ -35,11 +35,16 @@ class PackSettings:
     max_mbps: float | None = None
 
 
-def pack_and_report(source: Path, out: Path, settings: PackSettings, console: Console) -> None:
-    """Pack ``source`` as ``out``, and print the sizes. Raises UserError."""
+def pack_and_report(
+    source: Path, out: Path, settings: PackSettings, console: Console, name: Path | None = None
+) -> None:
+    """Pack ``source`` as ``out``, and print the sizes. Raises UserError.
+
+    ``name`` is the file that error messages name, by default ``source``.
+    """
     tier, coarseness = settings.tier, 1
     if settings.max_mbps is not None:
-        choice = choose_tier(source, settings.max_mbps)
+        choice = choose_tier(source, settings.max_mbps, name or source)
         tier, coarseness = choice.tier, choice.coarseness
         steps = "" if coarseness == 1 else f" with {coarseness} times coarser steps"
         console.print(f"--max-mbps {settings.max_mbps:g}: tier {tier}{steps}, {choice.mbps:.1f} Mbit/s")

@@ -51,4 +51,4 @@ def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None
         return
     with atomic_path(files.scene) as unpacked:
         bake_run(run, unpacked, context.console, settings.layers, settings.fps)
-        pack_and_report(unpacked, unpacked, settings.pack, context.console)
+        pack_and_report(unpacked, unpacked, settings.pack, context.console, files.scene)

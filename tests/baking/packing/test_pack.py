@@ -162,6 +162,17 @@ def test_frames_without_points_are_packed(tmp_path: Path) -> None:
         assert SceneReader(out).read(1).point_count == 0
 
 
+def test_a_scene_without_frames_is_refused(tmp_path: Path) -> None:
+    """Catches a traceback for the extremes of no points."""
+    from fourd.baking import SceneWriter
+
+    with SceneWriter(tmp_path / "scene.4dv", manifest(3, 0)):
+        pass
+    with pytest.raises(UserError, match="expected a scene with at least one frame, got none"):
+        pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", "full")
+    assert not (tmp_path / "packed.4dv").exists()
+
+
 def test_unseen_views_get_the_mean_of_the_seen_ones() -> None:
     """Catches means that include the colours of whatever hides the point."""
     frame = random_frame(3, 3, 0)
