@@ -17,7 +17,6 @@ from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
-from fourd.baking.packed.colours import fill_unseen_colours
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, SceneBackground, SceneManifest, to_triple
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError
@@ -41,13 +40,7 @@ fp16."""
 
 
 def bake_run(
-    trained: TrainedRun,
-    out: Path,
-    console: Console,
-    layers: int = BAKED_LAYERS,
-    fps: float | None = None,
-    *,
-    fill_unseen: bool = True,
+    trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float | None = None
 ) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
@@ -55,10 +48,8 @@ def bake_run(
 
     Args:
         layers: maximum number of points that a pixel composites, stored in the scene.
-        fps: playback rate in frames per second. None selects the rate at which the run's frames were recorded, or 30 if
+        fps: playback rate, frames per second. None selects the rate of the run's frames in the recording, or 30 if
             this rate is not known.
-        fill_unseen: whether dynamic points have their mean colour in the views that do not see them. This improves new
-            views in which no selected view sees a point. Without it, the scene renders like the run.
 
     Raises:
         UserError: if the model's blend weights depend on the viewer, or if the file cannot be written.
@@ -71,8 +62,7 @@ def bake_run(
         if background is not None:
             writer.add_background(background)
         for frame in track(range(run.capture.frame_count), description="export", console=console):
-            baked = bake_frame(trained, frame, sources, fill_unseen=fill_unseen)
-            writer.add_frame(frame, baked, bake_shadow(trained, frame))
+            writer.add_frame(frame, bake_frame(trained, frame, sources), bake_shadow(trained, frame))
 
 
 def require_bakeable(run: Run) -> None:
@@ -90,7 +80,7 @@ def select_baked_views(run: Run) -> list[int]:
 
 
 def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | None = None) -> SceneManifest:
-    """Return the manifest of a run's scene. It contains no numbers of points yet, because the scene writer adds them.
+    """Return the manifest of a run's scene. The numbers of points are missing, because the writer sets them.
 
     For ``fps``, see :func:`bake_run`.
     """
@@ -120,10 +110,10 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
     )
 
 
-def bake_frame(trained: TrainedRun, frame: int, sources: list[int], *, fill_unseen: bool = True) -> BakedFrame:
+def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
     """Evaluate all properties of one frame's dynamic points that do not depend on the viewer.
 
-    ``sources`` are the camera indices from :func:`select_baked_views`. For ``fill_unseen``, see :func:`bake_run`.
+    ``sources`` are the camera indices from :func:`select_baked_views`.
     """
     views = trained.renderer.views
     occlusion = trained.model.config.occlusion
@@ -132,8 +122,7 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int], *, fill_unse
         return with_surface_depth(views.sources([index], frame), points, occlusion)
 
     points, time = trained.frames.get(frame), trained.run.capture.time(frame)
-    baked = _bake_points(trained.model, points, time, sources, get_source_view)
-    return fill_unseen_colours(baked) if fill_unseen else baked
+    return _bake_points(trained.model, points, time, sources, get_source_view)
 
 
 def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:

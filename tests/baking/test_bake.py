@@ -10,7 +10,6 @@ import torch
 
 from fourd.baking import open_scene
 from fourd.baking.bake import bake_run
-from fourd.baking.packed.colours import mean_colours
 from fourd.model.appearance import MIN_VISIBILITY
 from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS
 from fourd.training.run import TrainedRun, load_run
@@ -45,7 +44,7 @@ def _darken(trained: TrainedRun) -> None:
 @pytest.fixture(scope="module")
 def scene_path(trained: TrainedRun, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("scenes") / "scene.4dv"
-    bake_run(trained, path, quiet(), layers=SMALL.layers, fill_unseen=False)
+    bake_run(trained, path, quiet(), layers=SMALL.layers)
     return path
 
 
@@ -58,20 +57,6 @@ def test_the_scene_renders_like_the_run(trained: TrainedRun, scene_path: Path) -
             baked = scene.render(camera, frame).rgb.clip(0, 1)
             error = float(np.square(live - baked).mean())
             assert -10 * np.log10(error) > 50
-
-
-def test_points_have_their_mean_colour_in_views_that_do_not_see_them(
-    trained: TrainedRun, scene_path: Path, tmp_path: Path
-) -> None:
-    """Catches an export that shows the colour of whatever hides a point."""
-    bake_run(trained, tmp_path / "filled.4dv", quiet(), layers=SMALL.layers)
-    plain, filled = open_scene(scene_path).frame(0), open_scene(tmp_path / "filled.4dv").frame(0)
-    count = open_scene(scene_path).manifest.points[0]
-    unseen = plain.blend_weights[:count] == 0
-    assert unseen.any()
-    np.testing.assert_array_equal(filled.rgb[:count][~unseen], plain.rgb[:count][~unseen])
-    expected = np.broadcast_to(mean_colours(plain)[:count, None], (*unseen.shape, 3))
-    np.testing.assert_array_equal(filled.rgb[:count][unseen], expected[unseen])
 
 
 def test_occluded_views_have_weight_zero(trained: TrainedRun, scene_path: Path) -> None:
