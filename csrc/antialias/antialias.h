@@ -25,17 +25,18 @@ struct Settings {
     Simd simd;    // An instruction set that this machine supports.
 };
 
-// Writes the blended colours to `out` and, for every pixel, the crossings of its pairs (a Code of maths.h) to `codes`.
+// Writes the blended colours to `out`. For every pixel, writes the crossings of its pairs, as a Code of maths.h, to
+// `codes`.
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
 
-// The gradients of blend(). `gradient` has the shape of the colours and is with respect to `out`. Arrays to write may
-// be null.
+// The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to `out`. The
+// output arrays `colours` and `positions` may be null.
 struct Gradients {
     const float* gradient;
     const std::uint8_t* codes;
-    float boost;       // Factor of the gradient of the positions.
-    float* colours;    // As Images::colours.
-    float* positions;  // As Mesh::positions.
+    float boost;       // The gradient of the positions is multiplied by this factor.
+    float* colours;    // In the shape of Images::colours.
+    float* positions;  // In the shape of Mesh::positions.
 };
 
 void blend_backward(const Mesh& mesh, const Images& images, const Settings& settings, const Gradients& gradients);

@@ -38,15 +38,15 @@ struct AntialiasArguments {
                     colours.shape(2) <= kLongestSide,
                 "color: expected sides from 1 to 2^15 pixels");
         require(colours.shape(0) < 0x7fffffffu / kLongestSide, "color: expected fewer than 2^16 images");
-        require(colours.shape(3) <= 0x7fffffffu / kLongestSide, "color: expected fewer channels");
+        require(colours.shape(3) <= 0x7fffffffu / kLongestSide, "color: expected fewer than 2^16 channels");
         require(rast.shape(0) == colours.shape(0) && rast.shape(1) == colours.shape(1) &&
                     rast.shape(2) == colours.shape(2),
-                "rast: expected the images of color");
+                "rast: expected the number, height and width of the images of color");
         require(positions.shape(0) == (instanced ? colours.shape(0) : 1), "pos: expected one instance for each image");
         require(positions.shape(1) <= 0x7fffffffu && positions.shape(0) * positions.shape(1) <= 0xffffffffu,
                 "pos: expected fewer than 2^31 vertices, and fewer than 2^32 in all instances");
-        require(triangles.shape(0) <= kMaxTriangles, "tri: expected fewer triangles");
-        require(!opposite || opposite->shape(0) == triangles.shape(0), "topology: expected that of tri");
+        require(triangles.shape(0) <= kMaxTriangles, "tri: too many triangles");
+        require(!opposite || opposite->shape(0) == triangles.shape(0), "topology: expected one row per triangle of tri");
         mesh = {positions.data(),   triangles.data(),   opposite ? opposite->data() : nullptr,
                 positions.shape(1), triangles.shape(0), instanced};
         images = {colours.data(),

@@ -1,9 +1,9 @@
-// Silhouette edges and where they cross the segment between the centres of two neighbouring pixels.
+// Finds silhouette edges, and where they cross the segment between the centres of two neighbouring pixels.
 //
-// A vertex (x, y, z, w) in clip space is seen relative to the centre f of a pixel: (a, b, w) with a = x - f_x w and
-// b = y - f_y w. The edge from vertex j to vertex k is the line N = a_j b_k - b_j a_k = 0. N is linear in f, also where
-// w <= 0. After t steps of s along the axis of a, N is N - t D with D = s (w_j b_k - b_j w_k), so that the edge is
-// crossed at t = N / D.
+// Relative to the centre f of a pixel, a vertex (x, y, z, w) in clip space has the coordinates (a, b, w) with
+// a = x - f_x w and b = y - f_y w. The edge from vertex j to vertex k goes through the point f where
+// N = a_j b_k - b_j a_k is 0. N is a linear function of f, also where w <= 0. If f moves by t steps of length s along
+// the axis of a, N decreases by t D with D = s (w_j b_k - b_j w_k). The edge is therefore crossed at t = N / D.
 #pragma once
 
 #include <cstddef>
@@ -15,16 +15,16 @@
 
 namespace fourd::antialias {
 
-// Rasterizers snap vertices to a subpixel grid, so that an edge can be up to this number of pixels away from where its
-// vertices say.
+// The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to this number of pixels
+// away from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
 constexpr float kMaxSlope = 1.0e18f;  // In pixels per unit of clip space. Edges with larger slopes have no gradient.
 
 struct Mesh {
     const float* positions;  // (instances, vertices, 4) in clip space.
     const int* triangles;    // (triangle_count, 3) vertex indices.
-    const int* opposite;     // (triangle_count, 3): the third vertex of the neighbour at the edge opposite to each
-                             // vertex. -1 is an edge that is always a silhouette.
+    const int* opposite;     // (triangle_count, 3): element i belongs to the edge opposite to vertex i, and is the third
+                             // vertex of the neighbour across this edge. -1 marks an edge that is always a silhouette.
     std::size_t vertices, triangle_count;
     bool instanced;  // Whether every image has its own positions. Otherwise all images share them.
 
@@ -41,8 +41,8 @@ FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vert
     return {at[0], at[1], at[3]};
 }
 
-// The side of the plane through the camera and the edge from p to q on which r lies: the sign of a determinant. The
-// differences are exact where vertices coincide in the image.
+// A determinant. Its sign is the side of the plane through the camera and the edge from p to q on which r lies. The
+// determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
 FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
     const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
@@ -75,9 +75,9 @@ struct Pair {
     int row, column, axis;
 };
 
-// What the pairs of one pixel look like, as bits of a byte. Bits 0 and 1 are the number of the edge that crosses the
-// pair with the right neighbour, from 1, or 0. Bit 2 is 1 if the edge belongs to the neighbour's triangle. Bits 3 to 5
-// are the same for the lower neighbour.
+// The crossings of the two pairs of a pixel, as bits of a byte. Bits 0 to 2 describe the pair with the right neighbour:
+// bits 0 and 1 are the number of the edge that crosses the pair (1 to 3), or 0 without a crossing, and bit 2 is 1 if
+// the edge belongs to the neighbour's triangle. Bits 3 to 5 describe the pair with the lower neighbour in the same way.
 using Code = unsigned;
 constexpr int kBitsPerPair = 3;
 
@@ -89,10 +89,11 @@ FOURD_HD static inline Code code_of(int edge_number, bool neighbour, int axis) {
     return (static_cast<Code>(edge_number) | (neighbour ? 4u : 0u)) << (kBitsPerPair * axis);
 }
 
-// How to see vertices from the pixel that owns a pair. The owner is the pixel whose triangle is nearer.
+// The origin and the axes for coordinates relative to the owner of a pair. The owner is the pixel whose triangle is
+// nearer. The axis `along` points to the other pixel of the pair, and the axis `across` is perpendicular to it.
 struct Sight {
     float along, across;            // The centre of the owner in normalised device coordinates.
-    float step_along, step_across;  // From one pixel to the next; step_along is towards the other pixel of the pair.
+    float step_along, step_across;  // From one pixel centre to the next. step_along leads to the other pixel of the pair.
     int axis;
 
     FOURD_HD FOURD_INLINE Sight(const Pair& pair, bool neighbour, int height, int width) : axis(pair.axis) {
@@ -117,7 +118,8 @@ FOURD_HD static inline Seen see(const Sight& sight, const Vertex& v) {
     return {a - sight.along * v.w, b - sight.across * v.w, v.w};
 }
 
-// The line of the edge from p to q: its value at the owner, and how much the value falls from pixel to pixel.
+// The line through p and q, as the linear function N (see above): its value at the owner, and how much N decreases per
+// step along and across.
 struct Line {
     float value, fall_along, fall_across;
 
@@ -129,9 +131,10 @@ struct Line {
 
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
-// Returns the number, from 1, of the silhouette edge of the triangle through which the segment from the owner to the
-// other pixel leaves the triangle, or 0. Only edges that are more perpendicular than parallel to the segment count, so
-// that every piece of a silhouette is blended along one axis. `silhouettes` is the result of silhouettes_of().
+// Returns the number (1 to 3) of the silhouette edge through which the segment from the owner to the other pixel leaves
+// the triangle, or 0 if there is none. An edge counts only if its angle to the segment is at least 45 degrees, measured
+// in pixels, so that every piece of a silhouette is blended along one axis. `silhouettes` is the result of
+// silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {
     const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
@@ -177,11 +180,11 @@ FOURD_HD static inline bool second_is_nearer(const float* first, int one, const 
     return second[2] < first[2] || (second[2] == first[2] && two < one);
 }
 
-// The crossing of a pair: which pixel changes by how much, and the derivatives.
+// The crossing of a pair: which pixel changes, by how much, and the derivatives of the position of the crossing.
 struct Crossing {
-    int vertex[2];        // Of the edge.
-    Vertex slope[2];      // Derivatives of the crossing with respect to x, y and w of the vertices.
-    float weight;         // In [0, 0.5]: the changed pixel moves by weight * (source - changed).
+    int vertex[2];        // The ends of the edge.
+    Vertex slope[2];      // Derivatives of the position of the crossing with respect to x, y and w of the ends.
+    float weight;         // In [0, 0.5]: the colour of the changed pixel changes by weight * (source - changed).
     bool changes_owner;   // Whether the changed pixel is the owner. The source is the other pixel.
     bool differentiable;  // Whether all slopes are finite and at most kMaxSlope.
 };

@@ -56,12 +56,12 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 
-// A crossing with the pixels that it changes and copies from.
+// A crossing, the pixel that it changes, and the pixel whose colour is blended in.
 struct Blend {
     Crossing crossing;
     std::size_t changed, source;
-    float towards_source;  // 1 if the changed pixel moves towards the source as the crossing moves away from the owner,
-                           // or -1.
+    float towards_source;  // 1 if the weight of the source increases when the crossing moves away from the owner, and
+                           // -1 if it decreases.
 
     FOURD_HD FOURD_INLINE Blend(const View& view, const Pair& pair, Code code) {
         const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
@@ -76,7 +76,7 @@ struct Blend {
     }
 };
 
-// The gradient of the colours of a changed pixel with respect to how far the crossing is from the owner.
+// The derivative of the loss with respect to the distance of the crossing from the owner, in pixels.
 FOURD_HD static inline float crossing_gradient(const View& view, const Blend& blend, const float* gradient) {
     const std::size_t changed = blend.changed * view.channels, source = blend.source * view.channels;
     const float* colours = view.plan.images.colours;

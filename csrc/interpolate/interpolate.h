@@ -17,7 +17,7 @@ struct Query {
     std::size_t image_stride;  // Vertices between the attributes of two images; 0 if the images share them.
     const std::int32_t* tri;   // (triangles, 3).
     std::size_t triangles;
-    const float* rast;         // (images, height, width, 4): u, v, any number, and the id's value.
+    const float* rast;         // (images, height, width, 4): u, v, an unused number, and the encoded triangle id.
     const float* rast_db;      // (images, height, width, 4); null if diff_count is 0.
     int images, height, width;
     const std::int32_t* diff;  // (diff_count,): channels whose derivatives are wanted, below `channels`.

@@ -1,6 +1,6 @@
 // Numbers the triangles that are visible in a tile of an image, and sums per-triangle values over the tiles for each
-// vertex. The gradients of several operators use both. Sums have a fixed order: first pixels of a tile, then tiles. They
-// do not depend on the number of threads.
+// vertex. The backward passes of several operators use this file. Sums have a fixed order, first over the pixels of a
+// tile, then over the tiles. They do not depend on the number of threads.
 #pragma once
 
 #include <cstddef>
@@ -14,7 +14,7 @@ namespace fourd::meshes {
 
 constexpr int kTile = 32;  // Side of a tile in pixels.
 constexpr int kTilePixels = kTile * kTile;
-// The rows of a tile are far apart in memory, and processors do not prefetch them by themselves.
+// Number of rows to prefetch. The rows of a tile are far apart in memory, so the processor does not prefetch them.
 constexpr int kRowsAhead = 4;
 
 // An image of encoded ids (common/triangle_id.h), in the fourth of four channels.

@@ -4,7 +4,8 @@
 // with respect to b, the gradient of p_k is therefore -b_k M^-T g. M is constant over a triangle, so only the products
 // b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend on M in the same way. Below, g0
 // and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k.
-// The planes have b times their scale, so these gradients are divided by the scale, and their products are not changed.
+// The planes store b multiplied by their scale. The gradients g0, g1 and gs are divided by the scale, so that the
+// products are the same as without it.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -73,7 +74,7 @@ FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, i
         product[j][1] = sums[3 * j + 1];
         product[j][2] = static_cast<double>(sums[3 * j + 2]) - sums[3 * j] - sums[3 * j + 1];
     }
-    // The third element belongs to the vertex 2, not to the sum of all vertices.
+    // The third plane is the sum over all vertices. Subtracting the first two gives the element of vertex 2.
     b_x[2] -= b_x[0] + b_x[1];
     b_y[2] -= b_y[0] + b_y[1];
     for (int k = 0; k < 3; ++k) {

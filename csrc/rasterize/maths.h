@@ -3,11 +3,13 @@
 // exactly the same triangles.
 //
 // Coverage is decided by integers. Vertices are rounded to 1/256 pixel, and edge functions of rounded vertices have no
-// rounding error. A pixel is covered if its centre is inside all three edges. A centre on an edge belongs to the
-// triangle whose left or top edge it is. A triangle with a vertex behind the camera or far outside the image is clipped
-// first. u, v and z/w come from the unclipped triangle (Olano and Greer 1997, Triangle Scan Conversion using 2D
-// Homogeneous Coordinates): with the matrix M of the columns (x, y, w) of the vertices, the vector b = M^-1 (f_x, f_y,
-// 1) has the elements b_k = (barycentric weight of vertex k) / w, and the sum of z_k b_k is z/w.
+// rounding error. A pixel is covered if its centre is inside all three edges. If a centre lies on an edge, the triangle
+// covers it only if the edge is a left or top edge of the triangle. A triangle with a vertex behind the camera or far
+// outside the image is clipped first.
+//
+// u, v and z/w come from the unclipped triangle (Olano and Greer 1997, Triangle Scan Conversion using 2D Homogeneous
+// Coordinates). The columns of the matrix M are the vertices (x, y, w). The vector b = M^-1 (f_x, f_y, 1) has the
+// elements b_k = (barycentric weight of vertex k) / w, and z/w is the sum of z_k b_k.
 //
 // All functions are static, because they are compiled once per instruction set.
 #pragma once
@@ -23,9 +25,9 @@ constexpr int kSubpixelBits = 8;
 constexpr int kSubpixels = 1 << kSubpixelBits;
 constexpr int kHalfPixel = kSubpixels / 2;
 constexpr float kLargestCoefficient = 1e10f;  // Triangles with larger coefficients are degenerate, and are culled.
-constexpr float kSmallestInverseW = 1e-6f;    // Relative to Planes::scale. It is at least 1 inside a triangle.
+constexpr float kSmallestInverseW = 1e-6f;    // Lower limit of scale / w (see Planes), which is at least 1 in a triangle.
 constexpr float kLargestFloat = 3.402823466e38f;
-constexpr int kPlanes = 4;  // The weights divided by w of vertices 0 and 1, 1/w, and z/w.
+constexpr int kPlanes = 4;  // (Weight of vertex 0) / w, (weight of vertex 1) / w, 1/w, and z/w.
 
 struct Screen {
     int width, height;
@@ -151,14 +153,14 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
     return static_cast<double>(2 * pixel + 1) / static_cast<double>(side) - 1.0;
 }
 
-// Linear functions over the image: s (weight of vertex 0) / w, s (weight of vertex 1) / w, s / w and z/w, in this order.
-// The scale s is the largest |w| of the vertices, which makes the functions independent of the unit of w. The value at a
-// pixel is (c + y dy) + x dx, with the pixel's distances dx and dy from the reference pixel.
+// Linear functions over the image: s (weight of vertex 0) / w, s (weight of vertex 1) / w, s / w and z/w, in this
+// order. The scale s is the largest |w| of the vertices, which makes the functions independent of the unit of w. The
+// value at a pixel is (c + y dy) + x dx, with the pixel's distances dx and dy from the reference pixel.
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];
-    // The range of z/w of the vertices. z/w is clamped to it: centres just outside a triangle that is seen from its
-    // edge would otherwise get any depth.
+    // The range of z/w of the vertices. z/w is clamped to this range. Without clamping, a pixel centre just outside a
+    // triangle that is seen edge-on could get an arbitrary depth.
     float low, high;
     bool is_valid;
 };

@@ -27,7 +27,7 @@ struct Query {
     FOURD_HD const float* pos_of(std::size_t image) const { return pos + 4 * image * image_stride; }
 };
 
-// Writes u, v, z/w and the id's value of the nearest triangle to `rast` (images, height, width, 4). Writes du/dX,
+// Writes u, v, z/w and the encoded id of the nearest triangle to `rast` (images, height, width, 4). Writes du/dX,
 // du/dY, dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. If `previous` is not null, it is
 // the `rast` of a previous call, and each pixel takes the next triangle in the order of (z/w, id).
 void rasterize(const Query& query, const float* previous, float* rast, float* rast_db);

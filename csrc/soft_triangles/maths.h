@@ -1,8 +1,9 @@
 // The maths of soft rasterization (SoftRas, Liu et al. 2019), shared by every backend.
 // fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
-// A triangle covers the pixel p by D = sigmoid(x), x = +-d^2 / sigma, positive inside. d is the distance of p from the
-// nearest edge, or the smallest barycentric coordinate. The depth z of the triangle at p interpolates 1 / z linearly in
+// The coverage of the pixel p by a triangle is D = sigmoid(x) with x = d^2 / sigma inside the triangle and
+// x = -d^2 / sigma outside. d is the distance of p from the nearest edge, or the smallest barycentric coordinate of p.
+// The depth z of the triangle at p interpolates 1 / z linearly in
 // the image, with barycentric coordinates that are clamped to at least 0 and normalised to the sum 1. The weight of
 // the triangle is D exp(-z per_depth), which is the weight D exp((far - z) / ((far - near) gamma)) of the paper up to
 // a factor.
@@ -41,11 +42,11 @@ using tiles::tile_span;
 
 struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
-    float sharpness;         // x / d^2: 1 / sigma, for distances in pixels divided by the square of a pixel's size.
+    float sharpness;         // |x| / d^2: 1 / sigma, times the square of a pixel's size if d is a distance in pixels.
     float cut;               // A triangle hits the pixels where x >= -cut.
     float reach;             // The largest distance d outside a triangle at which it hits pixels.
     float per_depth;         // 1 / ((far - near) gamma).
-    float far_depth;         // At a larger depth z, a triangle does not hit the pixel.
+    float far_depth;         // A triangle whose depth z at a pixel is larger than far_depth does not hit the pixel.
     float background_depth;  // The background has the weight of a triangle with D = 1 at this depth.
 };
 
@@ -54,9 +55,9 @@ struct alignas(64) Face {
     float x, y;          // Centroid in pixels.
     float u[3], v[3];    // Corners in pixels, relative to the centroid.
     float inverse_z[3];  // 1 / camera depth of the corners.
-    float inverse_area;  // 1 / doubled signed area.
+    float inverse_area;  // 1 / (2 * signed area).
     float inverse_square[3];     // 1 / squared length of the edges.
-    float slope_x[3], slope_y[3];  // Derivatives of the distances from the edges, in the unit of Softness::reach.
+    float slope_x[3], slope_y[3];  // Derivatives, along x and y, of the distance from each edge, in units of d.
     tiles::TileRange range;
 };
 
@@ -205,8 +206,9 @@ FOURD_HD static inline Number depth_weight(const Softness& softness, Number near
     return exp2_of((nearest - depth) * constant(softness.per_depth * kLog2E, tag));
 }
 
-// Adds the gradient of one triangle at a pixel to `sums` (ShapeGradient's members in their order), from the gradients
-// of x and of the depth, which must be 0 where the triangle does not hit the pixel.
+// Adds the gradient of one triangle at a pixel to `sums`, which has the members of ShapeGradient in their order. to_x
+// and to_depth are the gradients with respect to x and to the depth. They must be 0 where the triangle does not hit the
+// pixel.
 template <typename Number, typename Condition>
 FOURD_HD static inline void add_gradient(const Face& face, const Softness& softness, Number pixel_x, Number pixel_y,
                                          const Coverage<Number, Condition>& at, Number to_x, Number to_depth,

@@ -102,7 +102,7 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
     return out;
 }
 
-// The smallest a_k at a pixel, and the edge k that has it. Of equal values, the first counts.
+// The smallest a_k at a pixel, and the index k of its edge. If several values are equal, k is the smallest index.
 struct Window {
     float dx, dy, smallest;
     int edge;
@@ -117,7 +117,8 @@ FOURD_HD static inline Window window_at(const Splat& splat, float x, float y) {
     return {dx, dy, minimum(a[0], rest), edge};
 }
 
-// How a triangle covers a pixel. `falloff` and `unclamped` have values only if alpha is above 0.
+// How a triangle covers a pixel. If alpha is 0, the triangle does not hit the pixel, and `falloff` and `unclamped` may
+// not be set.
 struct PixelCoverage {
     Window window;
     float falloff, unclamped, alpha;

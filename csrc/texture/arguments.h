@@ -44,11 +44,11 @@ struct TextureArguments {
         const std::size_t coordinates = query.coordinates();
         require(query.boundary == texture::Boundary::cube ? shape.faces == 6 && shape.height == shape.width
                                                           : shape.faces == 1,
-                "levels: expected six square faces for a cube, else one");
+                "levels: expected 6 square faces for a cube map, and 1 face for other textures");
         require(uv.shape(2) == coordinates, "uv: expected 2 coordinates, or 3 for a cube");
         query.pictures = uv.shape(0);
         query.pixels = uv.shape(1);
-        require(shape.items == 1 || shape.items == query.pictures, "levels: expected one texture, or one a picture");
+        require(shape.items == 1 || shape.items == query.pictures, "levels: expected one texture, or one texture per picture");
         require(!uv_da || matches(*uv_da, 2 * coordinates), "uv_da: unexpected shape");
         require(!bias || matches_bias(*bias), "bias: unexpected shape");
         query.uv = uv.data();
@@ -90,21 +90,21 @@ struct TextureArguments {
         return out;
     }
 
-    // The extents of a texture and of the levels that are built from it.
+    // The shapes of level 0 and of the levels that are built from it.
     static std::vector<Extents> chain_extents(const Level& base, const std::vector<LevelOut>& mips) {
         std::vector<Extents> out = extents_of(mips);
         out.insert(out.begin(), extents_of(std::vector<Level>{base})[0]);
         return out;
     }
 
-    // The shape of a texture from the extents of its levels.
+    // Checks the shapes of the levels of a texture, and returns them as one Shape.
     static texture::Shape shape_of(const std::vector<Extents>& levels) {
         require(!levels.empty() && levels.size() <= texture::kMaxLevels, "levels: expected 1 to 16 levels");
         const auto [items, faces, height, width, channels] = levels[0];
         require(items >= 1 && (faces == 1 || faces == 6), "levels: expected at least one texture, of 1 or 6 faces");
         require(height >= 1 && width >= 1 && height <= texture::kMaxSide && width <= texture::kMaxSide,
-                "levels: expected sides from 1 to 2^15");
-        require(faces * height * width <= kMaxTexels, "levels: expected fewer than 2^31 texels a texture");
+                "levels: expected sides from 1 to 2^15 texels");
+        require(faces * height * width <= kMaxTexels, "levels: expected fewer than 2^31 texels per texture");
         require(channels >= 1 && channels <= kMaxChannels, "levels: expected 1 to 4096 channels");
         const texture::Shape out{items,
                                  static_cast<int>(faces),
@@ -112,7 +112,7 @@ struct TextureArguments {
                                  static_cast<int>(width),
                                  static_cast<int>(channels),
                                  static_cast<int>(levels.size())};
-        require_levels(out, levels, "levels: expected sides that halve from level to level");
+        require_levels(out, levels, "levels: expected each level to have half the sides of the level before");
         return out;
     }
 

@@ -93,7 +93,7 @@ FOURD_HD FOURD_INLINE void cube_footprint_backward(const CubePosition& at, const
     }
 }
 
-// The index of a texel that lies one texel outside a face, on one side. The texel is on the neighbouring face.
+// The index of a texel on a neighbouring face. The texel is given by a column or a row one texel outside `face`.
 FOURD_HD FOURD_INLINE int neighbour_texel(int face, int column, int row, int size) {
     // Positions are in half texels, on a cube whose faces are at +-size.
     const CubeFace f = cube_face(face);

@@ -45,7 +45,8 @@ FOURD_HD FOURD_INLINE float log2_of(float x) {
     return static_cast<float>(exponent) + z * (series * z2 + 2.8853901f);
 }
 
-// Derivatives of a texture position by the x and y coordinates of the picture, in texels of level 0 per pixel.
+// Derivatives of a texture position with respect to the x and y coordinates of the picture, in texels of level 0 per
+// pixel.
 struct Footprint {
     float s_x, s_y, t_x, t_y;
 };
@@ -95,7 +96,7 @@ FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
     return square == square ? level : square;
 }
 
-// The derivatives of level_of by the four numbers of a footprint. They are 0 for a point.
+// The derivatives of level_of with respect to the four numbers of a footprint. They are 0 if the footprint is a point.
 FOURD_HD FOURD_INLINE Footprint level_slopes(const Footprint& d) {
     const LongerAxis axis = longer_axis(d);
     const bool is_point = !(axis.square >= kMinSquare);

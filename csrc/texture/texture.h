@@ -43,7 +43,8 @@ struct Query {
     Boundary boundary;
     const float* uv;      // (pictures, pixels, 2), or (pictures, pixels, 3) for a cube.
     const float* uv_da;   // (pictures, pixels, 4), or (pictures, pixels, 6) for a cube. May be null.
-    const float* bias;    // (pictures, pixels). May be null. Only filters with mip levels read uv_da and bias.
+    const float* bias;    // (pictures, pixels), added to the mip level. May be null. Only filters with mip levels read
+                          // uv_da and bias.
     std::size_t pictures, pixels;
     int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.
     Simd simd;    // An instruction set that this machine supports. Only the CPU uses simd.
@@ -51,7 +52,8 @@ struct Query {
     FOURD_HD FOURD_INLINE int coordinates() const { return boundary == Boundary::cube ? 3 : 2; }
 };
 
-// Gradients with respect to the inputs, in their shapes. Null pointers are gradients that nobody needs.
+// Gradients with respect to the inputs, in the shapes of the inputs. Null pointers stand for gradients that are not
+// needed.
 struct Gradients {
     float* levels[kMaxLevels];  // All levels, or none.
     float* uv;
@@ -62,8 +64,8 @@ struct Gradients {
 // Writes the picture (pictures, pixels, channels).
 void sample(const Query& query, float* out);
 
-// `gradient` is the gradient with respect to the picture. If is_chain, levels 1 and up are functions of level 0, and
-// their gradients are added to the gradient of level 0.
+// `gradient` is the gradient of the loss with respect to the picture. If is_chain is true, levels 1 and up were
+// computed from level 0, so their gradients are added to the gradient of level 0.
 void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out);
 
 // Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels, or of 2 if an axis has one texel.

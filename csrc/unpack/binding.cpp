@@ -35,7 +35,7 @@ void unpack_harmonics(const Bytes& content, const Array<const float, 2>& basis, 
 }
 
 unpack::View view_of(const Bytes& content, std::size_t points, bool every_point_has_colours) {
-    require(content.shape(0) >= points, "contents: expected a code for each point");
+    require(content.shape(0) >= points, "contents: expected a weight code for each point");
     const std::size_t none = static_cast<std::size_t>(std::count(content.data(), content.data() + points, 0));
     const std::size_t colours = every_point_has_colours ? points : points - none;
     require(content.shape(0) == points + 3 * colours, "contents: expected three bytes for each point with a colour");
@@ -49,7 +49,7 @@ void unpack_views(const std::vector<Bytes>& contents, const Array<const std::uin
     const std::size_t points = mean.shape(0), count = contents.size();
     require(mean.shape(1) == 3, "mean: expected shape (N, 3)");
     require(weights.shape(0) == unpack::kWeightCodes, "weights: expected 256 values");
-    require(colour_step >= 1 && colour_step <= 127, "colour_step: expected 1 to 127");
+    require(colour_step >= 1 && colour_step <= 127, "colour_step: expected a whole number from 1 to 127");
     require(out_weights.shape(0) == points && out_weights.shape(1) == count, "out_weights: unexpected shape");
     require(out_rgb.shape(0) == points && out_rgb.shape(1) == count && out_rgb.shape(2) == 3,
             "out_rgb: unexpected shape");

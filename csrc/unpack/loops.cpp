@@ -44,8 +44,8 @@ FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int s
     return static_cast<std::uint8_t>(step == 1 ? sum : clamped);
 }
 
-// Writes one view of `count` points. Returns the number of colours that were read. Points without a colour read a level
-// that they do not use, because a branch is slower: it is hardly predictable.
+// Writes one view of `count` points. Returns the number of colours that were read. Points without a colour also read a
+// level, which is then masked. A branch would be slower, because the processor cannot predict it.
 std::size_t view(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
                  std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];

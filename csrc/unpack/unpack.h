@@ -12,12 +12,13 @@ namespace fourd::unpack {
 constexpr int kShNumbers = 48;
 constexpr int kWeightCodes = 256;
 
-// Spherical harmonics as factors of basis rows.
+// Spherical harmonics. The coefficients of a point are the mean plus a sum of basis rows. Each row is multiplied by a
+// factor of the point.
 struct Harmonics {
     const std::uint8_t* low;   // (rows, points): low bytes of the zigzag-coded factors.
     const std::uint8_t* high;  // (rows, points): high bytes.
     std::size_t rows, points;
-    const float* basis;  // (rows, kShNumbers), multiplied by the step.
+    const float* basis;  // (rows, kShNumbers), already multiplied by the quantization step.
     const float* mean;   // (kShNumbers).
 };
 
@@ -35,7 +36,7 @@ struct Views {
     const std::uint8_t* mean;      // (points, 3).
     const std::uint16_t* weights;  // (kWeightCodes): the blend weight of each code, as a half.
     int colour_step;               // 1 to 127.
-    bool every_point_has_colours;  // Otherwise only the points whose code is not 0.
+    bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
 };
 
 struct Loops {

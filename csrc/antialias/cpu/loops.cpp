@@ -42,7 +42,7 @@ FOURD_INLINE void copy_ids(const float* FOURD_RESTRICT rast, int width, float* F
     for (int j = 0; j < width; ++j) ids[j] = rast[4 * static_cast<std::size_t>(j) + 3];
 }
 
-// Bit 0 of changes[j]: the right neighbour has another id. Bit 1: the lower neighbour has.
+// Bit 0 of changes[j] is 1 if the right neighbour has another id, and bit 1 is 1 if the lower neighbour has another id.
 FOURD_INLINE void find_changes(const float* FOURD_RESTRICT ids, const float* FOURD_RESTRICT below,
                                int width, std::uint8_t* FOURD_RESTRICT changes) {
     for (int j = 0; j + 1 < width; ++j) changes[j] = static_cast<std::uint8_t>(ids[j] != ids[j + 1]);

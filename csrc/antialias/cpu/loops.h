@@ -12,9 +12,9 @@ struct Rows {
     int begin, end;
 };
 
-// The change of a vertex's gradient by one crossing.
+// What one crossing adds to the gradient of one vertex.
 struct Contribution {
-    std::uint32_t vertex;  // Index in all instances.
+    std::uint32_t vertex;  // Index over all instances: instance * vertices + vertex.
     float x, y, w;
 };
 
@@ -24,18 +24,18 @@ struct Loops {
     // Writes the colours and the codes of some rows. `scratch` has three times the width.
     void (*blend)(const Plan&, const Rows&, float* scratch, float* out, std::uint8_t* codes);
 
-    // The number of crossings of the pixels of some rows with their right and lower neighbours.
+    // Counts the crossings between the pixels of some rows and their right and lower neighbours.
     std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
 
-    // Writes the gradient of the colours of some rows and, for each crossing, two contributions to the gradient of the
-    // positions. `contributions` may be null.
+    // Writes the gradient of the colours of some rows. If `contributions` is not null, also writes two contributions to
+    // the gradient of the positions for each crossing.
     void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
 
-    // Sums the contributions to vertices [begin, end) in their order.
+    // Adds the contributions to vertices [begin, end) to `positions`, in the order of the contributions.
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 
-// The loops are not compiled for AVX-512: they wait for memory and for branches.
+// The loops are not compiled for AVX-512, because memory accesses and branches limit their speed.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::antialias

@@ -95,7 +95,7 @@ FOURD_INLINE void clear_pixel(const Gradients& gradients, std::size_t pixel) {
     if (gradients.rast_db != nullptr) std::memset(gradients.rast_db + 4 * pixel, 0, 4 * sizeof(float));
 }
 
-// The rows of a tile are far apart in memory, and processors do not prefetch them by themselves.
+// Number of rows to prefetch. The rows of a tile are far apart in memory, so the processor does not prefetch them.
 constexpr int kRowsAhead = 4;
 
 FOURD_INLINE void prefetch_row(const Query& query, const Gradients& gradients, std::size_t pixel, int columns) {

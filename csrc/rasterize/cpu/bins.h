@@ -41,8 +41,8 @@ class Bins {
     std::size_t vertex_images_ = 0;                // 1 if the images share their positions.
     Buffer<Snapped> vertices_;
     std::vector<std::size_t> first_item_;          // First item of each image. An item is a triangle of an image.
-    std::vector<std::vector<Entry>> entries_;      // Of each part.
-    std::vector<std::vector<std::uint32_t>> counts_;  // Of each part: number of pieces in every tile.
+    std::vector<std::vector<Entry>> entries_;      // The pieces of each part of the items.
+    std::vector<std::vector<std::uint32_t>> counts_;  // For each part: number of pieces in every tile.
     Buffer<Piece> pieces_;
     std::vector<std::size_t> begin_;               // First piece of each tile, followed by the number of pieces.
 };

@@ -13,7 +13,7 @@ constexpr int kTilePixels = kTile * kTile;
 // The planes of the triangles of a tile, as a structure of arrays. Each array has `capacity` elements.
 struct Records {
     static constexpr int kFields = 3 * kPlanes + 4;
-    float* values;  // (kFields, capacity): c, x and y of the planes, range of z/w, id's value, and scale.
+    float* values;  // (kFields, capacity): c, x and y of the planes, range of z/w, encoded id, and scale.
     std::uint32_t* references;  // Reference pixels: x in the lower 16 bits, y in the upper 16.
     std::size_t capacity;
 
@@ -34,7 +34,7 @@ struct Tile {
     std::size_t count;        // Number of pieces.
     int column, row;          // The first pixel of the tile.
     Records records;          // Scratch memory for at least `count` records.
-    const float* previous;    // (height, width, 4): the layer before; may be null.
+    const float* previous;    // (height, width, 4): `rast` of the previous layer; may be null.
     float* rast;              // (height, width, 4).
     float* rast_db;           // (height, width, 4); may be null.
 };
@@ -55,7 +55,7 @@ struct GradientTile {
     float* out;                    // (slots, 12): gradients of x, y, z and w of the three vertices.
 };
 
-constexpr std::size_t kSumStride = 16;  // Floats per slot of GradientTile::sums, a multiple of a vector.
+constexpr std::size_t kSumStride = 16;  // Floats per slot of GradientTile::sums, a multiple of the vector size.
 
 struct Loops {
     // Rasterizes the pieces of a tile and writes all its pixels.

@@ -62,7 +62,8 @@ struct View {
     }
 };
 
-// The nearest triangles of a pixel, at most `layers`: those in front of `last`, and the first `ties` at this depth.
+// Selects the nearest triangles of a pixel, at most `layers`: all triangles in front of the depth `last`, and the first
+// `ties` triangles at this depth.
 struct Nearest {
     float depth;  // The smallest depth of the triangles and the background.
     float last;
@@ -91,8 +92,9 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
     return value;
 }
 
-// Without more hits than layers, the pixel takes all of them. Otherwise, the search for the depth of the last triangle
-// halves a range of float bits, which have the order of the positive floats.
+// If a pixel has at most `layers` hits, it takes all of them. Otherwise, a binary search finds the depth of the last
+// triangle that it takes. The search runs over the bits of the depths, which as integers have the same order as the
+// depths, because depths are positive.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {
     Nearest out{view.softness.background_depth, kNoHit, 0};
     int hits = 0;

@@ -1,7 +1,7 @@
 // The backward pass on the CPU. The texels of each level are divided into bands. A first pass over the pixels writes
-// the gradients of the positions, and lists for each band the pixels that read its texels. In a second pass, a worker
-// adds all pixels of a band to the band's texels, in the order of the pixels. Nothing depends on the number of threads.
-// Writing needs no locks, and the sums of a band stay in the L2 cache.
+// the gradients of the positions, and lists for each band the pixels that read its texels. In a second pass, one worker
+// per band adds the gradients of these pixels to the band's texels, in the order of the pixels. Results therefore do
+// not depend on the number of threads, the second pass needs no locks, and the sums of a band stay in the L2 cache.
 #include <cstring>
 
 #include "common/buffer.h"
@@ -12,10 +12,10 @@
 namespace fourd::texture {
 namespace {
 
-// Bands are as large as 16 rows of texels, so that few pixels read the texels of two bands, but not larger than the L2
-// cache.
+// A band has about 16 rows of texels, so that few pixels read texels of two bands. A band also fits into the L2 cache.
 constexpr std::size_t kRowsPerBand = 16, kMinBandTexels = 1 << 12, kMaxBandFloats = 1 << 18;
-// If more pixels read the texels of a band, parts of them are summed separately, in parallel.
+// If a band has more entries than this, the entries are divided into parts, which are summed separately and in
+// parallel.
 constexpr std::size_t kMaxEntriesPerPart = 1 << 15;
 
 Bands bands_of(const Shape& shape) {
@@ -84,8 +84,8 @@ struct Part {
     int level;
     std::size_t band;
     std::size_t first_task, last_task;
-    int number, count;  // Position among the parts of the band, and their number.
-    std::size_t sums;   // Index of the sums among those that must be added up, if the band has several parts.
+    int number, count;  // Index of this part among the parts of the band, and the number of these parts.
+    std::size_t sums;   // Index of this part's sums in the array of partial sums, if the band has several parts.
 };
 
 // Computes the gradient of the texture.

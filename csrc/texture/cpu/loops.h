@@ -25,8 +25,8 @@ struct Bands {
     int count;
 };
 
-// An entry says that a pixel of a task reads texels of a band: twice the index of the pixel in its task, plus 1 for the
-// second of the two levels that the pixel blends.
+// An entry is a pixel of a task that reads texels of a band. Its value is twice the index of the pixel in its task,
+// plus 1 if the texels belong to the second of the two levels that the pixel blends.
 using Entry = std::uint16_t;
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;  // Per task: four texels in each of two levels.
 
@@ -56,9 +56,11 @@ struct Loops {
     // Adds the contributions of some entries of a task to the sums of a band.
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
-    // Computes some rows of a level from the finer level, which has two rows for each row if halves_rows, else one.
+    // Computes some rows of a level from the finer level. The finer level has two rows for each row if halves_rows is
+    // true, and one row otherwise.
     void (*halve)(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out);
-    // Adds to some rows of the gradient of a level the gradient of the coarser level.
+    // The backward pass of halve: adds the gradient of the coarser level to some rows of the gradient of the finer
+    // level.
     void (*halve_backward)(const float* coarse, int fine_width, bool halves_rows, int channels, std::size_t rows,
                            float* fine);
 };

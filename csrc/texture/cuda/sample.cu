@@ -62,7 +62,8 @@ struct SampleBackward {
     }
 
   private:
-    // Adds the part of one of the two levels. `sign` is that of the level's value in the gradient of the mip level.
+    // Adds the contribution of one of the two levels. `sign` is 1 or -1: the sign with which the level's value enters
+    // the derivative with respect to the mip level.
     FOURD_DEVICE void add(const Lookup& at, int level, float blend, float sign, std::size_t pixel,
                           PixelGradient& sum) const {
         const Texels texels = at.texels(query, level);
@@ -117,8 +118,8 @@ struct SampleBackward {
     }
 };
 
-// A float of a coarser level, and the floats of the finer level that it is the mean of. Rows of all images are
-// consecutive, because only sides of one texel are odd.
+// One float of a coarser level, and the floats of the finer level whose mean it is. The rows of all images can be
+// numbered consecutively, because a side with an odd number of texels has exactly one texel.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;
