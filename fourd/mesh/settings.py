@@ -20,8 +20,8 @@ class MeshSettings:
         format: "glb" for textured meshes in GLB files and an animation, "ply" for meshes with vertex colours.
         agreement: share in (0, 1]. Of the views that see a point of the hull, this share must have it in their mattes.
         least_views: share in (0, 1]. At least this share of all views must see a point of the hull.
-        trim: whether to remove protruding parts of the hull that no silhouette needs before fitting.
-        remesh: length of the edges after isotropic remeshing, in cubes; 0 keeps the triangles of the grid.
+        trim: whether to remove protruding parts of the hull before fitting. The remaining hull still covers all mattes.
+        remesh: edge length after isotropic remeshing, in cubes of the grid; 0 keeps the triangles of the grid.
         fit: settings of the fit.
     """
 

@@ -19,7 +19,8 @@ MARGIN_PX = 16
 """Margin in pixels between the matte and the border of the crop."""
 
 NEAR_SHARE = 0.05
-"""Near plane as a share of the nearest vertex's depth. Far planes are as far beyond the farthest vertex."""
+"""Depth of the near plane, as a share of the depth of the nearest vertex. The depth of the far plane is twice the depth
+of the farthest vertex."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +43,7 @@ class MeshView:
     ) -> MeshView:
         """Crop an undistorted image (H, W, 3) and its matte (H, W) to the subject.
 
-        The crop of an empty matte is the whole image: such a view shows that the subject is not there.
+        If the matte is empty, the crop is the whole image, because the view still shows where the subject is not.
 
         Raises:
             ValueError: if the sizes of image, matte and camera differ.

@@ -141,7 +141,7 @@ def test_damaged_files_are_named(tmp_path: Path) -> None:
     other["meshes"] = []
     text = json.dumps(other, separators=(",", ":")).encode().ljust(length)
     path.write_bytes(whole[:20] + text + whole[20 + length :])
-    with pytest.raises(UserError, match=r"a\.glb: expected a textured mesh of fourd mesh"):
+    with pytest.raises(UserError, match=r"a\.glb: expected a textured mesh that fourd mesh wrote"):
         read_mesh(path)
     with pytest.raises(ValueError, match="frames: expected at least one"):
         write_animation(tmp_path / "b.glb", [], 10.0, Z_UP)

@@ -29,8 +29,8 @@ class Arguments:
     and is fitted to mattes and images. Run an interrupted command again to resume it."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE|RUN")]]
-    """Capture folder with masks/ or the output of fourd matte, or run folder. A run gives its capture, its views, and
-    its cameras after refinement."""
+    """A capture folder that contains masks/ or the output of fourd matte, or a run folder. For a run folder, the meshes
+    are made from the run's capture, with the views, frames and refined cameras of the run."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="DIR")]
     """Folder to write the meshes to."""
     views: Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)] = None
@@ -41,17 +41,17 @@ class Arguments:
     scale: Annotated[float | None, option("FLOAT", "1, or the run's")] = None
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     cells: int = MeshSettings.cells
-    """Number of cells of the grid along the longest side of the subject. The number of triangles grows with the square
-    of this number, and the time with its square or more."""
+    """Number of grid cells along the longest side of the subject. The number of triangles is proportional to the square
+    of this number. The time grows at least as fast."""
     steps: int = FitSettings.steps
     """Number of gradient steps of each frame. With 0, the meshes are the visual hulls."""
     remesh: float = MeshSettings.remesh
-    """Length of the edges after isotropic remeshing, in cells, for fewer and more regular triangles. 0 keeps the
-    triangles of the grid. Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""
+    """Replaces the triangles by fewer and nearly equilateral triangles with edges of this length, in grid cells. 0
+    keeps the triangles of the grid. Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""
     texture_size: int = MeshSettings.texture_size
     """Width and height of the textures in texels."""
     format: MeshFormat = MeshSettings.format
-    """glb: textured meshes, metres, y up. ply: meshes with colours at the vertices, in world coordinates."""
+    """glb: textured meshes with the y axis up. ply: meshes with one colour per vertex, in world coordinates."""
     agreement: Annotated[
         float,
         describe(

@@ -1,8 +1,8 @@
 """An animated GLB file from the GLB files of single frames.
 
 The frames have different triangles, so neither skinning nor morph targets can animate them. The file has one node for
-each frame. Step keyframes of the node's scale are 1 while the frame is shown and 0 otherwise, which every viewer of
-animated glTF files plays.
+each frame. The animation changes the scale of the nodes in steps: the scale is 1 while the frame is shown, and 0
+otherwise.
 """
 
 from __future__ import annotations

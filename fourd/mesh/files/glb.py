@@ -93,7 +93,9 @@ def read_glb(path: Path) -> GlbFile:
             magic, version, total = struct.unpack("<III", stream.read(12))
             length, kind = struct.unpack("<II", stream.read(8))
             if magic != MAGIC or version != 2 or kind != JSON_CHUNK or total != path.stat().st_size:
-                raise ValueError("no GLB file of version 2, or a file of another length than it states")
+                raise ValueError(
+                    "a file that is not GLB version 2, or whose length differs from the length in its header"
+                )
             document = json.loads(stream.read(length).decode("utf-8"))
             binary_length, kind = struct.unpack("<II", stream.read(8))
             if kind != BINARY_CHUNK or not isinstance(document, dict):
@@ -109,7 +111,7 @@ def read_mesh(path: Path) -> TexturedMesh:
     """Read the first mesh of a GLB file that :func:`write_glb` wrote.
 
     Raises:
-        UserError: if the file is missing or damaged, or its mesh has not the attributes that fourd writes.
+        UserError: if the file is missing or damaged, or its mesh lacks attributes that fourd writes.
     """
     file = read_glb(path)
     try:
@@ -128,7 +130,7 @@ def read_mesh(path: Path) -> TexturedMesh:
         )
     except (KeyError, IndexError, TypeError, ValueError) as error:
         raise UserError(
-            f"{path}: expected a textured mesh of fourd mesh, got none ({error}); run fourd mesh again"
+            f"{path}: expected a textured mesh that fourd mesh wrote, got none ({error}); run fourd mesh again"
         ) from error
 
 

@@ -19,7 +19,7 @@ from fourd.carving.surface import surface_cells
 from fourd.mesh.surface.grid import TetrahedralGrid, cube_grid
 
 BAND_CELLS = 2
-"""Number of cubes on each side of the surface that the grid contains beside the cubes that the surface cuts."""
+"""Width in cubes of the grid on each side of the cubes at the surface."""
 
 SMOOTHING_CELLS = 1.2
 """Standard deviation in cubes of the Gaussian that smooths the hull without its excess parts."""
@@ -63,13 +63,14 @@ def hull_distance_grid(
         cells: number of cubes along the longest side of ``bounds``, at least 1.
         agreement: share in (0, 1]. Of the views that see a point, this share must have the point in their mattes.
         least_views: share in (0, 1]. A point must project inside the image in at least this share of all views.
-        trim: remove protruding parts of the hull that no silhouette needs; see :mod:`fourd.carving.excess`.
+        trim: whether to remove protruding parts of the hull (see :mod:`fourd.carving.excess`). The remaining hull still
+            covers all mattes.
         names: camera names for messages.
         label: name of the masks for messages.
 
     Raises:
         UserError: if the hull is empty. The message names the views that remove most of the hull of the other views.
-        ValueError: if ``cells`` is below 1, or masks, cameras and shares do not fit (see :class:`Silhouettes`).
+        ValueError: if ``cells`` is below 1, or masks, cameras or shares are invalid (see :class:`Silhouettes`).
     """
     if cells < 1:
         raise ValueError(f"cells: expected at least 1, got {cells}")
@@ -103,7 +104,7 @@ class _RemovedParts:
     Attributes:
         hull: the grid of cells.
         share: removed share of the neighbourhood of each cell, in [0, 1], in the shape of the grid.
-        surface: (3, N) centres of cells next to the surface that remains, relative to the origin of the silhouettes.
+        surface: (3, N) centres of cells next to the remaining surface, relative to the origin of the silhouettes.
     """
 
     hull: FilledHull

@@ -12,7 +12,8 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 MIN_COSINE = 0.25
-"""Points at a smaller cosine between normal and viewing direction are not compared: their pixels are stretched."""
+"""Points with a smaller cosine between normal and viewing direction are not compared, because they are seen at a
+grazing angle."""
 
 DEPTH_TOLERANCE_PX = 3.0
 """A point is visible in a view if it is at most this many pixels behind the depth image."""
@@ -44,9 +45,9 @@ class PhotoView:
 def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, sources: Sequence[PhotoView]) -> Tensor:
     """Mean colour difference between a target view and the source views that see the same surface points.
 
-    A source view sees a point if it faces the camera and no other part of the mesh hides it. The difference of a point
-    is the smaller half of the differences to the source views that see it: highlights and wrong visibilities are then
-    often ignored.
+    A source view sees a point if the surface at the point faces the camera of the view and no other part of the mesh
+    hides the point. For each point, only the smaller half of the colour differences to these source views is used. This
+    ignores most highlights and most errors of the visibility.
 
     Args:
         xyz: (P, 3) surface points, differentiable.

@@ -11,12 +11,13 @@ class FitSettings:
 
     Attributes:
         steps: number of gradient steps, 0 or more. With 0, the surface is the visual hull.
-        rate: learning rate of distances and offsets, in cubes, more than 0. It falls to a tenth until the last step.
+        rate: initial learning rate of distances and offsets, in cubes, more than 0. It decreases to a tenth of this
+            value at the last step.
         silhouette: weight of the squared difference between rendered and given mattes.
         photo: weight of the colour difference between views of the same surface point.
-        laplacian: weight of the squared Laplacian in squared cubes.
-        normal: weight of the normal consistency.
-        sources: number of views with which each target view is compared.
+        laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, in squared cubes.
+        normal: weight of :func:`fourd.mesh.surface.losses.normal_consistency_loss`.
+        sources: number of source views with which each target view is compared.
         seed: random seed of the order of the views.
     """
 

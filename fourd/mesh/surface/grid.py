@@ -113,7 +113,7 @@ def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
 
 
 def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One integer for each position (..., 3). Positions with other coordinates have other integers."""
+    """One integer for each position (..., 3). Different positions have different integers."""
     x, y, z = np.moveaxis(positions, -1, 0)
     return (x << (2 * _KEY_BITS)) | (y << _KEY_BITS) | z
 
@@ -121,7 +121,7 @@ def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
 def _border_vertices(tetrahedra: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
     """(V,) bool: whether a vertex belongs to a face of only one tetrahedron."""
     faces = np.sort(np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)]), axis=1)
-    # A hash of the three indices would also do; the exact key needs at most 63 bits for up to 2^21 vertices.
+    # Sorting puts the two copies of a shared face next to each other.
     order = np.lexsort(faces.T)
     ordered = faces[order]
     is_first = np.ones(len(ordered), np.bool_)

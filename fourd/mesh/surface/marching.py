@@ -62,8 +62,8 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
             :class:`fourd.mesh.surface.grid.TetrahedralGrid`.
 
     Returns:
-        The surface. It has no vertices if all distances have the same sign. The set of triangles is constant in the
-        gradient.
+        The surface. It has no vertices if all distances have the same sign. Gradients treat the set of triangles as
+        constant.
 
     Raises:
         TypeError, ValueError: for a wrong dtype or shape, with a message that names the argument.

@@ -46,9 +46,9 @@ def blend_views(xyz: Floats, normals: Floats, sources: Sequence[SourceView]) -> 
     """Blend the colours of points from the views that see them.
 
     The weight of a view is cos^p m^2. cos is the cosine between the normal and the direction to the camera, and p is
-    ANGLE_POWER. m is the smallest matte of the 3 x 3 pixels around the point, so that pixels at the contour, which mix
-    with the background, have little weight. Points that the mesh hides have the weight 0. The depth next to the point
-    in the 3 x 3 pixels decides, so that no colours of a near part are painted on the part behind its contour.
+    ANGLE_POWER. m is the smallest matte value of the 3 x 3 pixels around the point. Pixels at the contour, which mix
+    subject and background, therefore have little weight. The weight is 0 if the point lies behind the smallest depth of
+    the 3 x 3 pixels. Near the contour of a part in front, its colours are therefore not painted on the part behind it.
 
     Args:
         xyz: (P, 3) points on the mesh.

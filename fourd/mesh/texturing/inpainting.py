@@ -36,12 +36,12 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
     columns = np.concatenate([triangles[:, a] for a in (1, 2, 0, 0, 1, 2)])
     adjacency = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
     adjacency.data[:] = 1
-    # A weak pull to grey makes the system regular for parts without a known colour.
-    pull = 1e-6
-    degree = np.asarray(adjacency.sum(axis=1)).ravel() + pull
+    # A small weight towards grey keeps the linear system regular for parts without a known colour.
+    grey_weight = 1e-6
+    degree = np.asarray(adjacency.sum(axis=1)).ravel() + grey_weight
     unknown = np.flatnonzero(~known)
     system = (diags_array(degree) - adjacency).tocsr()[unknown]
-    target = pull * GREY - system[:, np.flatnonzero(known)] @ rgb[known].astype(np.float64)
+    target = grey_weight * GREY - system[:, np.flatnonzero(known)] @ rgb[known].astype(np.float64)
     filled = rgb.copy()
     solution = spsolve(system[:, unknown].tocsc(), target)
     filled[unknown] = np.asarray(solution).reshape(-1, 3).clip(0, 1)
