@@ -1,6 +1,7 @@
-// Triangle ids as values of a float32 image, which the kernels for triangles share. 0 is the background. Triangle i is
-// the number i + 1. Numbers up to 2^24 are stored as floats. float32 cannot represent every larger integer, so a larger
-// number n is stored as the float with the bits 0x4a800000 + n. These floats are also in ascending order.
+// Triangle ids as values of a float32 image, which the kernels for triangles share. The value 0 is the
+// background. Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. float32 cannot represent
+// every larger integer, so a larger number n is stored as the float with the bits 0x4a800000 + n. These floats are also
+// in ascending order.
 #pragma once
 
 #include <cstdint>

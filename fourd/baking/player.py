@@ -45,7 +45,7 @@ class Player:
             layers: K, the maximum number of points that a pixel composites. If ``layers`` is None, the manifest's value
                 is used.
             background: RGB colour behind the points, in [0, 1].
-            threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
+            threads: number of threads. 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
             out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is created.
 
         Raises:

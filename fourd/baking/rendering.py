@@ -105,7 +105,7 @@ class Scene:
             layers: maximum number of points that a pixel composites. If ``layers`` is None, the manifest's value is
                 used.
             background: (3,) RGB colour in [0, 1] behind the points, or None for black.
-            threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
+            threads: number of threads. 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
         Raises:
             IndexError: if the scene has no such frame. UserError: if the file is damaged.

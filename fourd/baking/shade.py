@@ -19,7 +19,7 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
 
     Args:
         frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
-        threads: number of threads. 0 selects the environment variable FOURD_THREADS, or all cores if it is not set.
+        threads: number of threads. 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
     """
     arrays = (frame.xyz, frame.sh, frame.blend_weights, frame.rgb)
     return shade_points(*arrays, make_shading(camera, manifest), threads=threads)

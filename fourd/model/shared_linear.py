@@ -16,7 +16,7 @@ def shared_linear(features: Tensor, layers: Sequence[nn.Linear]) -> list[Tensor]
     that contains all outputs.
 
     The outputs equal the outputs of separate layers, up to rounding errors from the order of summation. The outputs are
-    differentiable once in features, weights and biases.
+    differentiable in features, weights and biases. Second derivatives are not supported.
     """
     parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]
     return list(_SharedLinear.apply(features, *parameters))

@@ -33,7 +33,7 @@ _LOG_LEVELS = (logging.INFO, logging.WARNING, logging.ERROR, logging.CRITICAL)
 
 
 class RasterizeCudaContext:
-    """Takes the place of nvdiffrast's context. A context holds no resources here. ``device`` is ignored."""
+    """Replaces nvdiffrast's class of the same name. It holds no resources, and ``device`` is ignored."""
 
     output_db = True
 
@@ -42,7 +42,7 @@ class RasterizeCudaContext:
 
 
 class RasterizeGLContext:
-    """Takes the place of nvdiffrast's OpenGL context. ``mode`` and ``device`` are ignored.
+    """Replaces nvdiffrast's class of the same name. It holds no resources, and ``mode`` and ``device`` have no effect.
 
     Attributes:
         output_db: whether :func:`rasterize` computes ``rast_db``. Without it, ``rast_db`` has the shape (B, H, W, 0).

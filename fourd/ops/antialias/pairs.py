@@ -15,14 +15,15 @@ EDGES = ((1, 2), (2, 0), (0, 1))
 
 @dataclass(frozen=True)
 class Pairs:
-    """Pairs of neighbouring pixels along one axis, as seen from the pixel of the nearer triangle, the owner.
+    """Pairs of neighbouring pixels along one axis. The owner of a pair is the pixel whose triangle is nearer.
 
     Attributes:
         image, owner, other: (N,) image of the batch, and flat indices of the pixels in all images.
         triangle: (N,) triangle of the owner.
         other_triangle: (N,) triangle of the other pixel, or -1.
         centre: (N, 2) centre of the owner in normalised device coordinates, along and across the pair.
-        step: (N, 2) from pixel to pixel; the first component is towards the other pixel.
+        step: (N, 2) distances between neighbouring pixel centres in normalised device coordinates, along and across the
+            pair. The sign of the first distance leads from the owner to the other pixel.
         axis: 0 for right neighbours, 1 for lower neighbours.
     """
 
@@ -49,7 +50,7 @@ class Pairs:
 
 
 def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
-    """Return the pairs whose ids differ."""
+    """Return the pairs of neighbouring pixels that show different triangles."""
     batch, height, width, _ = rast.shape
     ids = decode_ids(rast[..., 3]).long()
     ids = torch.where(ids < triangles, ids, -1).reshape(-1)
@@ -80,7 +81,8 @@ def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
 
 
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return the value of an edge's line at the owner, and how much it falls per pixel along and across the pair."""
+    """Return a linear function that is 0 on the edge from p to q: its value (N,) at the owner, and how much it
+    decreases per pixel along and across the pair."""
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
     across = pairs.step[:, 1] * (p[:, 0] * q[:, 2] - p[:, 2] * q[:, 0])
@@ -98,7 +100,7 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
     perpendicular = (along >= across) if pairs.axis == 0 else (along > across)
     crossing = value / along
     valid = perpendicular & (along > 0) & (crossing >= -TOLERANCE_PX) & (crossing <= 1 + TOLERANCE_PX)
-    # Of equal crossings, the kernels take the last.
+    # If several edges have the same crossing, the kernels select the last edge.
     nearest, edge = torch.where(valid, crossing, torch.inf).flip(1).min(1)
     edge = 2 - edge
     slack = TOLERANCE_PX * (along.abs() + across)
@@ -129,7 +131,8 @@ def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
 
 
 def crossing_of_edge(pairs: Pairs, clip: Tensor, tri: Tensor, edge: Tensor) -> Tensor:
-    """Return how far from the owner, in pixels, the edge 0 to 2 of its triangle crosses each pair. Differentiable."""
+    """Return the distance (N,), in pixels, from the owner to the crossing of the edge with the given number (0 to 2).
+    Differentiable."""
     ends = torch.tensor(EDGES, device=tri.device)[edge]
     seen = see(pairs, clip, tri.long()[pairs.triangle[:, None], ends])
     value, fall, _ = line_of(pairs, seen[:, 0], seen[:, 1])

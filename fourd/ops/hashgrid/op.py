@@ -33,9 +33,9 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
         shape: sizes of the grid.
 
     Returns:
-        (N, shape.out_features), coarsest level first. The features are differentiable once in the table and in the
-        coordinates. Clamped coordinates have a gradient of 0. Gradients are computed only if autograd requests them. On
-        the CPU, the gradient is bit-identical for any number of threads (FOURD_THREADS, else torch.get_num_threads()).
+        (N, shape.out_features), coarsest level first. The features are differentiable in the table and in the
+        coordinates. Second derivatives are not supported. Clamped coordinates have a gradient of 0. Gradients are
+        computed only if autograd requests them. On the CPU, the gradient is bit-identical for any number of threads.
         On a GPU, the gradient's last bits vary between calls.
 
     Raises:

@@ -1,7 +1,7 @@
 """Triangle ids as values of a float32 image. ``csrc/common/triangle_id.h`` has the same functions for the kernels.
 
-0 is the background. Triangle i is the number i + 1. Numbers up to 2^24 are stored as floats. float32 cannot represent
-every larger integer, so a larger number n is stored as the float with the bits 0x4a800000 + n.
+The value 0 is the background. Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. float32
+cannot represent every larger integer, so a larger number n is stored as the float with the bits 0x4a800000 + n.
 """
 
 from __future__ import annotations

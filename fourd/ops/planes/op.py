@@ -32,7 +32,7 @@ def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[
 
     Returns:
         (N, F * len(planes)) features, differentiable in the planes and the coordinates. On the CPU, the gradient is
-        bit-identical for any number of threads (FOURD_THREADS, else torch.get_num_threads()). On a GPU, the gradient's
+        bit-identical for any number of threads. On a GPU, the gradient's
         last bits vary between calls.
 
     Raises:

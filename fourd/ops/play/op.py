@@ -62,7 +62,7 @@ class PointPlayer:
             layers: maximum number of points that a pixel composites.
             near: camera depth below which points are culled, in world units.
             background: red, green and blue behind the points, in [0, 1].
-            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
+            threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
             out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
 
         Returns:
@@ -134,7 +134,7 @@ class PointSorter:
             density: (N,) opacities at the centre, in [0, 1].
             camera: a pinhole camera without lens distortion.
             near: camera depth below which points are culled, in world units, above 0.
-            threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
+            threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

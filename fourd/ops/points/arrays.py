@@ -32,7 +32,8 @@ def render_points_numpy(
     The arguments are those of :func:`fourd.raster.render_points`. The results are bit-identical to the results of that
     function's CPU backend.
 
-    With ``threads`` = 0, the number of threads is FOURD_THREADS if that is set, else all cores.
+    With ``threads`` = 0, the environment variable FOURD_THREADS sets the number of threads. If the variable is not set,
+    all cores are used.
 
     Returns:
         features (H, W, C), alpha (H, W) and depth (H, W), float32.

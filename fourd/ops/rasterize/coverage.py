@@ -67,8 +67,8 @@ def cut_triangles(pos: Tensor, tri: Tensor, first: int, height: int, width: int)
 
 
 def covered(pieces: Pieces, height: int, width: int) -> Tensor:
-    """Return whether each piece covers each pixel, (P, H, W) bool. Centres on an edge belong to the triangle whose left
-    or top edge it is."""
+    """Return whether each piece covers each pixel, (P, H, W) bool. A pixel centre on an edge is covered only if the
+    edge is a left or top edge of the piece."""
     x = SUBPIXELS * torch.arange(width) + SUBPIXELS // 2
     y = SUBPIXELS * torch.arange(height) + SUBPIXELS // 2
     inside = torch.ones(len(pieces.triangle), height, width, dtype=torch.bool)

@@ -31,7 +31,7 @@ def shade_points(
         blend_weights: (N, V) blend weights, 0 or more.
         rgb: (N, V, 3) uint8, the points' colours in the source views. The formula above uses rgb / 255.
         shading: the viewpoint and the indices, from 0 to V - 1, of the views to blend.
-        threads: number of threads; 0 means FOURD_THREADS if that is set, else all cores.
+        threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
     Returns:
         (N, 3) float32 RGB, not clamped. The result is bit-identical for any number of threads.

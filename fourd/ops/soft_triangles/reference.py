@@ -87,7 +87,8 @@ def _coverage(corners: Tensor, pixels: Tensor, softness: Softness, sharpness: fl
 
 
 def _nearest(hit: Tensor, depth: Tensor, layers: int) -> Tensor:
-    """Restrict hits (P, T) to the ``layers`` nearest triangles of each pixel. Ties go to the smaller index."""
+    """Restrict hits (P, T) to the ``layers`` nearest triangles of each pixel. At equal depth, the triangle with the
+    smaller index counts as nearer."""
     if hit.shape[1] <= layers:
         return hit
     order = torch.where(hit, depth, math.inf).argsort(dim=1, stable=True)

@@ -114,7 +114,7 @@ def _project(corners: Tensor, opacity: Tensor, sigma: Tensor) -> Projected:
     centre_x = u[:, 0] + (length[:, 1] * x[:, 2] - length[:, 2] * x[:, 1]) / perimeter
     centre_y = v[:, 0] + (length[:, 1] * y[:, 2] - length[:, 2] * y[:, 1]) / perimeter
     scale = perimeter[:, None] / (area[:, None] * length)
-    # The logarithm in float64: a window at which alpha is 1/255.
+    # The window at which alpha is exactly 1/255, computed in float64.
     power = torch.exp2(-torch.log2(opacity.detach().double() * 255) / sigma.detach().double())
     smallest = power.clamp(min=SMALLEST_WINDOW).to(opacity)
     return Projected(centre_x, centre_y, -y * scale, x * scale, smallest, opacity, sigma)
@@ -132,7 +132,7 @@ def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: i
     dx = pixels[:, :1] - projected.x
     dy = pixels[:, 1:] - projected.y
     a = [1 + projected.slope_x[:, k] * dx + projected.slope_y[:, k] * dy for k in range(3)]
-    # torch.where gives the whole gradient to the first of equal values.
+    # torch.where gives the whole gradient to the first of several equal values, but torch.minimum divides it.
     rest = torch.where(a[1] <= a[2], a[1], a[2])
     window = torch.where(a[0] <= rest, a[0], rest)
     hit = window >= projected.smallest
@@ -143,7 +143,7 @@ def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: i
     remaining = torch.full((len(pixels),), layers, device=pixels.device)
     columns, colour = [], pixels.new_zeros(len(pixels), features.shape[1])
     for index in range(alpha.shape[1]):
-        # All triangles in depth order. A pixel that is complete takes no more triangles.
+        # Triangles are in depth order. Pixels with too little transmittance or too many layers take no more triangles.
         taken = hit[:, index] & (transmittance > MIN_TRANSMITTANCE) & (remaining > 0)
         weight = torch.where(taken, transmittance * alpha[:, index], 0)
         colour = colour + torch.where(taken[:, None], weight[:, None] * features[index], 0)

@@ -22,7 +22,8 @@ def face_axes(like: Tensor) -> Tensor:
 
 
 def face_of(direction: Tensor) -> Tensor:
-    """Return the index of the face that each direction (..., 3) meets. On an edge, x comes before y, and y before z."""
+    """Return the index of the face that each direction (..., 3) meets. A direction that meets an edge or a corner
+    belongs to the x face, if there is one, and otherwise to the y face."""
     size = direction.detach().abs()
     x, y, z = size.unbind(-1)
     axis = torch.where((z > x) & (z > y), 2, torch.where(y > x, 1, 0))
@@ -40,18 +41,18 @@ def project(direction: Tensor, face: Tensor) -> Tensor:
 def pad_cube(level: Tensor) -> Tensor:
     """Surround each face (items, 6, N, N, C) by one row of texels of its neighbours: (items, 6, N + 2, N + 2, C).
 
-    The texel beyond a corner does not exist. It is the mean of the three texels that meet at the corner.
+    A cube has no texel beyond a corner of a face. The mean of the three texels that meet at the corner replaces it.
     """
     size = level.shape[2]
     centres = (2 * torch.arange(-1, size + 1, dtype=torch.float64) + 1) / size - 1
     b, a = torch.meshgrid(centres, centres, indexing="ij")
     axes = face_axes(centres)
     s_axis, t_axis, normal = (axes[:, k, None, None, :] for k in range(3))
-    # Beyond an edge, the surface turns by a right angle: the part of the position beyond the edge goes into the cube.
+    # Beyond an edge of the face, the surface of the cube continues at a right angle, along the negative normal.
     beyond = (a.abs().clamp(min=1) - 1) + (b.abs().clamp(min=1) - 1)
     plane = a.clamp(-1, 1)[..., None] * s_axis + b.clamp(-1, 1)[..., None] * t_axis
     position = plane + (1 - beyond)[..., None] * normal
-    # A position on an edge belongs to the face that it has been turned onto.
+    # The shift resolves ties between faces in favour of the neighbouring face.
     position = position + 1e-9 * (a.sign() * (a.abs() > 1))[..., None] * s_axis
     position = position + 1e-9 * (b.sign() * (b.abs() > 1))[..., None] * t_axis
     face = face_of(position)

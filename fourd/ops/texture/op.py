@@ -101,8 +101,9 @@ def _sample_backward(
     gradient: Tensor,
     needs: Sequence[bool],
 ) -> list[Tensor]:
-    """Compute the gradients of uv, uv_da, bias, tex and the mips. Gradients that are not in ``needs`` (for uv, uv_da,
-    bias and the texture) are empty tensors. The list of the operator's results has no mips if ``is_chain``."""
+    """Compute the gradients of uv, uv_da, bias, tex and the mips. ``needs`` says which of the gradients of uv, uv_da,
+    bias and the texture are needed. The others are empty tensors. If ``is_chain`` is true, the result has no gradients
+    of the mips."""
     out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
     to_levels = [_image(level) for level in out[3:]] if needs[3] else []
     to_pixels = [one.flatten(1, 2) if needed else None for one, needed in zip(out[:3], needs[:3], strict=True)]
@@ -212,7 +213,7 @@ def _empty_gradients(
     bias: Tensor | None,
     needs: Sequence[bool],
 ) -> list[Tensor]:
-    """Allocate the gradients of uv, uv_da, bias and all levels. Gradients that nobody needs are empty."""
+    """Allocate the gradients of uv, uv_da, bias and all levels. Gradients that are not needed are empty tensors."""
     wanted = [*zip((uv, uv_da, bias), needs[:3], strict=True), *((level, needs[3]) for level in (tex, *mips))]
     return [
         uv.new_empty(0) if value is None or not needed else value.new_empty(value.shape) for value, needed in wanted

@@ -44,7 +44,7 @@ def sample_texture_reference(
     is_used = uv.isfinite().all(-1, keepdim=True)
     if is_cube:
         is_used = is_used & (uv != 0).any(-1, keepdim=True)
-    # A position that is not used is replaced before any arithmetic, so that it cannot make gradients NaN.
+    # Invalid positions are replaced before any arithmetic, because they would make gradients NaN.
     position = torch.where(is_used, uv, torch.ones_like(uv))
     face = face_of(position) if is_cube else torch.zeros(uv.shape[:-1], dtype=torch.long, device=uv.device)
     st = project(position, face) if is_cube else position
@@ -124,7 +124,7 @@ def _sample_level(faces: Tensor, face: Tensor, st: Tensor, is_nearest: bool, bou
 
 
 def _pad(faces: Tensor, boundary_mode: str) -> Tensor:
-    """Surround each image by one row of the texels that a lookup finds there."""
+    """Surround each image by one row of texels, as the boundary mode defines them."""
     if boundary_mode == "cube":
         return pad_cube(faces)
     if boundary_mode == "zero":

@@ -56,13 +56,15 @@ def antialias(
     """Blend pixels across silhouette edges (Laine et al. 2020, "Modular primitives for high-performance differentiable
     rendering", section 3.5).
 
-    For each pair of a pixel and its right or lower neighbour that show different triangles, the nearer triangle is the
-    one with the smaller z/w. If one of its silhouette edges crosses the segment between the pixel centres at the
-    distance t, in pixels, from the centre of the triangle's pixel, then the triangle's pixel moves by 0.5 - t towards
-    the colour of the other pixel if t < 0.5. Otherwise the other pixel moves by t - 0.5 towards the colour of the
-    triangle's pixel. Only edges that are more perpendicular than parallel to the segment count. An edge is a silhouette
-    if it belongs to one triangle, if it belongs to two triangles on the same side of it in the image, or if it belongs
-    to more than two triangles.
+    Each pixel is compared with its right and its lower neighbour. Let p and q be two such neighbours that show
+    different triangles, and let p be the pixel whose triangle has the smaller z/w. If a silhouette edge of this
+    triangle crosses the segment from the centre of p to the centre of q, let t be the distance of the crossing from the
+    centre of p, in pixels. If t < 0.5, the colour of p changes by (0.5 - t) (q - p), where p and q stand for the
+    colours. Otherwise the colour of q changes by (t - 0.5) (p - q). Edges whose angle to the segment is below 45
+    degrees are ignored.
+
+    An edge is a silhouette edge if it belongs to only one triangle, if it belongs to more than two triangles, or if its
+    two triangles lie on the same side of it in the image.
 
     The result is differentiable in ``color`` and, through t, in x, y and w of ``pos``. On the CPU, results and
     gradients have the same bits for any number of threads. On a GPU, the last bits of the gradient of ``pos`` vary
@@ -76,11 +78,13 @@ def antialias(
             finite are not blended.
         tri: (T, 3) int32 vertex indices. On a GPU, triangles with indices out of range are not blended. On the CPU,
             such an index is an error.
-        topology: result of :func:`antialias_construct_topology` for ``tri``. None finds the neighbours in each call.
-        pos_gradient_boost: factor of the gradient of ``pos``.
+        topology: result of :func:`antialias_construct_topology` for ``tri``. If it is None, each call finds the
+            neighbours of the triangles again.
+        pos_gradient_boost: the gradient of ``pos`` is multiplied by this number.
         backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
             "auto" for the kernel of the tensors' device.
-        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
+        threads: number of threads of the "cpu" backend; 0 means the environment variable FOURD_THREADS, or
+            torch.get_num_threads() if it is not set.
 
     Returns:
         (B, H, W, C) antialiased image.

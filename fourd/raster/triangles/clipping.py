@@ -13,9 +13,9 @@ from fourd.cameras import Camera
 def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
     """Return the matrix that maps homogeneous world coordinates to clip coordinates, (4, 4) float32.
 
-    ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. The centre of the camera's pixel in row i and column j
-    is the centre of the pixel in row i and column j of :func:`fourd.raster.triangles.rasterize`, so that row 0 is the
-    top row. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
+    ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. With this matrix, the result of
+    :func:`fourd.raster.triangles.rasterize` has the same rows and columns as the camera's image, so row 0 is the top
+    row. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
 
     Args:
         camera: pinhole camera without lens distortion.

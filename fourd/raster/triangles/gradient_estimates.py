@@ -22,18 +22,21 @@ def estimate_gradient(
     """Estimate the gradient of a loss with respect to the parameters of primitives, from images alone (Deliot et al.
     2024, "Transforming a non-differentiable rasterizer into a differentiable one with stochastic gradient estimation").
 
-    Each sample perturbs all parameters at once by epsilon s, where every s is +1 or -1 at random. With the losses L of
-    a pixel in the images of params + epsilon s and params - epsilon s, the pixel adds (L_+ - L_-) s / (2 epsilon) to
-    the gradients of the primitives that it shows in one of the two images. The expectation is the gradient of the loss
-    that is averaged over a distance of epsilon. The noise falls with the square root of ``samples``.
+    Each sample renders two images, with the parameters params + epsilon s and params - epsilon s. The numbers s are +1
+    or -1, chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel in the two images. The pixel
+    adds (L_+ - L_-) s / (2 epsilon) to the gradients of all primitives that it shows in at least one of the two images.
+    The expectation is approximately the gradient of the loss, smoothed over a distance of epsilon. The noise is
+    inversely proportional to the square root of ``samples``.
 
     Args:
-        render: maps parameters to an image. It is a black box, and is called twice for each sample.
-        loss: maps an image to a loss for each pixel, (H, W) or any shape. The estimated gradient is that of their sum.
+        render: function that maps parameters to an image. It does not need gradients, and is called twice per sample.
+        loss: function that maps an image to one loss per pixel, (H, W) or any other shape. The estimated gradient is
+            the gradient of the sum of these losses.
         params: (N, ...) parameters of N primitives, floating point.
-        ids: maps parameters to the primitives that each pixel shows: the shape of the pixels' losses, or with one more
-            axis for several primitives in a pixel. Integers; values below 0 mean no primitive. It is called directly
-            after ``render`` with the same parameters, so that it can return ids that ``render`` has computed.
+        ids: function that maps parameters to the integer indices of the primitives that each pixel shows. The result
+            has the shape of the losses, or one more axis if a pixel shows several primitives. Values below 0 mean no
+            primitive. The function is called directly after ``render`` with the same parameters, so that it can return
+            indices that ``render`` has computed.
         epsilon: size of the perturbation, greater than 0; a number, or a tensor that broadcasts to ``params``.
         samples: number of pairs of images, at least 1.
         generator: random generator on the device of ``params``. None uses torch's default generator.
@@ -59,7 +62,8 @@ def estimate_gradient(
 
 
 def _sum_by_primitive(differences: Tensor, seen: Tensor, count: int) -> Tensor:
-    """Sum the differences (P,) of pixels over the primitives (P, K) that they show; each counts once in a pixel."""
+    """For each primitive, sum the differences (P,) of the pixels that show it. ``seen`` (P, K) are the primitives of
+    the pixels. A pixel that lists a primitive several times is counted once."""
     seen = seen.sort(1).values
     repeated = torch.zeros_like(seen, dtype=torch.bool)
     repeated[:, 1:] = seen[:, 1:] == seen[:, :-1]

@@ -40,10 +40,11 @@ def interpolate(
     Returns:
         ``out`` (B, H, W, C) and ``out_da`` (B, H, W, 2 D) for D channels in ``diff_attrs``. ``out_da`` has the
         derivatives per pixel along columns (X) and rows (Y), in the order d0/dX, d0/dY, d1/dX, d1/dY and so on. Pixels
-        without a triangle are 0, also where a triangle of ``rast`` does not exist in ``tri``.
+        are 0 if they show no triangle, or if their triangle index is T or more.
 
-        ``out`` is differentiable once in ``attr`` and in u and v of ``rast``. ``out_da`` is differentiable in ``attr``
-        and in ``rast_db``. On the CPU, gradients are bit-identical for any number of threads.
+        ``out`` is differentiable in ``attr`` and in u and v of ``rast``. ``out_da`` is differentiable in ``attr`` and
+        in ``rast_db``. Second derivatives are not supported. On the CPU, gradients are bit-identical for any number of
+        threads.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

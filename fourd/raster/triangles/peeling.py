@@ -16,9 +16,9 @@ from fourd.raster.triangles.rasterization import check_mesh
 class DepthPeeler:
     """Rasterizes a mesh layer by layer, from front to back.
 
-    Each layer shows, in every pixel, the triangle that follows the triangle of the layer before in the order of (z/w,
-    triangle index). Triangles of equal depth, such as two coincident triangles, are therefore never lost: they are in
-    consecutive layers. A pixel without a triangle has none in any later layer.
+    The triangles at a pixel are ordered by z/w, and by triangle index at equal z/w. Layer k shows the k-th triangle of
+    this order, from k = 0. Two triangles of equal depth, such as coincident triangles, are therefore in consecutive
+    layers. If a pixel has no triangle in one layer, it has none in all later layers.
 
     Usage::
 

@@ -27,33 +27,35 @@ def rasterize(
     The semantics are those of nvdiffrast's documentation (Laine et al. 2020, Modular Primitives for High-Performance
     Differentiable Rendering). A vertex with clip coordinates (x, y, z, w) is at (x/w, y/w). The centre of the pixel in
     row i and column j is at ((2 j + 1) / W - 1, (2 i + 1) / H - 1), so row 0 is at y = -1. A triangle is visible where
-    its z/w is in [-1, 1]. The smallest z/w wins, and of equal z/w the smallest triangle index. Back faces are visible.
+    its z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w, and at equal z/w the triangle with the
+    smallest index. Back faces are visible.
 
-    Coverage is exact: vertices are rounded to 1/256 pixel, and each pixel centre on an edge between two triangles
-    belongs to exactly one of them. A triangle that reaches behind the camera (w <= 0) shows its visible part.
-    Triangles with a vertex that is not finite are culled.
+    Vertices are rounded to 1/256 pixel. Coverage is then exact: if a pixel centre lies on the common edge of two
+    triangles, exactly one of them covers the pixel. If a triangle has a vertex behind the camera (w <= 0), the part in
+    front of the camera is drawn. Triangles with a NaN or infinite vertex are culled.
 
     Args:
-        pos: (B, V, 4) clip coordinates, float32; a mesh for each image. With ``ranges``: (V, 4).
+        pos: clip coordinates, float32: (B, V, 4), one mesh per image, or (V, 4) with ``ranges``.
         tri: (T, 3) int32 vertices of the triangles, which all images share.
         resolution: (H, W) in pixels, each from 1 to 32768.
-        ranges: (B, 2) int32 first triangle and number of triangles of each image; on any device.
+        ranges: (B, 2) int32: the first triangle and the number of triangles of each image. May be on any device.
         grad_db: whether the gradient with respect to ``pos`` includes the gradient through ``rast_db``.
         output_db: whether to compute ``rast_db``. Without it, ``rast_db`` has the shape (B, H, W, 0).
         backend: "cpu" or "cuda" for the kernels, "reference" for plain torch (float32 or float64, slow), or "auto" for
             the kernels of the tensors' device.
-        threads: number of threads on the CPU; 0 for FOURD_THREADS, else torch.get_num_threads(). Results are
-            bit-identical for any number of threads.
+        threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or
+            torch.get_num_threads() if it is not set. Results are bit-identical for any number of threads.
 
     Returns:
         ``rast`` (B, H, W, 4) and ``rast_db`` (B, H, W, 4). ``rast`` has u, v, z/w and an encoded triangle index. u, v
         and 1 - u - v are the perspective-correct weights of the vertices 0, 1 and 2 of the triangle. u and v are
-        clamped to the triangle. The encoded index is 0 without a triangle, else the index + 1; above 2^24, see
-        :func:`fourd.ops.meshes.ids.decode_ids`. ``rast_db`` has du/dX, du/dY, dv/dX and dv/dY per pixel along columns
-        (X) and rows (Y). Pixels without a triangle are 0.
+        clamped to the triangle. The encoded index is 0 if there is no triangle, and the triangle's index + 1 otherwise.
+        :func:`fourd.ops.meshes.ids.decode_ids` also decodes indices of 2^24 and above. ``rast_db`` has du/dX, du/dY,
+        dv/dX and dv/dY per pixel along columns (X) and rows (Y). Pixels without a triangle are 0.
 
-        u, v and ``rast_db`` are differentiable once in ``pos``. z/w and the index have no gradient. Where the clamp
-        changes u or v, its gradient is 0. On a GPU, the gradient's last bits vary between calls.
+        u, v and ``rast_db`` are differentiable in ``pos``. Second derivatives are not supported. z/w and the index have
+        no gradient. If clamping changes u or v at a pixel, its gradient there is 0. On a GPU, the last bits of the
+        gradient vary between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -38,30 +38,34 @@ def rasterize_soft(
 ) -> tuple[Tensor, Tensor]:
     """Render triangles with soft edges and soft occlusion (SoftRas, Liu et al. 2019, equations 1 to 4).
 
-    Triangle j covers pixel i by D_ij = sigmoid(+-d_ij^2 / sigma), with + inside the triangle. Silhouettes are combined
-    by alpha_i = 1 - prod_j (1 - D_ij). Features are the mean of the triangles' features, weighted by
-    D_ij exp(zbar_ij / gamma), and of a background with features 0 and the weight exp(eps / gamma). zbar_ij is the
-    depth of the triangle at the pixel in clamped barycentric coordinates, 1 at ``near`` and 0 at ``far``.
+    Triangle j covers pixel i with the share D_ij = sigmoid(d_ij^2 / sigma) if the pixel's centre is inside the
+    triangle, and sigmoid(-d_ij^2 / sigma) otherwise. d_ij is a distance from the triangle's edges, see ``distance``.
+    The alpha of the pixel is alpha_i = 1 - prod_j (1 - D_ij).
 
-    Differentiable in xyz and features, with the selection of triangles as a constant. On the CPU, results and gradients
-    are bit-identical for any number of threads.
+    The features of the pixel are a weighted mean over the triangles and the background. Triangle j has the weight
+    D_ij exp(zbar_ij / gamma). The background has the features 0 and the weight exp(eps / gamma). zbar_ij is the
+    normalised depth of the triangle at the pixel, 1 at ``near`` and 0 at ``far``. Outside the triangle, the depth is
+    that of the point with the clamped barycentric coordinates of the pixel.
+
+    The results are differentiable in xyz and features. The gradient treats the selection of triangles as constant. On
+    the CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
         xyz: (V, 3) vertices, world units.
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
         features: (T, C) colours or other features, with C from 1 to 32. Values are not checked.
         camera: a pinhole camera without lens distortion.
-        sigma: width of the edges, above 0: a squared distance.
+        sigma: softness of the edges, above 0. It has the unit of d squared.
         gamma: temperature of the depth softmax, above 0.
-        layers: the nearest ``layers`` triangles of a pixel count, by depth at the pixel and by index at equal depth.
-            None means all triangles.
+        layers: maximum number of triangles per pixel. The triangles with the smallest depth at the pixel are used, and
+            at equal depth those with the smallest index. None means all triangles.
         distance: "euclidean": d is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d is the smallest barycentric coordinate.
         cutoff: triangles with D below ``cutoff`` are skipped at a pixel, in (0, 0.5).
-        near, far: range of camera depths in world units. Triangles with a vertex nearer than ``near``, thinner than
-            1e-4 pixels or with a number that is not finite are culled. They have zero gradients. Triangles are skipped
-            at pixels where they are farther than ``far``.
-        eps: zbar of the background.
+        near, far: range of camera depths in world units. A triangle is culled if it has a vertex nearer than ``near``,
+            if it is thinner than 1e-4 pixels, or if one of its numbers is not finite. Culled triangles have zero
+            gradients. A triangle is skipped at pixels where its depth is larger than ``far``.
+        eps: normalised depth zbar of the background.
         backend, threads: as in :func:`fourd.raster.triangles.splat_triangles`.
 
     Returns:

@@ -58,11 +58,14 @@ def splat_triangles(
 ) -> TriangleRender:
     """Composite soft triangles front to back (triangle splatting, Held et al. 2025).
 
-    phi(p) is the largest of the signed distances in pixels of the pixel p from the three edges of a projected triangle,
-    negative inside, and s is the incentre. The window I(p) = max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0
-    at the edges. The alpha of the triangle is min(0.99, opacity I(p)). At each pixel, the triangles with an alpha of at
-    least 1/255 are composited in the order of the camera depth of their centres, and of their indices at equal depth.
-    A pixel is complete when its transmittance is at most 1e-4.
+    Let phi(p) be the largest of the three signed distances, in pixels, of the pixel p from the edges of a projected
+    triangle. phi is negative inside the triangle. Let s be the incentre of the triangle. The window
+    I(p) = max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The alpha of the triangle is
+    min(0.99, opacity I(p)).
+
+    At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of the camera depth
+    of their centres, and in the order of their indices at equal depth. Compositing of a pixel stops when its
+    transmittance is at most 1e-4.
 
     The results are differentiable in xyz, features, opacity and sigma. The gradient treats the selection of triangles
     and their order as constant. On the CPU, results and gradients are bit-identical for any number of threads.
@@ -71,18 +74,20 @@ def splat_triangles(
         xyz: (V, 3) vertices, world units.
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
         features: (T, C) colours or other features, with C from 1 to 32. Values are not checked.
-        opacity: (T,) opacity at the incentre, in [0, 1]. Larger values count as 0.99 where the window is 1.
-        sigma: (T,) or a number: exponent of the window, above 0. 1 is a linear falloff, and towards 0 the triangle
-            becomes opaque up to its edges.
+        opacity: (T,) opacity at the incentre, in [0, 1]. Values above 1 are not an error, because alpha is limited to
+            0.99.
+        sigma: (T,) or a number: exponent of the window, above 0. With 1, alpha decreases linearly from the incentre to
+            the edges. With values near 0, the opacity is almost the same up to the edges.
         camera: a pinhole camera without lens distortion.
         layers: maximum number of triangles that a pixel composites, or None for no limit.
         near: camera depth, in world units. Triangles with a vertex nearer than this depth are culled. Triangles are
             also culled if they are thinner than 1e-4 pixels, if the opacity is below 1/255, if sigma is not positive,
-            or if a number is not finite. Culled triangles have zero gradients.
-        geometry: whether to render depth and normal. An image without them takes about 40% less time.
+            or if one of its numbers is not finite. Culled triangles have zero gradients.
+        geometry: whether to render depth and normal. Without them, rendering takes about 40% less time.
         backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
             "auto" for the kernel of the tensors' device.
-        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
+        threads: number of threads of the "cpu" backend; 0 means the environment variable FOURD_THREADS, or
+            torch.get_num_threads() if it is not set.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

@@ -6,7 +6,7 @@ C = d(s, t)/dX . d(s, t)/dY, where (s, t) = (u W, v H) and (X, Y) is the positio
 
     0.5 log2(0.5 (A + B) + sqrt(0.25 (A - B)^2 + C^2)) + bias,
 
-clamped to the existing levels. For a cube map, u and v are the position on the face.
+clamped to the existing levels. For a cube map, u and v are the coordinates on the face, in [0, 1].
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ class Mip:
     """The mip levels of a texture, from :func:`texture_construct_mip`.
 
     Attributes:
-        levels: level 1 and up, without gradients: (B, H / 2, W / 2, C), (B, H / 4, W / 4, C) and so on, or with six
-            faces as the second axis for a cube map.
+        levels: levels 1, 2 and so on, without gradients: (B, H / 2, W / 2, C), (B, H / 4, W / 4, C), ... The levels of
+            a cube map have the six faces as the second axis.
         shape: shape of the texture.
     """
 
@@ -51,31 +51,36 @@ def texture(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Look up a texture at every pixel: (B, H', W', C), with the semantics of ``nvdiffrast.torch.texture``.
+    """Sample a texture at every pixel, with the semantics of ``nvdiffrast.torch.texture``. Returns (B, H', W', C).
 
     The centre of the texel in column j and row i is at (u, v) = ((j + 0.5) / W, (i + 0.5) / H). The result is
-    differentiable in tex (also through mip levels that are built from it), uv, uv_da, mip_level_bias and in mip levels
-    that are given as tensors. On the CPU, results and gradients have the same bits for any number of threads.
+    differentiable in tex, uv, uv_da, mip_level_bias and in mip levels that are given as tensors. The gradient of tex
+    includes the mip levels that are built from tex. On the CPU, results and gradients have the same bits for any number
+    of threads.
 
     Args:
         tex: (B or 1, H, W, C) float32, or (B or 1, 6, N, N, C) for boundary_mode "cube", with faces along +x, -x, +y,
             -y, +z and -z, oriented as in OpenGL. Sides up to 32,768 texels, C up to 4,096.
-        uv: (B, H', W', 2) positions, or (B, H', W', 3) directions of any length for a cube. Where a position is not
-            finite, or a direction is zero, the result is zero and has no gradient.
+        uv: (B, H', W', 2) texture coordinates, or (B, H', W', 3) directions of any length for a cube map. If the
+            coordinates of a pixel are not finite, or its direction is zero, the result is zero and has no gradient.
         uv_da: (B, H', W', 4) derivatives per pixel of the picture: du/dX, du/dY, dv/dX, dv/dY. For a cube (B, H', W',
-            6): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY. NaN selects level 0.
-        mip_level_bias: (B, H', W') numbers that are added to the level. Without uv_da, they are the level.
-        mip: None to build the levels in this call, a :class:`Mip` that was built from tex, or a list of tensors for
-            level 1 and up, each with half the sides of the level before, rounded down, but at least 1.
-        filter_mode: "nearest" (the texel at the position; the gradient of uv is zero), "linear" (bilinear in level 0),
-            "linear-mipmap-nearest" (bilinear in the nearest level, which has no gradient), "linear-mipmap-linear"
-            (trilinear), or "auto": "linear-mipmap-linear" if uv_da or mip_level_bias is given, else "linear".
-        boundary_mode: outside [0, 1], "wrap" repeats the texture, "clamp" repeats its border, and "zero" is zero.
-            "cube" is a cube map with seamless edges. At its corners, the missing fourth texel is the mean of three.
-        max_mip_level: number of the last level that is built and used. None means all, down to 1 x 1.
+            6): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY. Pixels with NaN read level 0.
+        mip_level_bias: (B, H', W') numbers that are added to the level. If uv_da is None, they are the level.
+        mip: None to build the levels in this call, a :class:`Mip` that was built from tex, or a list of tensors with
+            levels 1, 2 and so on. The sides of a level are half of those of the previous level, rounded down, and at
+            least 1.
+        filter_mode: "nearest" reads one texel of level 0, and the gradient of uv is zero. "linear" is bilinear in level
+            0. "linear-mipmap-nearest" is bilinear in the nearest level, and the gradient of the level is zero.
+            "linear-mipmap-linear" is trilinear. "auto" is "linear-mipmap-linear" if uv_da or mip_level_bias is given,
+            and "linear" otherwise.
+        boundary_mode: for coordinates outside [0, 1], "wrap" repeats the texture, "clamp" repeats the texels at its
+            border, and "zero" gives 0. With "cube", tex is a cube map, which is continuous across edges. Only three
+            texels meet at a corner of the cube. The missing fourth texel is the mean of these three.
+        max_mip_level: index of the last level that is built and used. None means all levels, down to 1 x 1.
         backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
             "auto" for the kernel of the tensors' device.
-        threads: number of threads of the "cpu" backend; 0 means FOURD_THREADS, else torch.get_num_threads().
+        threads: number of threads of the "cpu" backend; 0 means the environment variable FOURD_THREADS, or
+            torch.get_num_threads() if it is not set.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
@@ -100,13 +105,13 @@ def texture_construct_mip(
 ) -> Mip:
     """Build the mip levels of a texture once, for several calls of :func:`texture` with the same ``tex``.
 
-    A texel of a level is the mean of 2 x 2 texels of the level before, or of 2 texels along an axis of one texel. If
-    tex changes, the levels must be built again.
+    A texel of a level is the mean of 2 x 2 texels of the level before, or of 2 texels if that level has a side of one
+    texel. If tex changes, the levels must be built again.
 
     Args:
         tex: (B, H, W, C) float32, or (B, 6, N, N, C) with cube_mode. A side above 1 must be even in every level before
             the last.
-        max_mip_level: number of the last level. None means all levels, down to 1 x 1.
+        max_mip_level: index of the last level. None means all levels, down to 1 x 1.
         cube_mode: whether tex is a cube map.
         backend: as for :func:`texture`.
         threads: as for :func:`texture`.
@@ -147,8 +152,8 @@ def _checked_filter(
 def _levels(
     tex: Tensor, mip: Mip | Sequence[Tensor] | None, max_mip_level: int | None, backend: Backend, threads: int
 ) -> list[Tensor]:
-    """Return the mip levels that the caller gives, or build them. The operator of the kernels adds the gradients of
-    built levels to the gradient of tex, so only levels for the reference have gradients."""
+    """Return the mip levels that the caller gives, or build them. For the kernels, built levels have no gradient,
+    because the operator adds the gradients of these levels to the gradient of tex itself."""
     is_reference = select_backend(backend, "tex", tex) == "reference"
     if mip is None:
         level_count = checks.count_levels(tex, max_mip_level)
@@ -166,7 +171,9 @@ def _given_levels(tex: Tensor, mip: Mip | Sequence[Tensor], max_mip_level: int |
     """Return the mip levels that the caller gives, at most ``max_mip_level``."""
     if isinstance(mip, Mip):
         if mip.shape != tuple(tex.shape):
-            raise ValueError(f"mip: expected one built from a texture {tuple(tex.shape)}, got {mip.shape}")
+            raise ValueError(
+                f"mip: expected the levels of a texture of shape {tuple(tex.shape)}, got those of shape {mip.shape}"
+            )
         levels: Sequence[Tensor] = mip.levels
     elif isinstance(mip, list | tuple):
         levels = mip

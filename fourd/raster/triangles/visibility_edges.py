@@ -10,14 +10,14 @@ from fourd.raster.triangles.antialiasing import Topology, check_antialias
 
 
 def edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, topology: Topology | None = None) -> Tensor:
-    """Return ``color``, and add to the gradient of ``pos`` how the image changes as visibility edges move.
+    """Return ``color`` unchanged. In the backward pass, add the gradient of the motion of visibility edges to ``pos``.
 
-    This is the alternative to ``antialias`` that leaves the image as it is. The idea is from Pidhorskyi et al. 2024,
-    "Rasterized edge gradients". Two neighbouring pixels with the colours c_1 and c_2 that show different triangles are
-    separated by an edge. If the edge moves by dt pixels from the first to the second pixel, the image changes by
-    dt (c_1 - c_2) at one of the two pixels. The gradient is the mean over these two pixels. An edge is a silhouette
-    edge of the nearer triangle, as in :func:`fourd.raster.triangles.antialias`, or the line in which two triangles
-    intersect.
+    This function is an alternative to ``antialias`` that does not change the image. The method follows Pidhorskyi et
+    al. 2024, "Rasterized edge gradients". Two neighbouring pixels that show different triangles are separated by a
+    visibility edge. Let c_1 and c_2 be their colours. If the edge moves by dt pixels from the first pixel towards the
+    second, one of the two pixels changes by dt (c_1 - c_2). It is not known which one, so the gradient is the mean of
+    the gradients of both cases. A visibility edge is either a silhouette edge of the nearer triangle, as in
+    :func:`fourd.raster.triangles.antialias`, or the line along which two triangles intersect.
 
     The result is differentiable in ``color``, with the gradient of the identity, and in x, y and w of ``pos``. At
     intersections, it is also differentiable in z. The implementation is plain torch on any device.
