@@ -142,6 +142,18 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
     return Camera(intrinsics, rotation, -rotation @ centre, width, height)
 
 
+def estimate_up(cameras: Sequence[Camera]) -> Array:
+    """Estimate the up direction (3,) of a capture, because a calibration does not define one.
+
+    The result is the normalised mean of the cameras' -y axes, which point up in the images. If the axes cancel out, the
+    result is the -y axis of the first camera.
+    """
+    mean = np.mean([-camera.rotation[1] for camera in cameras], axis=0)
+    if np.linalg.norm(mean) < 1e-3:
+        mean = -cameras[0].rotation[1]
+    return np.asarray(mean / np.linalg.norm(mean))
+
+
 @dataclass(frozen=True, eq=False)
 class SelectedViews:
     """The source views whose colours are blended for a viewing camera.

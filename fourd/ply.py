@@ -51,10 +51,23 @@ def write_ply(path: Path | str, xyz: NDArray[np.floating[Any]], rgb: NDArray[np.
     rows = np.empty(len(xyz), dtype=[(name, "<f4" if i < 3 else "u1") for i, name in enumerate(names)])
     for i, name in enumerate(names):
         rows[name] = xyz[:, i] if i < 3 else rgb[:, i - 3]
-    kinds = "\n".join(f"property {'float' if i < 3 else 'uchar'} {name}" for i, name in enumerate(names))
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(xyz)}\n{kinds}\nend_header\n"
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(header.encode("ascii") + rows.tobytes())
+    write_vertices(path, rows)
+
+
+def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
+    """Write vertices as binary PLY, atomically.
+
+    Args:
+        rows: structured array (N,). Its fields are little-endian float32 or uint8, and become properties of the same
+            names.
+    """
+    assert rows.dtype.names is not None
+    words = {np.dtype("<f4"): "float", np.dtype("u1"): "uchar"}
+    kinds = "\n".join(f"property {words[rows.dtype[name]]} {name}" for name in rows.dtype.names)
+    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(rows)}\n{kinds}\nend_header\n"
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        stream.write(header.encode("ascii"))
+        stream.write(rows.tobytes())
 
 
 def read_ply(path: Path | str) -> ColouredPoints:
@@ -68,24 +81,53 @@ def read_ply(path: Path | str) -> ColouredPoints:
             contains coordinates that are not finite. The error message names the file.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as stream:
-            header = _read_header(path, stream)
-            body = stream.read()
-    except OSError as error:
-        raise UserError(f"{path}: expected a readable PLY file, got {error.strerror}; check the path") from error
-    rows = _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)
-    return _points(path, header, rows)
+    return _points(path, read_vertices(path))
+
+
+def read_vertices(path: Path) -> NDArray[Any]:
+    """Read the vertices of a PLY file as a structured array (N,), one field for each property.
+
+    Raises:
+        UserError: as :func:`read_ply`, but coordinates may be NaN or infinite.
+    """
+    header, body = _read(path, -1)
+    return _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)
+
+
+def read_header(path: Path) -> PlyHeader:
+    """Read the header of a PLY file. Raises UserError if it is not valid."""
+    return _read(path, 0)[0]
 
 
 @dataclass(frozen=True)
-class _Header:
+class PlyHeader:
+    """The header of a PLY file.
+
+    Attributes:
+        order: NumPy's sign of the byte order, or None for ASCII files.
+        count: number of vertices that the header declares.
+        properties: names and NumPy types of the vertices' properties.
+    """
+
     order: str | None
     count: int
     properties: tuple[tuple[str, str], ...]
 
+    @property
+    def names(self) -> frozenset[str]:
+        """Names of the properties."""
+        return frozenset(name for name, _ in self.properties)
 
-def _read_header(path: Path, stream: BinaryIO) -> _Header:
+
+def _read(path: Path, body_bytes: int) -> tuple[PlyHeader, bytes]:
+    try:
+        with path.open("rb") as stream:
+            return _read_header(path, stream), stream.read(body_bytes)
+    except OSError as error:
+        raise UserError(f"{path}: expected a readable PLY file, got {error.strerror}; check the path") from error
+
+
+def _read_header(path: Path, stream: BinaryIO) -> PlyHeader:
     lines = _header_lines(path, stream)
     order, count, element = "", -1, ""
     properties: list[tuple[str, str]] = []
@@ -106,7 +148,7 @@ def _read_header(path: Path, stream: BinaryIO) -> _Header:
         raise _invalid(path, f"a format of {', '.join(orders)}", f"'{order}'")
     if count < 0 or not {"x", "y", "z"} <= set(dict(properties)):
         raise _invalid(path, "an element 'vertex' with properties x, y, z", f"{[name for name, _ in properties]}")
-    return _Header(orders[order], count, tuple(properties))
+    return PlyHeader(orders[order], count, tuple(properties))
 
 
 def _header_lines(path: Path, stream: BinaryIO) -> list[list[str]]:
@@ -135,14 +177,14 @@ def _count(path: Path, word: str) -> int:
     return int(word)
 
 
-def _binary_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
+def _binary_rows(path: Path, header: PlyHeader, body: bytes) -> NDArray[Any]:
     kind = np.dtype([(name, f"{header.order}{code}") for name, code in header.properties])
     if len(body) < header.count * kind.itemsize:
         raise _truncated(path, header.count, len(body) // kind.itemsize)
     return np.frombuffer(body, dtype=kind, count=header.count)
 
 
-def _ascii_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
+def _ascii_rows(path: Path, header: PlyHeader, body: bytes) -> NDArray[Any]:
     lines = body.split(b"\n", header.count)[: header.count] if header.count <= len(body) else body.split(b"\n")
     lines = [line for line in lines if line.strip()]
     if len(lines) < header.count:
@@ -161,14 +203,14 @@ def _ascii_rows(path: Path, header: _Header, body: bytes) -> NDArray[Any]:
     return rows
 
 
-def _points(path: Path, header: _Header, rows: NDArray[Any]) -> ColouredPoints:
+def _points(path: Path, rows: NDArray[Any]) -> ColouredPoints:
     xyz = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(np.float32)
     if not np.isfinite(xyz).all():
         raise _invalid(
             path, "finite coordinates", f"{int((~np.isfinite(xyz)).any(axis=1).sum())} points with NaN or infinity"
         )
     rgb = np.full(xyz.shape, 128, dtype=np.uint8)
-    if {"red", "green", "blue"} <= set(dict(header.properties)):
+    if {"red", "green", "blue"} <= set(rows.dtype.names or ()):
         colours = np.stack([rows[name] for name in ("red", "green", "blue")], axis=1)
         if colours.dtype.kind == "f":
             colours = np.rint(np.nan_to_num(colours) * 255)

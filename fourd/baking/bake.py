@@ -17,7 +17,14 @@ from torch import Tensor
 
 from fourd import __version__
 from fourd.baking.container import SceneWriter
-from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, SceneBackground, SceneManifest, to_triple
+from fourd.baking.scene import (
+    BAKED_LAYERS,
+    SHADOW_IDENTITY,
+    BakedFrame,
+    SceneBackground,
+    SceneManifest,
+    to_triple,
+)
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError
 from fourd.model import PointModel
@@ -33,7 +40,6 @@ GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
 """Function that returns a camera's source view for the given points. The view has a depth map if occlusion is
 tested."""
 
-BAKED_LAYERS = 12
 MAX_BAKED_WEIGHT = 1024.0
 """Maximum blend weight of each point after scaling. Weights are scaled so that small weights do not underflow in
 fp16."""

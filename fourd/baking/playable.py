@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.rendering import Scene, open_scene
+from fourd.baking.splats.reader import is_splats
 from fourd.cameras import Camera
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.capture.layout import parse_frame_range
@@ -114,12 +115,12 @@ class PlayableRun:
 
 
 def open_playable(path: Path) -> Playable:
-    """Open a run's folder or a `.4dv`. torch is loaded only for a run. Raises UserError."""
+    """Open a run's folder, a `.4dv`, or Gaussian splats. torch is loaded only for a run. Raises UserError."""
     if not path.exists():
         raise UserError(
             f"{path}: expected a run's folder or a .4dv file, got a path that does not exist; check the path"
         )
-    if path.is_dir():
+    if path.is_dir() and not is_splats(path):
         from fourd.training.run import load_run
 
         return PlayableRun(load_run(path))

@@ -11,9 +11,9 @@ import numpy as np
 from cachetools import LRUCache
 from numpy.typing import NDArray
 
-from fourd.baking.container import SceneReader
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import shade
+from fourd.baking.splats.reader import open_reader
 from fourd.cameras import Camera
 from fourd.ops.points.arrays import render_points_numpy
 
@@ -41,7 +41,7 @@ class Scene:
     """
 
     def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
-        self._reader = SceneReader(path)
+        self._reader = open_reader(Path(path))
         manifest = self._reader.manifest
         largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
         # ``cache_bytes`` includes the background, which the reader caches. The largest frame must fit in the cache.
@@ -111,23 +111,37 @@ class Scene:
             IndexError: if the scene has no such frame. UserError: if the file is damaged.
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
-        baked = self.frame(frame)
-        rgb, alpha, depth = render_points_numpy(
-            baked.xyz,
-            shade(baked, camera, self.manifest, threads=threads),
-            baked.radius.astype(np.float32),
-            baked.density.astype(np.float32),
-            camera,
-            layers=layers or self.manifest.layers,
-            near=self.manifest.near,
-            background=background,
-            threads=threads,
+        return render_frame(
+            self.frame(frame), camera, self.manifest, layers=layers, background=background, threads=threads
         )
-        return RenderedImage(np.clip(rgb, 0, 1), alpha, depth)
+
+
+def render_frame(
+    frame: BakedFrame,
+    camera: Camera,
+    manifest: SceneManifest,
+    *,
+    layers: int | None = None,
+    background: NDArray[np.float32] | None = None,
+    threads: int = 0,
+) -> RenderedImage:
+    """Render a frame of a scene with this manifest. The arguments are those of :meth:`Scene.render`."""
+    rgb, alpha, depth = render_points_numpy(
+        frame.xyz,
+        shade(frame, camera, manifest, threads=threads),
+        frame.radius.astype(np.float32),
+        frame.density.astype(np.float32),
+        camera,
+        layers=layers or manifest.layers,
+        near=manifest.near,
+        background=background,
+        threads=threads,
+    )
+    return RenderedImage(np.clip(rgb, 0, 1), alpha, depth)
 
 
 def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
-    """Open a `.4dv`.
+    """Open a `.4dv`, a `.ply` or `.splat` file of Gaussian splats, or a folder with one such file for each frame.
 
     Args:
         cache_bytes: size in bytes of the cache for frames and the background. One frame is cached even if it exceeds

@@ -22,6 +22,9 @@ programs can read them."""
 SHADOW_IDENTITY = 128
 """The shadow value that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
+BAKED_LAYERS = 12
+"""Number of points that a pixel of an exported scene composites, unless the user chooses another number."""
+
 SceneKind = Literal["object", "full"]
 
 
@@ -171,7 +174,7 @@ class SceneManifest:
     other_cameras: tuple[Camera, ...] = ()
     fps: float = 30.0
     is_fps_known: bool = False
-    layers: int = 12
+    layers: int = BAKED_LAYERS
     neighbours: int = 4
     fade_views: bool = False
     sh_range: float = 0.25

@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
-
-from fourd.cameras import Array, Camera
+from fourd.cameras import Array, estimate_up
 from fourd.capture import Capture
 from fourd.capture.layout import refuse_symlinks
 from fourd.carving.bounds import hull_bounds
@@ -71,7 +68,7 @@ def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: 
         folder.mkdir(parents=True, exist_ok=True)
         remove_unfinished(folder)
         _remove_stale(folder, _key(capture, settings))
-        up = scene_up(capture.cameras)
+        up = estimate_up(capture.cameras)
         for frame in track(range(len(paths)), len(paths), "meshes"):
             if not paths[frame].exists():
                 _make_frame(capture, frame, paths[frame], settings, up)
@@ -82,15 +79,6 @@ def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: 
             f"{folder}: expected a writable folder, got '{error.strerror}'; free disk space or choose another folder"
         ) from error
     return paths
-
-
-def scene_up(cameras: Sequence[Camera]) -> Array:
-    """Up direction (3,) of a scene in world coordinates: the mean of the cameras' up directions.
-
-    If the cameras' up directions cancel, the world's y axis is used, as glTF does.
-    """
-    up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
-    return up if float(np.linalg.norm(up)) > 1e-6 else np.array([0.0, 1.0, 0.0])
 
 
 def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings, up: Array) -> None:

@@ -124,6 +124,14 @@ def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) 
     assert leftovers <= {str(os.getpid())}, "each command removes its own folder"
 
 
+def test_export_of_a_run_for_other_programs(made: Path, tmp_path: Path) -> None:
+    """Catches a run that must be baked by hand first, and a temporary scene that remains."""
+    run, out = made.with_suffix(".work") / "run", tmp_path / "splats"
+    assert main(["export", str(run), "-o", str(out), "--to", "splat"]) == 0
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["splats"]
+    assert len(list(out.iterdir())) == 3
+
+
 def test_export_packs_scenes(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches an export that ignores its tier, leaves temporary files, or names a temporary file in its error."""
     run, out = made.with_suffix(".work") / "run", tmp_path / "packed.4dv"

@@ -14,8 +14,9 @@ import pytest
 import trimesh
 
 from fourd.errors import UserError
+from fourd.glb import up_rotation
 from fourd.mesh.files.animation import write_animation
-from fourd.mesh.files.glb import read_glb, read_mesh, up_rotation, write_glb
+from fourd.mesh.files.glb import read_glb, read_mesh, write_glb
 from fourd.mesh.files.ply import write_mesh_ply
 from fourd.mesh.texturing.texture import TexturedMesh
 

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from fourd.cameras import Camera, look_at
-from fourd.viewer.navigation.up_direction import estimate_up
+from fourd.cameras import Camera, estimate_up, look_at
 
 Array = NDArray[np.float64]
 Bounds = tuple[Sequence[float], Sequence[float]]

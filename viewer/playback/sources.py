@@ -6,7 +6,8 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourd.baking import BakedFrame, SceneManifest, SceneReader, combine_frames
+from fourd.baking import BakedFrame, SceneManifest, combine_frames
+from fourd.baking.splats.reader import is_splats, open_reader
 from fourd.errors import UserError
 from fourd.viewer.playback.prefetch import BakedFrameSource
 
@@ -100,13 +101,14 @@ def _lower_priority() -> None:
 
 
 def open_frame_source(path: Path) -> BakedFrameSource:
-    """Open a `.4dv` file or a run's folder.
+    """Open a `.4dv` file, a run's folder, a file of Gaussian splats or a folder of them.
 
     Raises UserError with a message that names the file and the fix.
     """
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
-    source: BakedFrameSource = _open_run(path) if path.is_dir() else SceneReader(path)
+    is_run = path.is_dir() and not is_splats(path)
+    source: BakedFrameSource = _open_run(path) if is_run else open_reader(path)
     manifest = source.manifest
     if manifest.frame_count == 0:
         source.close()

@@ -1,7 +1,8 @@
-"""Bake a trained run into a .4dv scene that renders in real time without torch."""
+"""Bake a trained run into a .4dv scene that renders in real time without torch, or export it for other programs."""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -9,23 +10,25 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
-from fourd.baking.bake import BAKED_LAYERS
+from fourd.baking.exporting.export import SUFFIXES, ExportSettings, Format, export_scene
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings
-from fourd.cli.options import TIER_HELP, MaxMbps, RunPath, check_mbps, check_rendering, describe, option
-from fourd.pipeline.runner import Runner
-from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
+from fourd.baking.playable import PlayableScene, select_frames
+from fourd.baking.rendering import Scene, open_scene
+from fourd.baking.scene import BAKED_LAYERS
+from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
+from fourd.errors import UserError
+from fourd.progress import Tracker
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Bakes the newest checkpoint."""
+    """Without --to, bakes the newest checkpoint of a run into a .4dv file. With --to, writes other programs' files."""
 
-    run: RunPath
-    """Run folder."""
+    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
+    """Run folder. With --to, also a .4dv file, or Gaussian splats."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The .4dv file to write."""
+    """The .4dv file to write. With --to, a folder, or a file if one frame is exported."""
     layers: int = BAKED_LAYERS
     """Number of points composited per pixel (K), 1 to 64."""
     fps: Annotated[float | None, option("FLOAT", "the recording's, or 30 if it is not known")] = None
@@ -36,19 +39,86 @@ class Arguments:
         option("{full,stream,light}", "not packed"),
     ] = None
     max_mbps: MaxMbps = None
+    to: Annotated[
+        Format | None,
+        describe(
+            "Write one file for each frame for other programs.",
+            "ply-sequence: Gaussian splats as 3DGS PLY. splat, spz, glb, usd: Gaussian splats in these formats.",
+            "ply: coloured points. spz and usd need `pip install 'fourd[splats]'`.",
+        ),
+        option("{ply-sequence,splat,spz,glb,usd,ply}", "a .4dv file"),
+    ] = None
+    frames: Frames = None
+    """With --to: frames to export, by their numbers in the capture."""
+    degree: int = 2
+    """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply have only degree 0."""
+    keep_axes: bool = False
+    """With --to: keep the scene's coordinates. Otherwise the scene is rotated so that its up direction is the one that
+    programs expect of the format: +y for spz, glb and usd, -y for the others. The format ply keeps the coordinates."""
 
 
 def run(arguments: Arguments) -> None:
-    """Load the newest checkpoint and bake every frame."""
+    """Bake every frame, or write the files for other programs."""
     check_rendering(arguments.layers, fps=arguments.fps)
     check_mbps(arguments.max_mbps)
     console = Console(stderr=True)
-    packed = arguments.tier is not None or arguments.max_mbps is not None
-    pack = PackSettings(arguments.tier or "full", arguments.max_mbps) if packed else None
-    stage = bake_stage(BakeFiles(arguments.run, arguments.out), BakeSettings(arguments.layers, arguments.fps, pack))
-    Runner(Context(console)).run([stage])
+    if arguments.to is not None:
+        _export(arguments, arguments.to, console)
+        return
+    if arguments.source.is_file():
+        raise UserError(
+            f"{arguments.source}: expected a run's folder, got a file; add --to FORMAT to export it for other "
+            "programs, or run fourd pack to make it smaller"
+        )
+    if arguments.frames is not None or arguments.keep_axes:
+        raise UserError("--frames, --keep-axes: expected also --to, got none; add --to FORMAT")
+    _bake(arguments, arguments.out, console)
     size = arguments.out.stat().st_size / 2**20
     console.print(
         f"{arguments.out}: {size:.1f} MB; next: fourd render {arguments.out} --path orbit --out orbit.mp4",
         soft_wrap=True,
+    )
+
+
+def _bake(arguments: Arguments, out: Path, console: Console) -> None:
+    from fourd.pipeline.runner import Runner
+    from fourd.pipeline.stage import Context
+    from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
+
+    packed = arguments.tier is not None or arguments.max_mbps is not None
+    pack = PackSettings(arguments.tier or "full", arguments.max_mbps) if packed else None
+    stage = bake_stage(BakeFiles(arguments.source, out), BakeSettings(arguments.layers, arguments.fps, pack))
+    Runner(Context(console)).run([stage])
+
+
+def _export(arguments: Arguments, kind: Format, console: Console) -> None:
+    if arguments.tier is not None or arguments.max_mbps is not None:
+        raise UserError("--to: expected no --tier and no --max-mbps, got both; they belong to .4dv files")
+    if not 0 <= arguments.degree <= 3:
+        raise UserError(f"--degree: expected 0 to 3, got {arguments.degree}")
+    if not arguments.source.is_dir() or not (arguments.source / "config.yaml").exists():
+        with open_scene(arguments.source) as scene:
+            _write(arguments, kind, scene, console)
+        return
+    arguments.out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=arguments.out.parent, prefix=".export-") as folder:
+        baked = Path(folder) / "scene.4dv"
+        _bake(arguments, baked, console)
+        with open_scene(baked) as scene:
+            _write(arguments, kind, scene, console)
+
+
+def _write(arguments: Arguments, kind: Format, scene: Scene, console: Console) -> None:
+    frames = select_frames(PlayableScene(scene), arguments.frames)
+    if arguments.out.suffix.lower() == SUFFIXES[kind] and len(frames) != 1:
+        raise UserError(
+            f"{arguments.out}: expected a folder for {len(frames)} frames, got the name of a file; "
+            "name a folder, or choose one frame with --frames"
+        )
+    settings = ExportSettings(kind, frames, arguments.degree, arguments.keep_axes)
+    report = export_scene(scene, arguments.out, settings, Tracker(console).track)
+    loss = "" if report.psnr is None else f"; PSNR of the colours against the scene: {report.psnr:.1f} dB"
+    count = f"{len(frames)} frame{'s' if len(frames) > 1 else ''}"
+    console.print(
+        f"{arguments.out}: {count}, {report.bytes_per_frame / 1e6:.2f} MB each{loss}", soft_wrap=True, markup=False
     )

@@ -60,6 +60,8 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
     # Scene files start with the bytes PK. This also detects a truncated scene file.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
+    if path.suffix.lower() == ".splat":
+        return "Gaussian splats", _splats(path)
     if head.startswith((b"ply\n", b"ply\r")):
         return "points (PLY)", _points(path)
     if path.suffix == ".safetensors":
@@ -78,6 +80,8 @@ def _describe_folder(path: Path) -> tuple[str, Rows]:
     videos = [file for file in sorted(path.iterdir()) if file.suffix.lower() in VIDEO_SUFFIXES]
     if videos:
         return "a folder of videos", [(file.name, "; ".join(value for _, value in _video(file))) for file in videos]
+    if any(file.suffix.lower() in (".ply", ".splat") for file in path.iterdir()):
+        return "points or Gaussian splats, one file for each frame", _splats(path)
     raise _unknown(path)
 
 
@@ -128,11 +132,26 @@ def _background(background: SceneBackground | None) -> Rows:
     return [("background", f"{background.points:,} points, stored once, {shadow}")]
 
 
+def _splats(path: Path) -> Rows:
+    from fourd.baking.splats.reader import SplatReader
+
+    manifest = SplatReader(path).manifest
+    lower, upper = manifest.bounds
+    return [
+        ("frames", str(manifest.frame_count)),
+        ("points", f"{_span(manifest.points)} per frame"),
+        ("bounds of most points", f"{_vector(lower)} to {_vector(upper)}, in world units"),
+    ]
+
+
 def _points(path: Path) -> Rows:
+    from fourd.baking.splats.ply import is_splat_ply
     from fourd.ply import read_ply
 
     xyz, rgb = read_ply(path)
     rows = [("points", f"{len(xyz):,}"), ("size", _bytes(path.stat().st_size))]
+    if is_splat_ply(path):
+        return [("kind", "Gaussian splats"), *rows]
     if len(xyz):
         mean = rgb.mean(axis=0)
         rows.append(("bounds", f"{_vector(xyz.min(axis=0))} to {_vector(xyz.max(axis=0))}, in world units"))

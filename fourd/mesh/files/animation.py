@@ -15,18 +15,8 @@ from typing import Any
 
 from fourd.cameras import Array
 from fourd.files import atomic_path
-from fourd.mesh.files.glb import (
-    ASSET,
-    FLOAT,
-    UNLIT,
-    GlbFile,
-    material,
-    pad,
-    read_glb,
-    sampler,
-    up_rotation,
-    write_header,
-)
+from fourd.glb import FLOAT, pad, up_rotation, write_header
+from fourd.mesh.files.glb import ASSET, UNLIT, GlbFile, material, read_glb, sampler
 
 HIDDEN, SHOWN = [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import cv2
 import numpy as np
@@ -21,14 +20,20 @@ from numpy.typing import NDArray
 from fourd.cameras import Array
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.glb import (
+    ARRAY_BUFFER,
+    BINARY_CHUNK,
+    ELEMENT_ARRAY_BUFFER,
+    FLOAT,
+    JSON_CHUNK,
+    MAGIC,
+    UINT32,
+    pad,
+    up_rotation,
+    write_header,
+)
 from fourd.mesh.texturing.texture import TexturedMesh
 
-MAGIC = 0x46546C67
-JSON_CHUNK = 0x4E4F534A
-BINARY_CHUNK = 0x004E4942
-MAX_BYTES = (1 << 32) - 1
-FLOAT, UINT32 = 5126, 5125
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, LINEAR_MIPMAP_LINEAR, CLAMP_TO_EDGE = 9729, 9987, 33071
 JPEG_QUALITY = 95
 UNLIT = "KHR_materials_unlit"
@@ -141,38 +146,6 @@ def encode_texture(texture: NDArray[np.uint8]) -> bytes:
     if not ok:
         raise RuntimeError("OpenCV could not encode the texture as JPEG")
     return code.tobytes()
-
-
-def up_rotation(up: Array) -> list[float]:
-    """Unit quaternion (x, y, z, w) of the shortest rotation of ``up`` (3,), not zero, to the axis +y."""
-    x, y, z = np.asarray(up, np.float64) / np.linalg.norm(up)
-    if y < -1 + 1e-12:
-        return [1.0, 0.0, 0.0, 0.0]
-    quaternion = np.array([-z, 0.0, x, 1 + y])
-    return [float(value) for value in quaternion / np.linalg.norm(quaternion)]
-
-
-def pad(part: bytes, filler: bytes) -> bytes:
-    """Append ``filler`` until the length is a multiple of 4, which glTF demands of every part."""
-    return part + filler * (-len(part) % 4)
-
-
-def write_header(stream: BinaryIO, document: Mapping[str, Any], binary_length: int, name: str) -> None:
-    """Write everything before the binary part, whose length in bytes is a multiple of 4.
-
-    Raises:
-        UserError: if the file would be larger than 4 GiB, the limit of the format. ``name`` is used in the message.
-    """
-    content = pad(json.dumps(document, separators=(",", ":")).encode("utf-8"), b" ")
-    total = 12 + 8 + len(content) + 8 + binary_length
-    if total > MAX_BYTES:
-        raise UserError(
-            f"{name}: expected at most 4 GiB, the limit of GLB files, got {total / 2**30:.1f} GiB; "
-            "choose fewer --frames"
-        )
-    stream.write(struct.pack("<III", MAGIC, 2, total))
-    stream.write(struct.pack("<II", len(content), JSON_CHUNK) + content)
-    stream.write(struct.pack("<II", binary_length, BINARY_CHUNK))
 
 
 def _document(mesh: TexturedMesh, parts: list[bytes], up: Array) -> dict[str, Any]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from fourd.baking.bake import BAKED_LAYERS, bake_run
+from fourd.baking.bake import bake_run
 from fourd.baking.packing.report import PackSettings, pack_and_report
+from fourd.baking.scene import BAKED_LAYERS
 from fourd.capture.frame_rate import NAME
 from fourd.files import atomic_path
 from fourd.pipeline.stage import Artefact, Context, Stage

@@ -1,0 +1,137 @@
+"""Spherical harmonics fitted to the colours that a scene shows.
+
+For each point, the colours that the scene shows from the capture's cameras, and from cameras between them, are
+approximated by least squares. Directions in which the point is visible count most.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.baking.shade import shade
+from fourd.cameras import Camera, look_at, nearest_views
+from fourd.ops.points.arrays import point_visibility_numpy
+from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
+
+MIN_WEIGHT = 0.02
+"""Weight of a direction in which the point is not visible. A visible point has a weight of up to 1."""
+RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
+"""Weight of the squared coefficients of degrees 0 to 3, so that they do not fit noise."""
+DIRECTIONS = 24
+"""Number of viewpoints of a scene without cameras."""
+_CHUNK = 8192
+_NEIGHBOURS = 2
+
+Link = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+"""Converts colours to the values that the harmonics approximate."""
+
+
+class ColourFit:
+    """Fits spherical harmonics to the colours of a scene's clouds.
+
+    Args:
+        manifest: the manifest of the scene.
+        link: converts a colour to the value ``sum(coefficient * Y(direction))``.
+        degree: largest degree of the harmonics, 0 to 3.
+    """
+
+    def __init__(self, manifest: SceneManifest, link: Link, degree: int = 2) -> None:
+        self.manifest = manifest
+        self.link = link
+        self.degree = degree
+        self.cameras = viewpoints(manifest)
+
+    @property
+    def terms(self) -> int:
+        """Number of harmonics."""
+        return (self.degree + 1) ** 2
+
+    def fit(self, cloud: BakedFrame) -> NDArray[np.float32]:
+        """Return the coefficients (N, 3, terms) of the N points."""
+        if cloud.point_count == 0 or not self.cameras:
+            return np.zeros((cloud.point_count, 3, self.terms), np.float32)
+        return self._solve(cloud.xyz, *self._observe(cloud))
+
+    def _observe(self, cloud: BakedFrame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return the values to fit (C, N, 3) and their weights (C, N) from C cameras."""
+        targets, weights = [], []
+        radius, density = cloud.radius.astype(np.float32), cloud.density.astype(np.float32)
+        for camera in self.cameras:
+            targets.append(self.link(shade(cloud, camera, self.manifest)))
+            visible = point_visibility_numpy(
+                cloud.xyz, radius, density, camera, layers=self.manifest.layers, near=self.manifest.near
+            )
+            weights.append(visible + np.float32(MIN_WEIGHT))
+        return np.stack(targets), np.stack(weights)
+
+    def _solve(
+        self, xyz: NDArray[np.float32], targets: NDArray[np.float32], weights: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        """Solve the weighted least squares of every point. Returns (N, 3, terms)."""
+        degrees = np.arange(self.degree + 1)
+        ridge = np.diag(np.repeat(RIDGE[: self.degree + 1], 2 * degrees + 1)).astype(np.float32)
+        centres = np.stack([camera.centre for camera in self.cameras])
+        out = np.empty((len(xyz), 3, self.terms), np.float32)
+        for first in range(0, len(xyz), _CHUNK):
+            chunk = slice(first, first + _CHUNK)
+            direction = xyz[chunk] - centres[:, None]
+            direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+            terms = directional_terms(*np.moveaxis(direction.astype(np.float32), -1, 0))[: self.terms - 1]
+            constant = np.full(direction.shape[:2], SH_CONSTANT, np.float32)
+            basis = np.stack([constant, *terms], axis=-1)
+            weighted = basis * weights[:, chunk, None]
+            normal = np.einsum("cni,cnj->nij", weighted, basis, optimize=True)
+            right = np.einsum("cni,cnk->nik", weighted, targets[:, chunk], optimize=True)
+            scale = weights[:, chunk].sum(axis=0)[:, None, None]
+            out[chunk] = np.linalg.solve(normal + ridge * scale, right).transpose(0, 2, 1)
+        return out
+
+
+def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
+    """Return the cameras from which the colours of a scene are sampled.
+
+    These are the source views and the cameras between them, or all cameras if the scene has no source views. A scene
+    without cameras is sampled from all sides.
+    """
+    cameras = manifest.source_cameras or manifest.cameras
+    if cameras:
+        return (*cameras, *between(cameras, np.asarray(manifest.focus)))
+    return _all_sides(manifest)
+
+
+def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camera]:
+    """Return cameras halfway between each camera and its nearest cameras, without duplicates.
+
+    The new cameras look at ``focus`` and have the intrinsics of one of their two neighbours.
+    """
+    pairs = set()
+    for index, camera in enumerate(cameras):
+        near = nearest_views(camera, cameras, _NEIGHBOURS + 1, focus)
+        pairs |= {(min(index, other), max(index, other)) for other in near if other != index}
+    found = []
+    for one, other in sorted(pairs):
+        a, b = cameras[one], cameras[other]
+        centre, up = (a.centre + b.centre) / 2, -(a.rotation[1] + b.rotation[1])
+        if np.linalg.norm(np.cross(focus - centre, up)) > 1e-6:
+            found.append(look_at(centre, focus, up, a.intrinsics, a.width, a.height))
+    return found
+
+
+def _all_sides(manifest: SceneManifest) -> tuple[Camera, ...]:
+    """Return cameras on a sphere around the bounds, at the points of a spherical Fibonacci lattice."""
+    lower, upper = (np.asarray(corner) for corner in manifest.bounds)
+    centre, radius = (lower + upper) / 2, max(float(np.linalg.norm(upper - lower)), 1e-3)
+    size, intrinsics = 256, np.array([[256.0, 0, 128], [0, 256.0, 128], [0, 0, 1]])
+    found = []
+    for index in range(DIRECTIONS):
+        height = 1 - (2 * index + 1) / DIRECTIONS
+        angle = np.pi * (3 - np.sqrt(5)) * index
+        ring = np.sqrt(1 - height**2)
+        side = np.array([ring * np.cos(angle), ring * np.sin(angle), height])
+        up = np.array([0.0, 0.0, 1.0]) if ring > 0.1 else np.array([1.0, 0.0, 0.0])
+        found.append(look_at(centre + 1.5 * radius * side, centre, up, intrinsics, size, size))
+    return tuple(found)

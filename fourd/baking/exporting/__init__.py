@@ -1,0 +1,1 @@
+"""Export of scenes to the files of other programs."""

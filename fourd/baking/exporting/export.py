@@ -1,0 +1,198 @@
+"""Exports the frames of a scene to the files of other programs, one file for each frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal, TypeVar, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.colour_fit import viewpoints
+from fourd.baking.exporting.gltf import write_splat_glb
+from fourd.baking.exporting.usd import require_usd, write_splat_usd, write_usd_scene
+from fourd.baking.rendering import Scene, render_frame
+from fourd.baking.scene import SceneManifest
+from fourd.baking.splats.cloud import SplatCloud, rotate_cloud
+from fourd.baking.splats.frames import SPLAT_SH_BASE, SPLAT_SH_RANGE, SplatFit, frame_from_splats
+from fourd.baking.splats.ply import write_splat_ply
+from fourd.baking.splats.raw import write_splat
+from fourd.baking.splats.spz import require_gsply, write_spz
+from fourd.cameras import Camera, estimate_up
+from fourd.ply import write_ply
+from fourd.progress import Track, untracked
+
+Item = TypeVar("Item")
+Format = Literal["ply-sequence", "splat", "spz", "glb", "usd", "ply"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+SUFFIXES: dict[Format, str] = {
+    "ply-sequence": ".ply",
+    "splat": ".splat",
+    "spz": ".spz",
+    "glb": ".glb",
+    "usd": ".usdc",
+    "ply": ".ply",
+}
+Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
+"""Formats of files with +y up. The other formats of splats have -y up."""
+MEASURED_VIEWS, MEASURED_FRAMES = 4, 3
+"""Largest numbers of viewpoints and frames from which the loss of an export is measured."""
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """What is written.
+
+    Attributes:
+        format: "ply-sequence": Gaussian splats in the PLY files of 3D Gaussian Splatting. "splat", "spz", "glb" and
+            "usd": Gaussian splats in these formats. "ply": coloured points.
+        frames: indices of the frames, from 0.
+        degree: largest degree of the spherical harmonics, 0 to 3. The formats "splat" and "ply" have only degree 0.
+        keep_axes: keep the scene's coordinates. Otherwise, the scene is rotated so that its up direction is the one
+            that programs expect of the format: +y for :data:`Y_UP`, and -y for the others. "ply" is never rotated.
+    """
+
+    format: Format
+    frames: Sequence[int]
+    degree: int = 2
+    keep_axes: bool = False
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was written.
+
+    Attributes:
+        files: the files, one for each frame. For "usd", the file that plays the frames comes last.
+        bytes_per_frame: mean size of a frame's file.
+        psnr: mean PSNR in dB between the scene and the exported colours, at the pixels that show the scene. Both are
+            rendered as points of fourd, from the capture's cameras and from cameras between them. None without points.
+    """
+
+    files: tuple[Path, ...]
+    bytes_per_frame: float
+    psnr: float | None
+
+
+def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track = untracked) -> ExportReport:
+    """Write frames of a scene, one at a time. Each file is written atomically.
+
+    Args:
+        out: a file with the suffix of the format if there is only one frame, otherwise a folder.
+
+    Raises:
+        UserError: if a file cannot be written, or the package for the format is not installed.
+    """
+    _require_packages(settings.format, out)
+    manifest = scene.manifest
+    fit = SplatFit(manifest, 0 if settings.format in ("splat", "ply") else settings.degree)
+    rotation = _rotation(manifest, settings)
+    loss = _LossMeter(manifest, settings.frames)
+    files = list_files(out, settings, manifest)
+    for position, index in enumerate(track(settings.frames, len(settings.frames), "export")):
+        frame = scene.frame(index)
+        cloud = fit.convert(frame)
+        loss.measure(scene, index, cloud)
+        if rotation is not None:
+            cloud = rotate_cloud(cloud, rotation)
+        _write(files[position], cloud, settings.format, position)
+    size = sum(file.stat().st_size for file in files) / max(len(files), 1)
+    if settings.format == "usd":
+        write_usd_scene(out, [f"frames/{file.name}" for file in files], settings.degree, manifest.fps)
+        files.append(out / "scene.usda")
+    return ExportReport(tuple(files), size, loss.psnr)
+
+
+def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
+    """The files of the frames: ``out`` itself if it has the suffix of the format, otherwise files in this folder.
+
+    The names end in the frames' numbers in the capture, so that other programs find the sequence.
+    """
+    suffix = SUFFIXES[settings.format]
+    if out.suffix.lower() == suffix:
+        return [out]
+    folder = out / "frames" if settings.format == "usd" else out
+    return [folder / f"frame_{manifest.frame_numbers[index]:06d}{suffix}" for index in settings.frames]
+
+
+def _require_packages(kind: Format, out: Path) -> None:
+    if kind == "spz":
+        require_gsply(out)
+    if kind == "usd":
+        require_usd(out)
+
+
+def _write(path: Path, cloud: SplatCloud, kind: Format, time: int) -> None:
+    writers: dict[Format, Callable[[Path, SplatCloud], None]] = {
+        "ply-sequence": write_splat_ply,
+        "splat": write_splat,
+        "spz": write_spz,
+        "glb": write_splat_glb,
+        "ply": _write_points,
+    }
+    if kind == "usd":
+        write_splat_usd(path, cloud, float(time))
+    else:
+        writers[kind](path, cloud)
+
+
+def _write_points(path: Path, cloud: SplatCloud) -> None:
+    write_ply(path, cloud.xyz, np.rint(cloud.base_colour * 255).astype(np.uint8))
+
+
+def _rotation(manifest: SceneManifest, settings: ExportSettings) -> NDArray[np.float64] | None:
+    """The rotation (3, 3) of the scene to the axes of the format, or None for none."""
+    from scipy.spatial.transform import Rotation
+
+    if settings.keep_axes or settings.format == "ply" or not manifest.cameras:
+        return None
+    target = np.array([0.0, 1.0 if settings.format in Y_UP else -1.0, 0.0])
+    up = estimate_up(manifest.cameras)
+    if np.allclose(up, target, atol=1e-9):
+        return None
+    return np.asarray(Rotation.align_vectors([target], [up])[0].as_matrix())
+
+
+class _LossMeter:
+    """Measures the PSNR between a scene and its exported colours on some frames, from some viewpoints."""
+
+    def __init__(self, manifest: SceneManifest, frames: Sequence[int]) -> None:
+        self._manifest = replace(
+            manifest,
+            source_names=(),
+            source_cameras=(),
+            other_names=(),
+            other_cameras=(),
+            sh_base=SPLAT_SH_BASE,
+            sh_range=SPLAT_SH_RANGE,
+        )
+        self._cameras: list[Camera] = _spread(viewpoints(manifest), MEASURED_VIEWS)
+        self._frames = set(_spread(frames, MEASURED_FRAMES))
+        self._values: list[float] = []
+
+    @property
+    def psnr(self) -> float | None:
+        """Mean over the measured images; None if no image shows a point."""
+        return float(np.mean(self._values)) if self._values else None
+
+    def measure(self, scene: Scene, index: int, cloud: SplatCloud) -> None:
+        """Measure frame ``index``, if it is one of the measured frames. ``cloud`` has the scene's coordinates."""
+        if index not in self._frames:
+            return
+        frame = frame_from_splats(cloud)
+        for camera in self._cameras:
+            given = scene.render(camera, index)
+            seen = given.alpha > 0.5
+            if seen.any():
+                exported = render_frame(frame, camera, self._manifest).rgb
+                error = float(np.square(given.rgb[seen] - exported[seen]).mean())
+                self._values.append(-10 * float(np.log10(max(error, 1e-10))))
+
+
+def _spread(items: Sequence[Item], count: int) -> list[Item]:
+    """At most ``count`` of the items, at equal distances."""
+    if len(items) <= count:
+        return list(items)
+    return [items[index] for index in np.linspace(0, len(items) - 1, count).round().astype(int)]

@@ -1,0 +1,107 @@
+"""Gaussian splats: the points of one frame as other programs of the field store them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS, directional_terms
+
+TERMS_BY_DEGREE = (1, 4, 9, 16)
+"""Number of spherical harmonics up to degrees 0 to 3."""
+
+
+@dataclass(frozen=True, eq=False)
+class SplatCloud:
+    """N Gaussian splats.
+
+    Attributes:
+        xyz: (N, 3) float32, centres in world units.
+        scale: (N, 3) float32, standard deviations along the splat's axes in world units, above 0.
+        rotation: (N, 4) float32, unit quaternions (w, x, y, z) from the splat's axes to the world.
+        opacity: (N,) float32 in [0, 1], at the centre.
+        sh: (N, 3, T) float32, T of 1, 4, 9 or 16 spherical harmonics. The colour is ``0.5 + sum(sh * Y(d))``, where d
+            is the direction from the camera to the splat.
+
+    Raises:
+        ValueError: for a wrong shape. The message names the array.
+    """
+
+    xyz: NDArray[np.float32]
+    scale: NDArray[np.float32]
+    rotation: NDArray[np.float32]
+    opacity: NDArray[np.float32]
+    sh: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        count = len(self.xyz)
+        shapes = {"xyz": (count, 3), "scale": (count, 3), "rotation": (count, 4), "opacity": (count,)}
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name}: expected shape {shape}, got {getattr(self, name).shape}")
+        if self.sh.shape[:2] != (count, 3) or self.sh.shape[-1] not in TERMS_BY_DEGREE:
+            raise ValueError(f"sh: expected shape ({count}, 3, T) with T of {TERMS_BY_DEGREE}, got {self.sh.shape}")
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    @property
+    def degree(self) -> int:
+        """Largest degree of the spherical harmonics, 0 to 3."""
+        return TERMS_BY_DEGREE.index(self.sh.shape[-1])
+
+    @property
+    def base_colour(self) -> NDArray[np.float32]:
+        """(N, 3) mean colour over all directions, clamped to [0, 1]."""
+        return np.clip(0.5 + SH_CONSTANT * self.sh[..., 0], 0, 1)
+
+
+def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud:
+    """Rotate a cloud about the origin.
+
+    Args:
+        rotation: (3, 3) matrix R. A point x moves to R x, and its colour seen along R d is the colour that was seen
+            along d.
+    """
+    turned = _multiply(_quaternion(rotation), cloud.rotation)
+    harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]
+    return SplatCloud(
+        np.asarray(cloud.xyz @ rotation.T, np.float32),
+        cloud.scale,
+        turned,
+        cloud.opacity,
+        np.asarray(cloud.sh @ harmonics.T, np.float32),
+    )
+
+
+def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The matrix (16, 16) that rotates spherical harmonics coefficients. It mixes only terms of the same degree.
+
+    The rotated coefficients are the exact solution of a linear system over more directions than terms.
+    """
+    directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    after, before = _basis(directions), _basis(directions @ rotation)
+    solution = np.linalg.lstsq(after, before, rcond=None)[0]
+    return np.asarray(np.where(np.abs(solution) < 1e-12, 0, solution))
+
+
+def _basis(directions: NDArray[np.float64]) -> NDArray[np.float64]:
+    terms = directional_terms(*directions.T)
+    return np.stack([np.full(len(directions), SH_CONSTANT), *terms], axis=1)
+
+
+def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z])
+
+
+def _multiply(left: NDArray[np.float64], right: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The products (N, 4) of one quaternion and N quaternions, all (w, x, y, z)."""
+    w, x, y, z = left
+    matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
+    return np.asarray(right @ matrix.T, np.float32)

@@ -1,0 +1,59 @@
+"""Gaussian splats in `.splat` files: 32 bytes per splat, without spherical harmonics above degree 0."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from fourd.baking.splats.cloud import SplatCloud
+from fourd.errors import UserError
+from fourd.files import atomic_path
+from fourd.ops.shade.harmonics import SH_CONSTANT
+
+ROW = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
+
+
+def write_splat(path: Path, cloud: SplatCloud) -> None:
+    """Write a cloud, atomically. Large and opaque splats come first, so that a viewer can draw a part of the file."""
+    rows = np.zeros(len(cloud), ROW)
+    rows["xyz"], rows["scale"] = cloud.xyz, cloud.scale
+    rgba = np.concatenate([cloud.base_colour, cloud.opacity[:, None]], axis=1)
+    rows["rgba"] = np.rint(np.clip(rgba, 0, 1) * 255)
+    rows["rotation"] = np.clip(np.rint(cloud.rotation * 128 + 128), 0, 255)
+    order = np.argsort(-cloud.opacity * cloud.scale.prod(axis=1), kind="stable")
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(rows[order].tobytes())
+
+
+def count_splats(path: Path) -> int:
+    """Number of splats in a file. Raises UserError if the size of the file is not a multiple of 32 bytes."""
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise UserError(f"{path}: expected a readable .splat file, got {error.strerror}; check the path") from error
+    if size % ROW.itemsize:
+        raise UserError(f"{path}: expected a multiple of 32 bytes, got {size} bytes; write the .splat file again")
+    return size // ROW.itemsize
+
+
+def read_splat(path: Path) -> SplatCloud:
+    """Read a cloud. Splats with a value that is not finite are left out.
+
+    Raises:
+        UserError: if the file cannot be read, or its size is not a multiple of 32 bytes.
+    """
+    count = count_splats(path)
+    rows = np.frombuffer(path.read_bytes(), ROW, count=count)
+    rotation = rows["rotation"].astype(np.float32) / 128 - 1
+    length = np.linalg.norm(rotation, axis=1, keepdims=True)
+    scale, rgba = rows["scale"].astype(np.float32), rows["rgba"].astype(np.float32) / 255
+    kept = np.isfinite(rows["xyz"]).all(axis=1) & np.isfinite(scale).all(axis=1) & (scale > 0).all(axis=1)
+    kept &= length[:, 0] > 1e-6
+    return SplatCloud(
+        rows["xyz"][kept].astype(np.float32),
+        scale[kept],
+        rotation[kept] / length[kept],
+        rgba[kept, 3],
+        np.asarray((rgba[kept, :3] - 0.5) / SH_CONSTANT, np.float32)[..., None],
+    )

@@ -1,0 +1,157 @@
+"""Scenes that are read from files of Gaussian splats or of coloured points: one file for each frame."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.container import SceneReader
+from fourd.baking.scene import BakedFrame, SceneManifest, to_triple
+from fourd.baking.splats.cloud import SplatCloud
+from fourd.baking.splats.frames import SPLAT_SH_BASE, SPLAT_SH_RANGE, cloud_from_points, frame_from_splats
+from fourd.baking.splats.ply import is_splat_ply, read_splat_ply
+from fourd.baking.splats.raw import count_splats, read_splat
+from fourd.cameras import Camera, look_at
+from fourd.errors import UserError
+from fourd.ply import read_header, read_ply
+
+SUFFIXES = (".ply", ".splat")
+SPLAT_LAYERS = 48
+"""Number of points composited per pixel. Splats are less opaque than the points of fourd, so more of them overlap."""
+CAMERAS = 8
+"""Number of cameras around the splats, whose files have no cameras."""
+OUTLIERS = 2.0
+"""Percentage of the splats that may lie beyond each side of the bounds."""
+IMAGE_SIZE, FOCAL = (960, 720), 800.0
+
+
+def open_reader(path: Path) -> SceneReader | SplatReader:
+    """Open a `.4dv`, a file of splats or points, or a folder of them. Raises UserError."""
+    return SplatReader(path) if is_splats(path) else SceneReader(path)
+
+
+def is_splats(path: Path) -> bool:
+    """Whether a path is a file of splats or points by its name, or a folder that contains such files and no run."""
+    if path.is_dir():
+        return not (path / "config.yaml").exists() and bool(_list_files(path))
+    return path.suffix.lower() in SUFFIXES
+
+
+class SplatReader:
+    """Reads splats as a scene without source views. Every call reads the requested frame from its file.
+
+    The interface is that of :class:`fourd.baking.container.SceneReader`. The up direction of splats is -y, as programs
+    for Gaussian splats assume. The up direction of coloured points is +z. ``manifest.points`` counts the splats of the
+    files.
+
+    Args:
+        path: a `.ply` or `.splat` file, or a folder with one file for each frame.
+
+    Raises:
+        UserError: if there is no such file, or the header or size of a file is not valid.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self.path = Path(path)
+        self._files = _list_files(self.path) if self.path.is_dir() else [self.path]
+        counts = tuple(_count(file) for file in self._files)
+        lower, upper, focus = _extent(_read_cloud(self._files[0]).xyz)
+        diagonal = max(float(np.linalg.norm(upper - lower)), 1e-6)
+        up = np.array([0.0, -1.0, 0.0]) if _has_splats(self._files[0]) else np.array([0.0, 0.0, 1.0])
+        cameras = _cameras(focus, diagonal, up)
+        self.manifest = SceneManifest(
+            source_names=(),
+            source_cameras=(),
+            focus=to_triple(focus),
+            bounds=(to_triple(lower), to_triple(upper)),
+            frame_numbers=_frame_numbers(self._files),
+            points=counts,
+            other_names=tuple(f"side {index + 1}" for index in range(len(cameras))),
+            other_cameras=cameras,
+            layers=SPLAT_LAYERS,
+            sh_base=SPLAT_SH_BASE,
+            sh_range=SPLAT_SH_RANGE,
+            near=1e-3 * diagonal,
+            producer=f"{self._files[0].suffix[1:]} file",
+        )
+
+    def close(self) -> None:
+        """Do nothing: files are open only while they are read."""
+
+    def read(self, index: int) -> BakedFrame:
+        """Read frame ``index``, from 0.
+
+        Raises IndexError if there is no such frame, and UserError if its file is damaged.
+        """
+        if not 0 <= index < len(self._files):
+            raise IndexError(f"frame: expected 0 to {len(self._files) - 1}, got {index}")
+        return frame_from_splats(_read_cloud(self._files[index]))
+
+    def read_dynamic(self, index: int) -> BakedFrame:
+        """Read frame ``index``. Splats have no separate background."""
+        return self.read(index)
+
+    def read_background(self) -> None:
+        """Return None: splats have no separate background."""
+
+    def read_shadow(self, index: int) -> None:
+        """Return None: splats have no separate background."""
+
+
+def _list_files(folder: Path) -> list[Path]:
+    """The files of splats in a folder, in the order of the last number in their names."""
+    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
+    return sorted(files, key=lambda file: (_last_number(file), file.name))
+
+
+def _last_number(file: Path) -> int:
+    numbers = re.findall(r"\d{1,15}", file.stem)
+    return int(numbers[-1]) if numbers else 0
+
+
+def _frame_numbers(files: list[Path]) -> tuple[int, ...]:
+    numbers = [_last_number(file) for file in files]
+    return tuple(numbers) if len(set(numbers)) == len(numbers) else tuple(range(len(files)))
+
+
+def _count(file: Path) -> int:
+    return count_splats(file) if file.suffix.lower() == ".splat" else read_header(file).count
+
+
+def _has_splats(file: Path) -> bool:
+    return file.suffix.lower() == ".splat" or is_splat_ply(file)
+
+
+def _read_cloud(file: Path) -> SplatCloud:
+    if file.suffix.lower() == ".splat":
+        cloud = read_splat(file)
+    else:
+        cloud = read_splat_ply(file) if is_splat_ply(file) else cloud_from_points(read_ply(file))
+    if len(cloud) == 0:
+        raise UserError(f"{file}: expected at least one splat with finite values, got none; write the file again")
+    return cloud
+
+
+def _extent(xyz: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Lower corner, upper corner and centre of most of the splats."""
+    points = xyz.astype(np.float64)
+    lower, middle, upper = np.percentile(points, [OUTLIERS, 50, 100 - OUTLIERS], axis=0)
+    return lower, upper, middle
+
+
+def _cameras(focus: NDArray[np.float64], diagonal: float, up: NDArray[np.float64]) -> tuple[Camera, ...]:
+    """Cameras in a ring around the splats. ``up`` (3,) is an axis of the world."""
+    width, height = IMAGE_SIZE
+    intrinsics = np.array([[FOCAL, 0, width / 2], [0, FOCAL, height / 2], [0, 0, 1]])
+    distance = 1.05 * diagonal * FOCAL / height
+    angles = 2 * np.pi * np.arange(CAMERAS) / CAMERAS
+    found = []
+    right = np.array([1.0, 0.0, 0.0])
+    front = np.cross(right, up)
+    for angle in angles:
+        side = np.sin(angle) * right + np.cos(angle) * front + 0.2 * up
+        found.append(look_at(focus + distance * side, focus, up, intrinsics, width, height))
+    return tuple(found)

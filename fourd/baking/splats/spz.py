@@ -1,0 +1,51 @@
+"""Gaussian splats in SPZ files (Niantic), by the package gsply. SPZ files have +y up."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fourd.baking.splats.cloud import SplatCloud
+from fourd.baking.splats.ply import MIN_SCALE, OPACITY_MARGIN
+from fourd.errors import UserError
+from fourd.files import atomic_path
+
+POSITION_BITS = 24
+MAX_FRACTIONAL_BITS = 16
+
+
+def require_gsply(path: Path) -> Any:
+    """Import the package gsply. Raises UserError if it is not installed."""
+    if importlib.util.find_spec("gsply") is None:
+        raise UserError(
+            f"{path}: SPZ files need the package gsply, which is not installed; pip install 'fourd[splats]'"
+        )
+    import gsply
+
+    return gsply
+
+
+def write_spz(path: Path, cloud: SplatCloud) -> None:
+    """Write a cloud as SPZ version 3, atomically. Raises UserError if the package gsply is not installed."""
+    gsply = require_gsply(path)
+    opacity = np.clip(cloud.opacity.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    data = gsply.GSData(
+        means=cloud.xyz,
+        scales=np.log(np.maximum(cloud.scale, MIN_SCALE)),
+        quats=cloud.rotation,
+        opacities=np.log(opacity / (1 - opacity)).astype(np.float32),
+        sh0=np.ascontiguousarray(cloud.sh[..., 0]),
+        shN=np.ascontiguousarray(cloud.sh[..., 1:].transpose(0, 2, 1)),
+    )
+    with atomic_path(path) as temporary:
+        gsply.write_spz(temporary, data, version=3, fractional_bits=_fractional_bits(cloud))
+
+
+def _fractional_bits(cloud: SplatCloud) -> int:
+    """Bits after the binary point of the fixed-point positions, so that the farthest position fits."""
+    farthest = float(np.abs(cloud.xyz).max(initial=1e-3))
+    whole = max(int(np.ceil(np.log2(farthest * 1.001))), 0) + 1
+    return min(max(POSITION_BITS - 1 - whole, 0), MAX_FRACTIONAL_BITS)
