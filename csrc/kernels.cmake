@@ -11,6 +11,13 @@ fourd_kernel(blend
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
   BINDING binding.cpp)
 
+fourd_kernel(edge_gradients
+  CPU cpu/edge_gradients.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx2 EXACT
+  CUDA cuda/edge_gradients.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
+
 fourd_kernel(hashgrid
   CPU cpu/encode.cpp
   DISPATCH cpu/loops.cpp WIDEST avx2 TOLERANT

@@ -76,17 +76,18 @@ struct AntialiasArguments {
                         "codes: unexpected shape");
     }
 
+    void require_like_positions(const PositionsOut& array) const {
+        require(array.shape(0) == (mesh.instanced ? images.count : 1) && array.shape(1) == mesh.vertices,
+                "out_pos: unexpected shape");
+    }
+
     antialias::Gradients gradients(const Colours& gradient, const Codes& codes, float boost,
                                    const std::optional<ColoursOut>& out_colours,
                                    const std::optional<PositionsOut>& out_positions) const {
         require_like_colours(gradient, "gradient: unexpected shape");
         require_codes(codes);
         if (out_colours) require_like_colours(*out_colours, "out_color: unexpected shape");
-        if (out_positions) {
-            require(out_positions->shape(0) == (mesh.instanced ? images.count : 1) &&
-                        out_positions->shape(1) == mesh.vertices,
-                    "out_pos: unexpected shape");
-        }
+        if (out_positions) require_like_positions(*out_positions);
         return {gradient.data(), codes.data(), boost, out_colours ? out_colours->data() : nullptr,
                 out_positions ? out_positions->data() : nullptr};
     }

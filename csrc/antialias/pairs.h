@@ -16,6 +16,12 @@ struct Plan {
     }
 };
 
+// Consecutive rows of one image.
+struct Rows {
+    std::size_t image;
+    int begin, end;
+};
+
 // The arrays of one image.
 struct View {
     Plan plan;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "blend/blend.h"
+#include "edge_gradients/edge_gradients.h"
 #include "planes/planes.h"
 #include "play/play.h"
 #include "points/cpu/workspace.h"
@@ -218,6 +219,15 @@ void run_antialias(unsigned seed, const char* simd) {
     inputs.expect_finite_results(seed);
 }
 
+void run_edge_gradients(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::AntialiasInputs inputs(random, 70, seed % 2 ? 0.1f : 0.0f);
+    const fourd::antialias::Settings settings{random_int(random, 1, 4), fourd::simd_named(simd)};
+    fourd::edge_gradients::edge_gradients(inputs.mesh, inputs.images, settings, inputs.gradient.data(),
+                                          inputs.to_positions.data());
+    expect_finite(inputs.to_positions, "gradient of edges", seed);
+}
+
 void run_splat_triangles(unsigned seed, const char* simd) {
     Random random(seed);
     fourd::tests::SplatInputs inputs(random, 300, seed % 2 ? 0.1f : 0.0f, simd);
@@ -287,6 +297,7 @@ int main(int count, char** arguments) {
             run_soft_triangles(seed, simd);
             run_splat_triangles(seed, simd);
             run_antialias(seed, simd);
+            run_edge_gradients(seed, simd);
             run_mesh(seed, simd);
             fourd::tests::run_unpack(seed, simd);
             run_texture(seed, simd);

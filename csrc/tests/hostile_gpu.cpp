@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "antialias/cuda/antialias.h"
+#include "edge_gradients/cuda/edge_gradients.h"
 #include "hashgrid/cuda/encode.h"
 #include "interpolate/cuda/interpolate.h"
 #include "planes/cuda/sample.h"
@@ -149,6 +150,16 @@ void run_antialias(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_edge_gradients(unsigned seed) {
+    Random random(seed);
+    fourd::tests::AntialiasInputs inputs(random, 30, seed % 2 ? 0.1f : 0.0f);
+    std::vector<unsigned char> workspace(
+        fourd::edge_gradients::cuda::workspace_bytes(inputs.mesh, inputs.images.count));
+    fourd::edge_gradients::cuda::edge_gradients(inputs.mesh, inputs.images, workspace.data(), inputs.gradient.data(),
+                                                inputs.to_positions.data(), nullptr);
+    expect_finite(inputs.to_positions, "gradient of edges", seed);
+}
+
 void run_splat_triangles(unsigned seed) {
     Random random(seed);
     fourd::tests::SplatInputs inputs(random, 100, seed % 2 ? 0.1f : 0.0f, "");
@@ -226,6 +237,7 @@ int main(int count, char** arguments) {
         run_soft_triangles(seed);
         run_splat_triangles(seed);
         run_antialias(seed);
+        run_edge_gradients(seed);
         run_mesh(seed);
         run_texture(seed);
     }

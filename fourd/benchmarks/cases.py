@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from fourd.baking.player import Player
-from fourd.benchmarks.meshes import interpolating, make_mesh, project, rasterizing
+from fourd.benchmarks.meshes import antialiasing, interpolating, make_mesh, project, rasterizing
 from fourd.benchmarks.peers import pytorch3d_compositor, pytorch3d_rasterizer
 from fourd.benchmarks.soft_triangles import soft_silhouette, splatting
 from fourd.benchmarks.textures import trilinear_texture
@@ -168,6 +168,9 @@ def _meshes(count: int, side: int) -> Iterator[Case]:
         yield Case(name, rasterizing(count, side, backward))
     for backward in (False, True):
         yield Case(f"interpolate 3 channels, {size}, {PASSES[backward]}", interpolating(count, side, backward))
+    for name, changes_image in (("antialias", True), ("edge gradients of", False)):
+        name = f"{name} 3 channels, {size}, given topology, forward + backward"
+        yield Case(name, antialiasing(count, side, changes_image=changes_image))
 
 
 def _peer_mesh(count: int, side: int) -> Case:

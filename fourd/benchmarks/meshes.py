@@ -1,4 +1,4 @@
-"""Benchmark work of rasterization and interpolation."""
+"""Benchmark work of rasterization, interpolation and the gradients of silhouettes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from torch import Tensor
 
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import make_camera
-from fourd.raster.triangles import clip_matrix, interpolate, rasterize
+from fourd.raster.triangles import (
+    antialias,
+    antialias_construct_topology,
+    clip_matrix,
+    edge_gradients,
+    interpolate,
+    rasterize,
+)
 
 DEPTH_LIMITS = (0.5, 10.0)
 """Depths of the near and the far plane, in units of the mesh."""
@@ -61,3 +68,18 @@ def interpolating(count: int, side: int, backward: bool) -> Work:
     out, _ = interpolate(*leaves, tri)
     upstream = torch.ones_like(out)
     return lambda: torch.autograd.grad(out, leaves, upstream, retain_graph=True)
+
+
+def antialiasing(count: int, side: int, *, changes_image: bool = True) -> Work:
+    """Return a function that antialiases three channels with a given topology, and computes the gradients of colours
+    and positions. With ``changes_image`` False, only the gradients are those of visibility edges."""
+    xyz, tri = make_mesh(count)
+    topology = antialias_construct_topology(tri)
+    pos = project(xyz, side)
+    rast, _ = rasterize(pos, tri, (side, side))
+    generator = torch.Generator().manual_seed(count)
+    color, _ = interpolate(torch.rand(len(xyz), 3, generator=generator), rast, tri)
+    leaves = (color.requires_grad_(), pos.requires_grad_())
+    upstream = torch.randn(color.shape, generator=generator)
+    blend = antialias if changes_image else edge_gradients
+    return lambda: torch.autograd.grad(blend(color, rast, pos, tri, topology), leaves, upstream)

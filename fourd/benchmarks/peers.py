@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 import torch
@@ -10,6 +11,11 @@ from torch import Tensor
 
 from fourd.benchmarks.timing import Work
 from fourd.cameras import Camera
+
+
+def missing_peers() -> list[str]:
+    """Return the names of the libraries that CPU benchmarks compare with and that are not installed."""
+    return [name for name in ("pytorch3d",) if find_spec(name) is None]
 
 
 def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool) -> Work | None:

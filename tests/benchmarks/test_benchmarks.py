@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 from fourd.baking.player import Player
 from fourd.benchmarks.cases import composite
 from fourd.benchmarks.machine import this_machine
-from fourd.benchmarks.meshes import interpolating, make_mesh, project, rasterizing
+from fourd.benchmarks.meshes import antialiasing, interpolating, make_mesh, project, rasterizing
 from fourd.benchmarks.report import Row, markdown, to_json
 from fourd.benchmarks.textures import make_textured_plane, trilinear_texture
 from fourd.benchmarks.timing import Clock, Timing
@@ -55,6 +56,14 @@ def test_triangles_cover_half_of_the_picture() -> None:
     assert [float(gradient.abs().max()) > 0 for gradient in interpolating(2_000, 64, True)()] == [True, True]  # type: ignore[attr-defined]
 
 
+@pytest.mark.parametrize("changes_image", [True, False])
+def test_silhouettes_have_gradients(changes_image: bool) -> None:
+    """Catches a benchmark of antialiasing without silhouettes, whose gradients are zero."""
+    to_color, to_pos = antialiasing(2_000, 64, changes_image=changes_image)()  # type: ignore[misc]
+    assert to_color.abs().max() > 0
+    assert to_pos.abs().max() > 0
+
+
 def test_clock_reports_units() -> None:
     """Catches an inverted ratio to the unit, and limits on the number of runs that are ignored."""
     timing = Clock(seconds=0.01, min_runs=3, max_runs=3).time(lambda: np.linalg.norm(np.ones(10)))
@@ -85,6 +94,8 @@ def test_quick_bench_command(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert len(content["rows"]) >= 5
     assert all(row["timing"]["ms"] > 0 for row in content["rows"])
     assert "K-Planes" in shown
+    if find_spec("pytorch3d") is None:
+        assert "pytorch3d is not installed, so no row compares fourd with pytorch3d." in shown
     assert (tmp_path / "b.md").read_text().count("\n| ") == len(content["rows"]) + 1
 
 

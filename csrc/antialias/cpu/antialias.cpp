@@ -2,6 +2,7 @@
 #include <vector>
 
 #include "antialias/antialias.h"
+#include "antialias/cpu/bands.h"
 #include "antialias/cpu/loops.h"
 #include "common/buffer.h"
 #include "common/pages.h"
@@ -10,21 +11,15 @@
 namespace fourd::antialias {
 namespace {
 
-constexpr int kRowsPerTask = 32;
 constexpr std::size_t kTrianglesPerTask = 4096;
 
-int tasks_of(const Images& images) {
-    const int bands = (images.height + kRowsPerTask - 1) / kRowsPerTask;
-    return static_cast<int>(images.count) * bands;
-}
+std::size_t floats_of(const Images& images) { return images.count * images.pixels() * images.channels; }
 
-Rows rows_of(const Images& images, int task) {
-    const int bands = (images.height + kRowsPerTask - 1) / kRowsPerTask, begin = task % bands * kRowsPerTask;
-    return {static_cast<std::size_t>(task / bands), begin, std::min(images.height, begin + kRowsPerTask)};
-}
+}  // namespace
 
-Buffer<std::uint8_t> find_silhouettes(const Mesh& mesh, const Images& images, const Loops& loops, Team& team) {
-    const std::size_t instances = mesh.instanced ? images.count : 1;
+Buffer<std::uint8_t> find_silhouettes(const Mesh& mesh, std::size_t images, Simd simd, Team& team) {
+    const Loops& loops = select_loops(simd);
+    const std::size_t instances = mesh.instanced ? images : 1;
     Buffer<std::uint8_t> out(instances * mesh.triangle_count);
     const std::size_t parts = (mesh.triangle_count + kTrianglesPerTask - 1) / kTrianglesPerTask;
     team.run(static_cast<int>(instances * parts), [&](int task, int) {
@@ -35,14 +30,10 @@ Buffer<std::uint8_t> find_silhouettes(const Mesh& mesh, const Images& images, co
     return out;
 }
 
-std::size_t floats_of(const Images& images) { return images.count * images.pixels() * images.channels; }
-
-}  // namespace
-
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes) {
     const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
-    const Buffer<std::uint8_t> silhouettes = find_silhouettes(mesh, images, loops, team);
+    const Buffer<std::uint8_t> silhouettes = find_silhouettes(mesh, images.count, settings.simd, team);
     const Plan plan{mesh, images, silhouettes.data()};
     prefer_huge_pages(out, floats_of(images) * sizeof(float));
     std::vector<Buffer<float>> scratch(team.size());

@@ -1,6 +1,7 @@
 // Most pairs of pixels show the same triangle, or triangles without silhouettes. The loops find the other pairs fast.
 #include "antialias/cpu/loops.h"
 
+#include <cstdint>
 #include <cstring>
 
 #include "antialias/pairs.h"
@@ -16,39 +17,11 @@ void silhouettes(const Mesh& mesh, std::size_t instance, std::size_t begin, std:
     }
 }
 
-// Calls body(i) for every i below count with bytes[i] != 0, in ascending order.
-template <typename Body>
-FOURD_INLINE void for_nonzero(const std::uint8_t* bytes, int count, const Body& body) {
-    int i = 0;
-    for (; i + 8 <= count; i += 8) {
-        std::uint64_t eight;
-        std::memcpy(&eight, bytes + i, sizeof eight);
-        if (eight == 0) continue;
-        for (int k = i; k < i + 8; ++k) {
-            if (bytes[k] != 0) body(k);
-        }
-    }
-    for (; i < count; ++i) {
-        if (bytes[i] != 0) body(i);
-    }
-}
+#include "antialias/cpu/changes.inc"
 
 // Copies elements [begin, end).
 FOURD_INLINE void copy(const float* from, std::size_t begin, std::size_t end, float* to) {
     if (begin != end) std::memcpy(to + begin, from + begin, (end - begin) * sizeof(float));
-}
-
-FOURD_INLINE void copy_ids(const float* FOURD_RESTRICT rast, int width, float* FOURD_RESTRICT ids) {
-    for (int j = 0; j < width; ++j) ids[j] = rast[4 * static_cast<std::size_t>(j) + 3];
-}
-
-// Bit 0 of changes[j] is 1 if the right neighbour has another id, and bit 1 is 1 if the lower neighbour has another id.
-FOURD_INLINE void find_changes(const float* FOURD_RESTRICT ids, const float* FOURD_RESTRICT below,
-                               int width, std::uint8_t* FOURD_RESTRICT changes) {
-    for (int j = 0; j + 1 < width; ++j) changes[j] = static_cast<std::uint8_t>(ids[j] != ids[j + 1]);
-    changes[width - 1] = 0;
-    if (below == nullptr) return;
-    for (int j = 0; j < width; ++j) changes[j] = static_cast<std::uint8_t>(changes[j] | (ids[j] != below[j]) << 1);
 }
 
 FOURD_INLINE void blend_pair(const View& view, const Pair& pair, Code code, std::size_t end_pixel, std::size_t begin_pixel,

@@ -6,12 +6,6 @@
 
 namespace fourd::antialias {
 
-// Consecutive rows of one image.
-struct Rows {
-    std::size_t image;
-    int begin, end;
-};
-
 // What one crossing adds to the gradient of one vertex.
 struct Contribution {
     std::uint32_t vertex;  // Index over all instances: instance * vertices + vertex.

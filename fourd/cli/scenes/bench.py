@@ -14,6 +14,7 @@ from rich.console import Console
 from fourd.benchmarks.cases import cases
 from fourd.benchmarks.gpu_cases import gpu_cases
 from fourd.benchmarks.machine import this_machine
+from fourd.benchmarks.peers import missing_peers
 from fourd.benchmarks.report import Row, markdown, table, to_json
 from fourd.benchmarks.timing import Clock
 from fourd.cli.options import option
@@ -48,6 +49,8 @@ def run(arguments: Arguments) -> None:
             status.update(case.name)
             rows.append(Row.measure(case, clock, rivals=not arguments.quick))
     console.print(table(rows))
+    for name in missing_peers():
+        console.print(f"{name} is not installed, so no row compares fourd with {name}.", soft_wrap=True)
     if arguments.json is not None:
         write_text_atomically(arguments.json, to_json(rows, machine))
     if arguments.markdown is not None:

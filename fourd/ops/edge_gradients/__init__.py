@@ -1,1 +1,1 @@
-"""Gradients at visibility edges that do not change the image, in plain torch."""
+"""Gradients at visibility edges that do not change the image (``csrc/edge_gradients``)."""

@@ -1,6 +1,6 @@
-"""Gradients at visibility edges that do not change the image, in plain torch.
+"""Gradients at visibility edges: the operator ``torch.ops.fourd.edge_gradients`` and its use in backward passes.
 
-The search for edges dominates the time and is vectorised, so there is no kernel.
+The public API, which checks the arguments and selects the backend, is :mod:`fourd.raster.triangles.visibility_edges`.
 """
 
 from __future__ import annotations
@@ -10,81 +10,64 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from fourd.ops.antialias.pairs import EDGES, Pairs, crossed_edge, crossing_of_edge, find_pairs, line_of, see
+from fourd.ops.gpu import contiguous, load_gpu, uses_gpu_kernels
+from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
-def add_edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
+@torch.library.custom_op("fourd::edge_gradients", mutates_args=(), device_types=("cpu", "cuda"))
+def edge_gradients(
+    color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
+) -> Tensor:
+    """Compute the gradient of ``pos`` by moving visibility edges, with the shape of ``pos``.
+
+    ``pos`` is (B, V, 4), or (V, 4) for all images. ``gradient`` (B, H, W, C) is the gradient of the image. The
+    operator itself is not differentiable.
+    """
+    out = torch.empty_like(pos, memory_format=torch.contiguous_format)
+    instanced = pos.ndim == 3
+    inputs = (color, rast, pos if instanced else pos[None], tri, opposite)
+    to_pos = out if instanced else out[None]
+    if uses_gpu_kernels(color):
+        gpu = load_gpu(color.device)
+        with gpu.activate():
+            size = gpu.kernels.edge_gradients_workspace_bytes(tri.shape[0], color.shape[0], instanced)
+            upstream = (gpu.allocate(size), gpu.stream, contiguous(gradient))
+            gpu.kernels.edge_gradients(*map(contiguous, inputs), instanced, *upstream, to_pos)
+        return out
+    count = thread_count(threads, torch.get_num_threads())
+    upstream = (count, simd_name(), as_array(gradient))
+    load_native().edge_gradients(*map(as_array, inputs), instanced, *upstream, to_pos.numpy())
+    return out
+
+
+@edge_gradients.register_fake
+def _(
+    color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
+) -> Tensor:
+    return torch.empty_like(pos, memory_format=torch.contiguous_format)
+
+
+def add_edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, threads: int) -> Tensor:
     """Return ``color`` with gradients of moving edges, see :func:`fourd.raster.triangles.edge_gradients`."""
-    clip = pos if pos.ndim == 3 else pos[None].expand(color.shape[0], -1, -1)
-    for axis in (0, 1):
-        pairs = find_pairs(rast, tri.shape[0], axis)
-        flat = color.detach().reshape(-1, color.shape[-1])
-        pairs = pairs[(flat[pairs.owner] != flat[pairs.other]).any(1)]
-        edge = crossed_edge(pairs, clip.detach()[..., [0, 1, 3]], tri, opposite)
-        silhouettes, others = pairs[edge >= 0], pairs[edge < 0]
-        crossing = crossing_of_edge(silhouettes, clip[..., [0, 1, 3]], tri, edge[edge >= 0])
-        color = _MovingEdges.apply(color, _finite(crossing), silhouettes.owner, silhouettes.other)
-        intersections = others[_intersect(others, clip.detach(), tri)]
-        crossing = _crossing_of_intersection(intersections, clip, tri)
-        color = _MovingEdges.apply(color, _finite(crossing), intersections.owner, intersections.other)
-    return color
+    return _MovingEdges.apply(color, rast, pos, tri, opposite, threads)
 
 
 class _MovingEdges(torch.autograd.Function):
-    """The identity on ``color``. A pair of pixels differs by its edge: if the distance t of the edge from the owner
-    grows by dt, one of the two pixels changes by dt (c_owner - c_other). The gradient is the mean of both cases."""
+    """The identity on ``color``, whose backward pass also computes the gradient of ``pos``."""
 
     @staticmethod
-    def forward(ctx: Any, color: Tensor, crossing: Tensor, owner: Tensor, other: Tensor) -> Tensor:
-        pixels = color.reshape(-1, color.shape[-1])
-        ctx.save_for_backward(pixels[owner] - pixels[other], owner, other)
+    def forward(
+        ctx: Any, color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, threads: int
+    ) -> Tensor:
+        ctx.save_for_backward(color, rast, pos, tri, opposite)
+        ctx.threads = threads
         return color.view_as(color)
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         (gradient,) = gradients
-        difference, owner, other = ctx.saved_tensors
-        pixels = gradient.reshape(-1, gradient.shape[-1])
-        to_crossing = 0.5 * ((pixels[owner] + pixels[other]) * difference).sum(1)
-        to_owner = to_other = None
-        return gradient, to_crossing, to_owner, to_other
-
-
-def _finite(crossing: Tensor) -> Tensor:
-    """Return the crossings, without gradients where they are not finite."""
-    return torch.where(crossing.isfinite(), crossing, 0)
-
-
-def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return whether both triangles of each pair contain both pixel centres, and swap their order between these."""
-    two = pairs.other_triangle >= 0
-    inside = two.clone()
-    depth = []
-    for triangle in (pairs.triangle, pairs.other_triangle.clamp(min=0)):
-        value, fall, _, z, w = _lines(pairs, clip, tri, triangle)
-        sign = torch.where(value.sum(1, keepdim=True) < 0, -1.0, 1.0).to(value)
-        inside &= (value * sign >= 0).all(1) & ((value - fall) * sign >= 0).all(1)
-        depth.append(torch.stack(((value * z).sum(1), ((value - fall) * z).sum(1)), 1) / (value * w).sum(1)[:, None])
-    difference = depth[0] - depth[1]
-    return inside & (difference[:, 0] <= 0) & (difference[:, 1] >= 0) & (difference[:, 1] > difference[:, 0])
-
-
-def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return how far from the owner, in pixels, both triangles have the same z/w, which is linear in the image."""
-    at_owner, slopes = [], []
-    for triangle in (pairs.triangle, pairs.other_triangle):
-        value, fall, _, z, w = _lines(pairs, clip, tri, triangle)
-        volume = (value * w).sum(1)
-        at_owner.append((value * z).sum(1) / volume)
-        slopes.append((fall * z).sum(1) / volume)
-    return (at_owner[0] - at_owner[1]) / (slopes[0] - slopes[1])
-
-
-def _lines(pairs: Pairs, clip: Tensor, tri: Tensor, triangle: Tensor) -> tuple[Tensor, ...]:
-    """Return the lines of the edges of ``triangle`` as :func:`line_of` does, and z and w of its vertices, each
-    (N, 3)."""
-    vertices = tri.long()[triangle]
-    seen = see(pairs, clip[..., [0, 1, 3]], vertices)
-    lines = [line_of(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
-    z, w = clip[pairs.image[:, None], vertices][..., 2:].unbind(-1)
-    return *(torch.stack(parts, 1) for parts in zip(*lines, strict=True)), z, w
+        to_pos = None
+        if ctx.needs_input_grad[2]:
+            to_pos = edge_gradients(*ctx.saved_tensors, gradient, ctx.threads)
+        to_rast = to_tri = to_opposite = to_threads = None
+        return gradient, to_rast, to_pos, to_tri, to_opposite, to_threads

@@ -6,10 +6,21 @@ from torch import Tensor
 
 from fourd.ops.antialias.topology import opposite_vertices
 from fourd.ops.edge_gradients.op import add_edge_gradients
+from fourd.ops.edge_gradients.reference import add_edge_gradients_reference
+from fourd.ops.meshes.backends import Backend
 from fourd.raster.triangles.antialiasing import Topology, check_antialias
 
 
-def edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, topology: Topology | None = None) -> Tensor:
+def edge_gradients(
+    color: Tensor,
+    rast: Tensor,
+    pos: Tensor,
+    tri: Tensor,
+    topology: Topology | None = None,
+    *,
+    backend: Backend = "auto",
+    threads: int = 0,
+) -> Tensor:
     """Return ``color`` unchanged. In the backward pass, add the gradient of the motion of visibility edges to ``pos``.
 
     This function is an alternative to ``antialias`` that does not change the image. The method follows Pidhorskyi et
@@ -17,20 +28,26 @@ def edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, topolo
     visibility edge. Let c_1 and c_2 be their colours. If the edge moves by dt pixels from the first pixel towards the
     second, one of the two pixels changes by dt (c_1 - c_2). It is not known which one, so the gradient is the mean of
     the gradients of both cases. A visibility edge is either a silhouette edge of the nearer triangle, as in
-    :func:`fourd.raster.triangles.antialias`, or the line along which two triangles intersect.
+    :func:`fourd.raster.triangles.antialias`, or the line along which two triangles intersect. Edges that
+    are more parallel than perpendicular to the segment between the pixel centres do not count.
 
     The result is differentiable in ``color``, with the gradient of the identity, and in x, y and w of ``pos``. At
-    intersections, it is also differentiable in z. The implementation is plain torch on any device.
+    intersections, it is also differentiable in z. The forward pass copies nothing, and the backward pass finds the
+    edges. On the CPU, gradients have the same bits for any number of threads. On a GPU, the last bits of the gradient
+    of ``pos`` vary between calls.
 
     Args:
-        color, rast, pos, tri, topology: see :func:`fourd.raster.triangles.antialias`; float32 or float64.
+        color, rast, pos, tri, topology, backend, threads: see :func:`fourd.raster.triangles.antialias`.
 
     Returns:
-        (B, H, W, C) the values of ``color``.
+        (B, H, W, C) the values of ``color``, in the same memory.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+        RuntimeError: if the backend is not built.
     """
-    check_antialias(color, rast, pos, tri, topology, 1.0, "reference")
+    chosen = check_antialias(color, rast, pos, tri, topology, 1.0, backend)
     opposite = opposite_vertices(tri) if topology is None else topology.opposite
-    return add_edge_gradients(color, rast, pos, tri, opposite)
+    if chosen == "reference":
+        return add_edge_gradients_reference(color, rast, pos, tri, opposite)
+    return add_edge_gradients(color, rast.detach(), pos, tri, opposite, threads)

@@ -1,4 +1,4 @@
-"""Gradients of moving visibility edges, compared with finite differences of images whose coverage is exact."""
+"""Gradients of moving visibility edges: exact images, and the kernels compared with plain torch."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from fourd.raster.triangles import antialias, edge_gradients
-from tests.ops.antialias.scenes import RECTANGLE, random_scene, rasterize_brute_force, rectangle
+from fourd.ops.loading import load_native
+from fourd.raster.triangles import antialias, antialias_construct_topology, edge_gradients
+from tests.ops.antialias.scenes import RECTANGLE, Scene, random_scene, rasterize_brute_force, rectangle
 
 SIDE = 12
 
@@ -20,10 +21,63 @@ def exact_square(x: float, y: float, size: float) -> Tensor:
     return rows[:, None] * columns
 
 
-def gradient_of(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, upstream: Tensor) -> Tensor:
+def gradient_of(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, upstream: Tensor, **settings: object) -> Tensor:
     leaf = pos.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(edge_gradients(color, rast, leaf, tri), leaf, upstream)
+    (gradient,) = torch.autograd.grad(edge_gradients(color, rast, leaf, tri, **settings), leaf, upstream)  # type: ignore[arg-type]
     return gradient
+
+
+def upstream_of(scene: Scene, rng: np.random.Generator) -> Tensor:
+    return torch.from_numpy(rng.standard_normal(scene.color.shape).astype(np.float32))
+
+
+def on(device: torch.device, scene: Scene) -> tuple[Tensor, ...]:
+    return tuple(array.to(device) for array in (scene.color, scene.rast, scene.pos, scene.tri))
+
+
+def assert_equal_gradients(found: Tensor, expected: Tensor) -> None:
+    scale = float(expected.abs().max())
+    assert scale > 0
+    torch.testing.assert_close(found.cpu(), expected, rtol=1e-3, atol=1e-4 * scale)
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2"])
+@pytest.mark.parametrize("channels", [1, 4])
+def test_kernel_equals_the_reference(
+    channels: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches swapped axes, derivatives of the wrong vertex, and intersections that one of the two misses."""
+    if not load_native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    scene = random_scene(rng, channels=channels)
+    arguments = (scene.color, scene.rast, scene.pos, scene.tri, upstream_of(scene, rng))
+    assert_equal_gradients(gradient_of(*arguments), gradient_of(*arguments, backend="reference"))
+
+
+def test_gpu_equals_the_reference(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches pairs at the borders of the image that a thread reads, and gradients that are not cleared."""
+    scene = random_scene(rng, size=(15, 18))
+    upstream = upstream_of(scene, rng)
+    expected = gradient_of(scene.color, scene.rast, scene.pos, scene.tri, upstream, backend="reference")
+    assert_equal_gradients(gradient_of(*on(gpu, scene), upstream.to(gpu)), expected)
+
+
+def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator) -> None:
+    """Catches pairs at the borders of tasks that are counted twice, and sums in random order."""
+    scene = random_scene(rng, size=(101, 40))
+    arguments = (scene.color, scene.rast, scene.pos, scene.tri, upstream_of(scene, rng))
+    one, *others = (gradient_of(*arguments, threads=threads) for threads in (1, 2, 5))
+    assert all(torch.equal(one, other) for other in others)
+
+
+def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
+    """Catches a fake implementation that returns wrong shapes."""
+    scene = random_scene(rng, batch=1, size=(6, 7))
+    opposite = antialias_construct_topology(scene.tri).opposite
+    for pos in (scene.pos, scene.pos[0]):
+        arguments = (scene.color, scene.rast, pos, scene.tri, opposite, upstream_of(scene, rng), 0)
+        torch.library.opcheck(torch.ops.fourd.edge_gradients.default, arguments)
 
 
 @pytest.mark.parametrize("power", [1.0, 2.5])
@@ -43,7 +97,7 @@ def test_moving_square_has_the_slope_of_its_exact_image(power: float) -> None:
     pos = power * square
     rast = rasterize_brute_force(square, RECTANGLE, SIDE, SIDE)
     color = (rast[..., 3:] > 0).double()
-    gradient = gradient_of(color, rast, pos, RECTANGLE, weights[None, ..., None])
+    gradient = gradient_of(color, rast, pos, RECTANGLE, weights[None, ..., None], backend="reference")
     found = gradient[0, :, :2].sum(0) * power * 2 / SIDE
     slopes = [(loss(step, 0) - loss(-step, 0)) / (2 * step), (loss(0, step) - loss(0, -step)) / (2 * step)]
     torch.testing.assert_close(found, torch.tensor(slopes, dtype=torch.float64), rtol=1e-6, atol=0)
@@ -70,26 +124,56 @@ def test_gradient_agrees_with_antialias_where_the_upstream_gradient_is_constant(
     torch.testing.assert_close(found, expected, rtol=1e-3, atol=1e-3 * float(expected.abs().max()))
 
 
-def test_intersection_of_two_planes_moves_with_their_depth() -> None:
-    """Catches intersections that are missed, and a wrong sign of their slope. Two walls cross at x = 5.3 pixels with
-    the slopes -a and a in depth, so raising the depth of one wall by dz moves the line by dz / (2 a) pixels."""
-    slope = 0.05
-    corners = rectangle(-1.0, -1.0, 13.0, 13.0, SIDE, SIDE)
-    x_px = (corners[:, 0] + 1) * SIDE / 2
+def intersecting_walls(rng: np.random.Generator) -> Tensor:
+    """Two triangles (1, 6, 4) float64 that cover the image. They have the same depth in a line x = d + k y, in
+    normalised device coordinates, with |d| < 0.3 and |k| < 0.5. The second triangle is nearer on the left."""
+    d, k = rng.uniform(-0.3, 0.3), rng.uniform(-0.5, 0.5)
     walls = []
     for sign in (-1, 1):
-        wall = corners.clone()
-        wall[:, 2] = sign * slope * (x_px - 5.3)
-        walls.append(wall)
-    pos, tri = torch.cat(walls)[None], torch.cat((RECTANGLE, RECTANGLE + 4))
-    rast = rasterize_brute_force(pos, tri, SIDE, SIDE)
-    color = (rast[..., 3:] > 2.5).double()
-    assert color[0, 3, :5].all()
-    assert not color[0, 3, 6:].any()
-    gradient = gradient_of(color, rast, pos, tri, torch.ones_like(color))[0, :, 2]
-    # The white wall is the second: it loses area as its depth grows. Pairs of pixels on diagonals have no edge.
-    assert float(gradient[4:].sum()) == pytest.approx(-SIDE / (2 * slope), rel=0.2)
-    assert float(gradient[:4].sum()) == pytest.approx(SIDE / (2 * slope), rel=0.2)
+        # The corners surround the image, at random distances.
+        angles = 2 * np.pi * (np.arange(3) / 3 + rng.uniform(0, 1)) + rng.uniform(-0.2, 0.2, 3)
+        xy = rng.uniform(4, 5, (3, 1)) * np.stack((np.cos(angles), np.sin(angles)), 1)
+        depth = rng.uniform(0.05, 0.1) * sign * (xy[:, 0] - d - k * xy[:, 1])
+        # A factor of x, y, z and w moves nothing.
+        walls.append(np.column_stack((xy, depth, np.ones(3))) * rng.uniform(0.7, 1.5, (3, 1)))
+    return torch.from_numpy(np.concatenate(walls))[None]
+
+
+def test_gpu_finds_intersections(gpu: torch.device, rng: np.random.Generator) -> None:
+    """Catches derivatives of z that are not added on a GPU."""
+    pos, tri = intersecting_walls(rng).float(), torch.arange(6, dtype=torch.int32).reshape(2, 3)
+    rast = rasterize_brute_force(pos, tri, 12, 13)
+    scene = Scene((rast[..., 3:] > 1.5).float(), rast, pos, tri)
+    upstream = upstream_of(scene, rng)
+    expected = gradient_of(scene.color, scene.rast, pos, tri, upstream, backend="reference")
+    assert expected[..., 2].any()
+    assert_equal_gradients(gradient_of(*on(gpu, scene), upstream.to(gpu)), expected)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_intersection_moves_as_the_line_of_equal_depth(backend: str, axis: int, rng: np.random.Generator) -> None:
+    """Catches intersections that are missed or that count along both axes, and wrong derivatives. In each row, the
+    exact image has one edge, which is where the planes of z/w of the two triangles intersect. ``axis`` 1 exchanges x
+    and y."""
+    side = 24
+    pos, tri = intersecting_walls(rng), torch.arange(6, dtype=torch.int32).reshape(2, 3)
+    rast = rasterize_brute_force(pos, tri, side, side)
+    color = torch.from_numpy(rng.random((2, 3)))[(rast[..., 3] > 1.5).long()]
+    weights = torch.from_numpy(rng.standard_normal((side, 3)))
+    leaf = pos.clone().requires_grad_()
+    planes = torch.linalg.solve(leaf[0, :, [0, 1, 3]].reshape(2, 3, 3), leaf[0, :, 2].reshape(2, 3, 1))[..., 0]
+    x, y, w = planes[0] - planes[1]
+    rows = (2 * torch.arange(side, dtype=torch.float64) + 1) / side - 1
+    edges_px = -(y * rows + w) / x * side / 2
+    loss = (edges_px[:, None] * weights * (color[0, :, 0] - color[0, :, -1])).sum()
+    (expected,) = torch.autograd.grad(loss, leaf)
+    upstream = weights[None, :, None].expand(1, side, side, 3)
+    if axis == 1:
+        rast, color, upstream = (array.transpose(1, 2).contiguous() for array in (rast, color, upstream))
+        pos, expected = pos[..., [1, 0, 2, 3]], expected[..., [1, 0, 2, 3]]
+    inputs = (color.float(), rast.float(), pos.float(), tri, upstream.float())
+    assert_equal_gradients(gradient_of(*inputs, backend=backend), expected.float())
 
 
 def test_one_pos_for_all_images_sums_their_gradients(rng: np.random.Generator) -> None:
@@ -108,6 +192,10 @@ def test_hostile_values_give_no_error(rng: np.random.Generator) -> None:
     pos[0, 50] = torch.nan
     gradient = gradient_of(scene.color, scene.rast, pos, scene.tri, torch.ones_like(scene.color))
     assert gradient.isfinite().all()
+    ids = torch.tensor([len(scene.tri) + 1, 3e38, torch.inf, torch.nan, -5.0])
+    rast = scene.rast.clone()
+    rast[..., 3] = ids[torch.from_numpy(rng.integers(0, len(ids), rast.shape[:3]))]
+    assert not gradient_of(scene.color, rast, scene.pos, scene.tri, torch.ones_like(scene.color)).any()
     empty = torch.zeros(0, 3, dtype=torch.int32)
     rast = torch.zeros_like(scene.rast)
     assert torch.equal(edge_gradients(scene.color, rast, pos, empty), scene.color)

@@ -1,0 +1,28 @@
+// How kernels that visit the pairs of pixels of an image divide the work. Dispatched files do not include this header.
+#pragma once
+
+#include <algorithm>
+
+#include "antialias/antialias.h"
+#include "antialias/pairs.h"
+#include "common/buffer.h"
+#include "common/team.h"
+
+namespace fourd::antialias {
+
+constexpr int kRowsPerTask = 32;
+
+inline int tasks_of(const Images& images) {
+    const int bands = (images.height + kRowsPerTask - 1) / kRowsPerTask;
+    return static_cast<int>(images.count) * bands;
+}
+
+inline Rows rows_of(const Images& images, int task) {
+    const int bands = (images.height + kRowsPerTask - 1) / kRowsPerTask, begin = task % bands * kRowsPerTask;
+    return {static_cast<std::size_t>(task / bands), begin, std::min(images.height, begin + kRowsPerTask)};
+}
+
+// The results of silhouettes_of() for all triangles of all instances, see Plan::silhouettes.
+Buffer<std::uint8_t> find_silhouettes(const Mesh& mesh, std::size_t images, Simd simd, Team& team);
+
+}  // namespace fourd::antialias

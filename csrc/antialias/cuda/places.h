@@ -1,0 +1,32 @@
+// Function objects and indices that CUDA kernels for pairs of pixels share.
+#pragma once
+
+#include "antialias/pairs.h"
+#include "device/executor.h"
+
+namespace fourd::antialias::cuda {
+
+inline std::size_t instances_of(const Mesh& mesh, std::size_t images) { return mesh.instanced ? images : 1; }
+
+struct FindSilhouettes {
+    Mesh mesh;
+    std::uint8_t* out;
+
+    FOURD_DEVICE void operator()(std::size_t index) const {
+        const std::size_t instance = index / mesh.triangle_count;
+        out[index] = silhouettes_of(mesh, mesh.first_vertex(instance), index % mesh.triangle_count);
+    }
+};
+
+// The position of a pixel in the batch.
+struct Place {
+    std::size_t image;
+    int row, column;
+
+    FOURD_DEVICE Place(const Images& images, std::size_t index)
+        : image(index / images.pixels()),
+          row(static_cast<int>(index % images.pixels() / images.width)),
+          column(static_cast<int>(index % images.width)) {}
+};
+
+}  // namespace fourd::antialias::cuda

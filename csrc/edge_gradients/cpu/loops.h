@@ -1,0 +1,29 @@
+// Loops over the rows of an image, compiled once for each instruction set.
+#pragma once
+
+#include "common/dispatch.h"
+#include "edge_gradients/pairs.h"
+
+namespace fourd::edge_gradients {
+
+// What one edge between two pixels adds to the gradient of one vertex.
+struct Contribution {
+    std::uint32_t vertex;  // Index over all instances: instance * vertices + vertex.
+    float x, y, z, w;
+};
+
+struct Loops {
+    // Writes the codes of some rows, and returns the number of contributions of their pairs. `scratch` has three times
+    // the width.
+    std::size_t (*find)(const Plan&, const Rows&, const float* gradient, float* scratch, std::uint8_t* codes);
+
+    void (*contribute)(const Plan&, const Rows&, const float* gradient, const std::uint8_t* codes, Contribution* out);
+
+    // Adds the contributions to vertices [begin, end) to `positions`, in the order of the contributions.
+    void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
+};
+
+// As for antialias, memory accesses and branches limit the speed, so the loops are not compiled for AVX-512.
+FOURD_DISPATCH(Loops, Simd::avx2)
+
+}  // namespace fourd::edge_gradients

@@ -1,0 +1,16 @@
+// Gradients of visibility edges (edge_gradients/edge_gradients.h) on a GPU. Functions are asynchronous, as in
+// points/cuda/render.h. All arrays are in GPU memory. Gradients are sums without a fixed order, so their last bits can
+// differ between calls.
+#pragma once
+
+#include "antialias/antialias.h"
+
+namespace fourd::edge_gradients::cuda {
+
+// The bytes that edge_gradients() needs as `workspace`.
+std::size_t workspace_bytes(const antialias::Mesh& mesh, std::size_t images);
+
+void edge_gradients(const antialias::Mesh& mesh, const antialias::Images& images, void* workspace,
+                    const float* gradient, float* positions, void* stream);
+
+}  // namespace fourd::edge_gradients::cuda

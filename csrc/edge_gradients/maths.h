@@ -1,0 +1,155 @@
+// The line in which two triangles intersect, where it crosses the segment between the centres of two neighbouring
+// pixels, and how the crossing moves with the vertices.
+//
+// With the lines N_i of the edges (antialias/maths.h), z/w of a triangle at a pixel is the sum of b_i z_i, where b_i is
+// N_i / V, and V is the sum of N_i w_i. V does not depend on the pixel, so z/w is linear in the image:
+// D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
+// b_i (dz - p_a da - p_b db - p_w dw). The crossing is where both triangles have the same D.
+#pragma once
+
+#include "antialias/maths.h"
+
+namespace fourd::edge_gradients {
+
+using antialias::Line;
+using antialias::magnitude;
+using antialias::Mesh;
+using antialias::Sight;
+using antialias::Vertex;
+
+constexpr int kMaxVertices = 6;  // Of the two triangles that decide a crossing.
+
+struct Position {
+    float x, y, z, w;
+};
+
+// How far from the owner a pair is crossed, as a function of the vertices: indices of the vertices, and derivatives with
+// respect to their positions. The derivatives are 0 if one of them is not finite or above kMaxSlope.
+struct Motion {
+    int count = 0;
+    int vertex[kMaxVertices];
+    Position slope[kMaxVertices];
+};
+
+FOURD_HD static inline bool is_valid(const Mesh& mesh, int triangle) {
+    const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
+    return mesh.has(of[0]) && mesh.has(of[1]) && mesh.has(of[2]);
+}
+
+// Triangles with a common edge do not intersect elsewhere.
+FOURD_HD static inline bool share_an_edge(const Mesh& mesh, int one, int two) {
+    const int* p = mesh.triangles + 3 * static_cast<std::size_t>(one);
+    const int* q = mesh.triangles + 3 * static_cast<std::size_t>(two);
+    int common = 0;
+    for (int i = 0; i < 3; ++i) common += (p[i] == q[0]) | (p[i] == q[1]) | (p[i] == q[2]);
+    return common >= 2;
+}
+
+// A triangle with valid indices, as seen from the owner of a pair.
+struct Outline {
+    antialias::Seen seen[3];
+    float z[3];
+    float value[3], fall[3], fall_across[3];  // See Line.
+
+    FOURD_HD FOURD_INLINE Outline(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle) {
+        const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
+        for (int k = 0; k < 3; ++k) {
+            seen[k] = antialias::see(sight, antialias::vertex_at(mesh, first_vertex, of[k]));
+            z[k] = mesh.positions[4 * (first_vertex + of[k]) + 2];
+        }
+        for (int i = 0; i < 3; ++i) {
+            const Line line(sight, seen[(i + 1) % 3], seen[(i + 2) % 3]);
+            value[i] = line.value, fall[i] = line.fall_along, fall_across[i] = line.fall_across;
+        }
+    }
+
+    // Whether the triangle contains the centres of both pixels.
+    FOURD_HD FOURD_INLINE bool contains_pair() const {
+        const float sign = value[0] + value[1] + value[2] < 0 ? -1.0f : 1.0f;
+        for (int i = 0; i < 3; ++i) {
+            if (!(value[i] * sign >= 0 && (value[i] - fall[i]) * sign >= 0)) return false;
+        }
+        return true;
+    }
+};
+
+// z/w of a triangle at the owner, and how much it falls per pixel along and across the pair.
+struct Plane {
+    float volume, depth, fall, fall_across;
+
+    FOURD_HD FOURD_INLINE explicit Plane(const Outline& of)
+        : volume(of.value[0] * of.seen[0].w + of.value[1] * of.seen[1].w + of.value[2] * of.seen[2].w),
+          depth(sum(of.value, of.z) / volume),
+          fall(sum(of.fall, of.z) / volume),
+          fall_across(sum(of.fall_across, of.z) / volume) {}
+
+    FOURD_HD FOURD_INLINE static float sum(const float* lines, const float* z) {
+        return lines[0] * z[0] + lines[1] * z[1] + lines[2] * z[2];
+    }
+};
+
+// Whether the two triangles intersect between the pixel centres so that the first is nearer at the owner. As for
+// silhouettes, only lines that are more perpendicular than parallel to the segment count.
+FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
+                                      int of_other) {
+    const Outline second(mesh, first_vertex, sight, of_other);
+    if (!second.contains_pair()) return false;
+    const Outline first(mesh, first_vertex, sight, of_owner);
+    if (!first.contains_pair()) return false;
+    const Plane one(first), two(second);
+    const float gap = one.depth - two.depth, growth = two.fall - one.fall;
+    const float across = magnitude(two.fall_across - one.fall_across);
+    const bool perpendicular = sight.axis == 0 ? growth >= across : growth > across;
+    return perpendicular && growth > 0 && gap <= 0 && gap + growth >= 0;
+}
+
+FOURD_HD static inline Position position_of(const Sight& sight, float along, float across, float z, float w) {
+    return sight.axis == 0 ? Position{along, across, z, w} : Position{across, along, z, w};
+}
+
+FOURD_HD static inline bool is_moderate(const Position& slope) {
+    return magnitude(slope.x) <= antialias::kMaxSlope && magnitude(slope.y) <= antialias::kMaxSlope &&
+           magnitude(slope.z) <= antialias::kMaxSlope && magnitude(slope.w) <= antialias::kMaxSlope;
+}
+
+// The motion of a crossing for which intersect() is true.
+FOURD_HD static inline Motion motion_of_intersection(const Mesh& mesh, std::size_t first_vertex, const Sight& sight,
+                                                     int of_owner, int of_other) {
+    const Outline outlines[2] = {Outline(mesh, first_vertex, sight, of_owner),
+                                 Outline(mesh, first_vertex, sight, of_other)};
+    const Plane planes[2] = {Plane(outlines[0]), Plane(outlines[1])};
+    const float growth = planes[1].fall - planes[0].fall;
+    const float at = (planes[1].depth - planes[0].depth) / growth;
+    Motion out;
+    out.count = kMaxVertices;
+    bool moderate = true;
+    for (int k = 0; k < kMaxVertices; ++k) {
+        const int which = k / 3, i = k % 3;
+        const Outline& outline = outlines[which];
+        const Plane& plane = planes[which];
+        const float to_along = -plane.fall / sight.step_along, to_across = -plane.fall_across / sight.step_across;
+        const float here = sight.along + at * sight.step_along;
+        const float to_w = plane.depth - at * plane.fall - to_along * here - to_across * sight.across;
+        const float share = (outline.value[i] - at * outline.fall[i]) / (plane.volume * (which == 0 ? -growth : growth));
+        out.vertex[k] = mesh.triangles[3 * static_cast<std::size_t>(which == 0 ? of_owner : of_other) + i];
+        out.slope[k] = position_of(sight, -share * to_along, -share * to_across, share, -share * to_w);
+        moderate = moderate && is_moderate(out.slope[k]);
+    }
+    for (int k = 0; k < kMaxVertices && !moderate; ++k) out.slope[k] = {0, 0, 0, 0};
+    return out;
+}
+
+FOURD_HD static inline Motion motion_of_silhouette(const Mesh& mesh, std::size_t first_vertex, const Sight& sight,
+                                                   int of_owner, int edge_number) {
+    const antialias::Crossing crossing = antialias::crossing_of(mesh, first_vertex, sight, of_owner, edge_number);
+    Motion out;
+    out.count = 2;
+    for (int k = 0; k < 2; ++k) {
+        const Vertex& slope = crossing.slope[k];
+        out.vertex[k] = crossing.vertex[k];
+        out.slope[k] = crossing.differentiable ? Position{slope.x, slope.y, 0, slope.w} : Position{0, 0, 0, 0};
+    }
+    return out;
+}
+
+}  // namespace fourd::edge_gradients

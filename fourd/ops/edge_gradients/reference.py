@@ -1,0 +1,114 @@
+"""Gradients at visibility edges that do not change the image, in plain torch."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from fourd.ops.antialias.pairs import EDGES, Pairs, crossed_edge, crossing_of_edge, find_pairs, line_of, see
+
+
+def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
+    """Compute the result of :func:`fourd.raster.triangles.edge_gradients` on any device, in float32 or float64.
+
+    ``opposite`` is the result of :func:`fourd.ops.antialias.topology.opposite_vertices`.
+    """
+    clip = pos if pos.ndim == 3 else pos[None].expand(color.shape[0], -1, -1)
+    for axis in (0, 1):
+        pairs = find_pairs(rast, tri.shape[0], axis)
+        flat = color.detach().reshape(-1, color.shape[-1])
+        pairs = pairs[(flat[pairs.owner] != flat[pairs.other]).any(1)]
+        edge = crossed_edge(pairs, clip.detach()[..., [0, 1, 3]], tri, opposite)
+        silhouettes, others = pairs[edge >= 0], pairs[edge < 0]
+        crossing = crossing_of_edge(silhouettes, clip[..., [0, 1, 3]], tri, edge[edge >= 0])
+        color = _MovingEdges.apply(color, _finite(crossing), silhouettes.owner, silhouettes.other)
+        intersections = others[_intersect(others, clip.detach(), tri)]
+        crossing = _crossing_of_intersection(intersections, clip, tri)
+        color = _MovingEdges.apply(color, _finite(crossing), intersections.owner, intersections.other)
+    return color
+
+
+class _MovingEdges(torch.autograd.Function):
+    """The identity on ``color``. A pair of pixels differs by its edge: if the distance t of the edge from the owner
+    grows by dt, one of the two pixels changes by dt (c_owner - c_other). The gradient is the mean of both cases."""
+
+    @staticmethod
+    def forward(ctx: Any, color: Tensor, crossing: Tensor, owner: Tensor, other: Tensor) -> Tensor:
+        pixels = color.reshape(-1, color.shape[-1])
+        ctx.save_for_backward(pixels[owner] - pixels[other], owner, other)
+        return color.view_as(color)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        (gradient,) = gradients
+        difference, owner, other = ctx.saved_tensors
+        pixels = gradient.reshape(-1, gradient.shape[-1])
+        to_crossing = 0.5 * ((pixels[owner] + pixels[other]) * difference).sum(1)
+        to_owner = to_other = None
+        return gradient, to_crossing, to_owner, to_other
+
+
+def _finite(crossing: Tensor) -> Tensor:
+    """Return the crossings, without gradients where they are not finite."""
+    return torch.where(crossing.isfinite(), crossing, 0)
+
+
+@dataclass(frozen=True)
+class _Planes:
+    """z/w of N triangles in the image, as seen from the owners of N pairs.
+
+    Attributes:
+        contains_pair: (N,) whether the triangle contains the centres of both pixels.
+        depth: (N,) z/w at the owner.
+        fall, fall_across: (N,) how much z/w falls per pixel along and across the pair.
+    """
+
+    contains_pair: Tensor
+    depth: Tensor
+    fall: Tensor
+    fall_across: Tensor
+
+
+def _planes_of(pairs: Pairs, clip: Tensor, tri: Tensor, triangle: Tensor) -> _Planes:
+    vertices = tri.long()[triangle]
+    seen = see(pairs, clip[..., [0, 1, 3]], vertices)
+    lines = [line_of(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
+    value, along, across = (torch.stack(parts, 1) for parts in zip(*lines, strict=True))
+    z, w = clip[pairs.image[:, None], vertices][..., 2:].unbind(-1)
+    volume = _dot(value, w)
+    sign = torch.where(value[:, 0] + value[:, 1] + value[:, 2] < 0, -1.0, 1.0).to(value)[:, None]
+    inside = (value * sign >= 0).all(1) & ((value - along) * sign >= 0).all(1)
+    return _Planes(inside, _dot(value, z) / volume, _dot(along, z) / volume, _dot(across, z) / volume)
+
+
+def _dot(one: Tensor, two: Tensor) -> Tensor:
+    """Return the dot products (N,) of rows (N, 3), summed in the order of the kernel."""
+    return one[:, 0] * two[:, 0] + one[:, 1] * two[:, 1] + one[:, 2] * two[:, 2]
+
+
+def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
+    """Return whether both triangles of each pair contain both pixel centres, and swap their order between these.
+
+    As for silhouettes, only lines that are more perpendicular than parallel to the segment between the centres count.
+    Triangles with a common edge do not intersect elsewhere.
+    """
+    corners = tri.long()
+    own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]
+    common = (own[:, :, None] == other[:, None, :]).any(2).sum(1)
+    one = _planes_of(pairs, clip, tri, pairs.triangle)
+    two = _planes_of(pairs, clip, tri, pairs.other_triangle.clamp(min=0))
+    gap, growth = one.depth - two.depth, two.fall - one.fall
+    across = (two.fall_across - one.fall_across).abs()
+    perpendicular = (growth >= across) if pairs.axis == 0 else (growth > across)
+    inside = (pairs.other_triangle >= 0) & (common < 2) & one.contains_pair & two.contains_pair
+    return inside & perpendicular & (growth > 0) & (gap <= 0) & (gap + growth >= 0)
+
+
+def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
+    """Return how far from the owner, in pixels, both triangles have the same z/w, which is linear in the image."""
+    one = _planes_of(pairs, clip, tri, pairs.triangle)
+    two = _planes_of(pairs, clip, tri, pairs.other_triangle)
+    return (one.depth - two.depth) / (one.fall - two.fall)
