@@ -34,8 +34,9 @@ if not has_gpu():
     sys.exit("gpu_check: expected a CUDA device and kernels built for it, got none")
 PYTHON
 tests=(tests/ops/test_points_cuda.py tests/ops/test_planes.py tests/ops/test_sources.py
-  tests/ops/test_hashgrid.py tests/baking/test_gpu_player.py tests/raster/triangles tests/ops/texture tests/ops/antialias tests/ops/edge_gradients
-  tests/ops/test_splat_triangles.py tests/ops/test_soft_triangles.py)
+  tests/ops/test_hashgrid.py tests/baking/test_gpu_player.py tests/raster/triangles tests/ops/texture
+  tests/ops/antialias tests/ops/edge_gradients tests/ops/test_splat_triangles.py
+  tests/ops/test_soft_triangles.py)
 if [ "${1:-}" = sanitize ]; then
   # Without torch's memory pool, compute-sanitizer checks each allocation separately.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 \
