@@ -78,7 +78,7 @@ class TriangleRenderer:
         colours = params[:, None, 6:].clamp(0, 1).expand(-1, 3, -1)
         self._buffer.write(torch.cat((corners, colours), 2).numpy().astype(np.float32).tobytes())
         self._target.use()
-        # ids are cleared to a value that is no triangle, after the colours.
+        # clear() sets the ids to 0, which is a triangle, so the ids are then set to -1.
         self._target.clear()
         self._textures[1].write(np.full((self._size, self._size), -1, np.float32).tobytes())
         self._array.render(moderngl.TRIANGLES)
@@ -120,7 +120,7 @@ def main(arguments: Arguments) -> None:
         return ((image - target) ** 2).sum(2)
 
     first = renderer.draw(params)
-    # Corners move by a pixel or two, and colours by a few percent.
+    # The perturbation is 1.5 pixels for corners, and 5% of the range for colours.
     epsilon = torch.tensor([3 / arguments.size] * 6 + [0.05] * 3)
     optimizer = torch.optim.Adam([params], lr=0.01)
     for _ in range(arguments.steps):

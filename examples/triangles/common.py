@@ -109,7 +109,7 @@ def psnr(image: Tensor, target: Tensor) -> float:
 def save(images: list[Tensor], path: Path, *, scale: int = 1, bottom_up: bool = True) -> None:
     """Write images (H, W, 3) in [0, 1] side by side. Each pixel becomes a square of ``scale`` x ``scale`` pixels.
 
-    ``bottom_up`` tells that row 0 is the bottom row, as in clip space.
+    If ``bottom_up``, row 0 is the bottom row, as in clip space.
     """
     row = torch.cat([image.detach().clamp(0, 1) for image in images], dim=1)
     row = row.flip(0) if bottom_up else row

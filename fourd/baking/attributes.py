@@ -103,7 +103,7 @@ ATTRIBUTES = (
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
-    """Whether all float16 values, given as bits, are valid.
+    """Whether all float16 values are valid. ``bits`` are their bits as integers.
 
     Comparing bits is several times faster than comparing floats.
     """

@@ -41,7 +41,7 @@ MAX_FRAMES = 400
 """Maximum number of frames that are searched if --frames is not given."""
 MIN_FRAMES = 3
 SAMPLED_PICTURES = 5
-"""Number of images per camera in which the reason is searched if no board is found."""
+"""If no board is found, the reason is searched in this number of images per camera."""
 RATIO_PICTURES = 6
 MAX_RATIO_DIFFERENCE = 0.04
 """Largest relative difference between the measured and the given ratio of marker and square."""
@@ -203,8 +203,8 @@ def _detect(
         fix = suggest_fix(settings.board, pictures)
     if fix is not None:
         raise UserError(
-            f"{settings.board_file}: expected a {settings.board.describe()} as in {source}, got none in {names}; what "
-            f"is seen there fits {fix}; correct the board's file"
+            f"{settings.board_file}: expected a {settings.board.describe()} in {source}, got none in {names}; the "
+            f"images show a board with {fix}; correct the board's file"
         )
     if views and len(frames.names) - len(blind) == 1:
         seen = next(name for camera, name in enumerate(frames.names) if camera not in blind)
@@ -238,7 +238,8 @@ def _grey(frames: SynchronizedFrames, camera: int, number: int) -> Grey:
 
 
 def _lay_on_floor(fit: RigFit, views: Sequence[BoardView], settings: CalibrationSettings) -> RigFit:
-    """Move the world to the board in the floor frame, with z on the side of the cameras that see it."""
+    """Make the board of the floor frame the origin and the axes of the world. z points to the side of the cameras that
+    see the board."""
     frame = settings.floor_frame
     some = [view for view in views if view.frame == frame]
     if not some or frame is None:
@@ -253,7 +254,7 @@ def _lay_on_floor(fit: RigFit, views: Sequence[BoardView], settings: Calibration
         float(to_board.rotation[0, 2] @ fit.cameras[view.camera].centre + to_board.translation[0, 2]) for view in some
     ]
     if np.median(heights) < 0:
-        # The back of a double-sided board is up: half a turn about x points z up.
+        # The back of a double-sided board faces up. A rotation by 180 degrees about x makes z point up.
         flip = Poses(np.diag([1.0, -1.0, -1.0])[None], np.zeros((1, 3)))
         to_board = flip.after(to_board)
     to_world = to_board.inverse()
@@ -294,8 +295,8 @@ def _write(
 
 
 def _log_results(fit: RigFit, reports: Sequence[CameraReport], log: Log, warn: Log) -> None:
-    count = int(fit.kept_out.sum())
-    log(f"{count} frames kept out to measure the error; the final fit uses all {len(fit.frames)} frames")
+    count = int(fit.held_out.sum())
+    log(f"{count} held-out frames measure the error; the final fit uses all {len(fit.frames)} frames")
     for report in reports:
         log(report.line())
     for report in reports:

@@ -30,7 +30,7 @@ MAX_TRIALS = 60
 """Number of random samples per homography. Most markers are right, and many sizes of boards are tried."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
-"""Share of the markers that lie at their places, above which no further size of the board is tried."""
+"""If a larger share of the markers lies at the expected places, no further size of the board is tried."""
 MAX_CHESSBOARD_PICTURES = 3
 """Maximum number of images in which chessboards of other sizes are searched, which is slow."""
 
@@ -59,10 +59,10 @@ class _FoundMarkers:
 
 
 def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """The changes of a board's file, as keys and values, with which the board is found in some of the images.
+    """Find keys and values for the board's file that describe the board in the images (H, W) uint8.
 
-    Dictionaries, numbers of squares, the inverted board and the mirrored board are tried on images (H, W) uint8.
-    Returns None if nothing is found.
+    The function tries all dictionaries, other numbers of squares, the inverted board and the mirrored board. It returns
+    the keys that must be changed, as a text, or None if no board is found.
     """
     few = pictures[:: max(1, len(pictures) // FEW_PICTURES)]
     best = _search_markers(board, few) or (_search_markers(board, pictures) if len(few) < len(pictures) else None)
@@ -122,7 +122,7 @@ def _transform(picture: Grey, inverted: bool, mirrored: bool) -> Grey:
 
 
 def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerImage]) -> list[str] | None:
-    """Changes of a board's file that fit the markers in the images, or None if no board fits them."""
+    """Keys and values for the board's file that fit the markers in the images, or None if no board fits them."""
     size = _fit_size(board, name, sorted(found, key=lambda each: -len(each.ids))[:MAX_FITTED_PICTURES])
     if size is None:
         return None
@@ -142,9 +142,10 @@ def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerIm
 
 
 def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage]) -> tuple[int, int, bool] | None:
-    """Columns, rows and legacy pattern that fit the places of the markers in the images; the board's if possible.
+    """Columns, rows and legacy pattern that agree with the positions of the markers in the images.
 
-    Returns None if no board fits most of the markers. Some markers are false detections.
+    If the values of ``board`` agree, they are returned. Returns None if no values agree with most of the markers. Not
+    all markers must agree, because some markers are false detections.
     """
     total = sum(len(each.ids) for each in images)
     sizes = [(board.columns, board.rows, board.legacy_pattern)]

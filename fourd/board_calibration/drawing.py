@@ -127,7 +127,7 @@ def _draw_camera(panel: Picture, name: str, camera: Camera, to_pixels: _ToPixels
     """Draw a camera as its image's pyramid, with its name."""
     corners = np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]], np.float64)
     rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(camera.intrinsics).T
-    # A wide lens would be drawn larger than a long one, so that rays are scaled to equal lengths.
+    # Rays are scaled to equal lengths, because cameras with wide lenses would otherwise be drawn larger than others.
     rays *= length / np.linalg.norm(rays, axis=1, keepdims=True)
     ends = to_pixels(rays @ camera.rotation + camera.centre)
     top = to_pixels(camera.centre)[0]

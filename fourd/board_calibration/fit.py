@@ -1,4 +1,4 @@
-"""Fit of a rig to the views of a board: initial values, bundle adjustment, and frames that are kept out of the fit."""
+"""Fit of a rig to the views of a board: initial values, bundle adjustment, and held-out frames that measure errors."""
 
 from __future__ import annotations
 
@@ -46,24 +46,24 @@ from fourd.progress import Track
 
 Array = NDArray[np.float64]
 
-KEPT_OUT_EVERY = 5
-"""One of this many frames is kept out of the fit."""
+HELD_OUT_EVERY = 5
+"""One of this many frames is held out."""
 MIN_LENS_VIEWS = 5
 """Minimum number of views of a camera whose lens is estimated."""
 MIN_POSE_VIEWS = 3
 """Minimum number of views of a camera whose lens is known."""
-KEPT_VIEWS = 8
-"""A frame is not kept out of the fit if a camera in it would keep fewer views for the fit."""
-KEPT_PAIRS = 4
-"""A frame is not kept out of the fit if two cameras in it would share fewer frames in the fit."""
+MIN_FITTED_VIEWS = 8
+"""A frame is not held out if one of its cameras would then have fewer than this number of views in the fit."""
+MIN_FITTED_PAIRS = 4
+"""A frame is not held out if two of its cameras would then share fewer than this number of frames in the fit."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales of the Huber loss in the successive adjustments, in pixels."""
 MEDIAN_PER_STD = 1.177
 """Median length of a two-dimensional normal vector, in standard deviations."""
 CORRELATION = 2.5
-"""Factor by which the standard deviation of the corners is increased where they are weighed against the prior. The
-errors of corners in one image are correlated: by motion blur, by a board that is not flat, and by cameras that do not
-expose at exactly the same time."""
+"""Where corners are weighed against the prior, their standard deviation is multiplied by this factor. The reason is
+that the errors of the corners in one image are correlated, because of motion blur, because the board is not exactly
+flat, and because the cameras do not expose at exactly the same time."""
 OUTLIER_MEDIANS = 6.0
 """Corners with errors above this multiple of their camera's median error are left out of the last adjustment."""
 MIN_OUTLIER_PX = 0.3
@@ -71,11 +71,11 @@ MAX_MEDIAN = 0.004
 """Maximum median error of a camera, as a share of the image's longer side. Larger errors mean that the cameras do not
 see one rigid board at the same time."""
 TIMING_GAIN = 0.97
-"""Delays and readouts are used if they reduce the mean error on the frames kept out to less than this share."""
+"""Delays and readouts are used if they reduce the mean error on held-out frames to less than this share."""
 OFFSET_STD = (0.0006, 0.0006, 0.002)
 """Standard deviations of a corner's displacement on the board along x, y and z, in squares."""
 MAX_OFFSETS = 60
-"""Displacements of the corners are not adjusted on boards with more corners, whose displacements average out."""
+"""On boards with more corners, displacements of the corners are not adjusted, because they average out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ class RigFit:
         cameras: C cameras in the coordinates of the first camera, in metres.
         frames: F frame numbers, in ascending order.
         boards: F poses from board to world.
-        kept_out: (F,) whether a frame was kept out of a first fit, which measures the errors. The last fit uses all
+        held_out: (F,) whether a frame was held out in a first fit, which measures the errors. The last fit uses all
             frames.
         corners: the corners of all frames.
         errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the pose of the
@@ -94,14 +94,14 @@ class RigFit:
         std: (C, 15) standard deviations of the cameras' parameters; see :mod:`fourd.board_calibration.adjustment.rig`.
         pairs: pairs of cameras that see the board in the same frame.
         estimated: (C,) whether a camera's lens was estimated.
-        timing: delays and readouts of the cameras, or None if the cameras are taken to see all rows at the same time.
+        timing: delays and readouts of the cameras, or None if all rows are assumed to be exposed at the same time.
         thickness_m: distance between the front and the back of a double-sided board.
     """
 
     cameras: tuple[Camera, ...]
     frames: tuple[int, ...]
     boards: Poses
-    kept_out: NDArray[np.bool_]
+    held_out: NDArray[np.bool_]
     corners: Corners
     errors: Array
     std: Array
@@ -110,9 +110,10 @@ class RigFit:
     timing: Timing | None = None
     thickness_m: float = 0.0
 
-    def rms(self, camera: int, kept_out: bool) -> float | None:
-        """Root mean square error of a camera in pixels, on frames of the fit or kept out; None without any."""
-        rows = (self.corners.camera == camera) & (self.kept_out[self.corners.board] == kept_out)
+    def rms(self, camera: int, held_out: bool) -> float | None:
+        """Root mean square error of a camera in pixels, on held-out frames or on the other frames. None if there are no
+        such frames."""
+        rows = (self.corners.camera == camera) & (self.held_out[self.corners.board] == held_out)
         return float(np.sqrt(np.mean(self.errors[rows] ** 2))) if rows.any() else None
 
 
@@ -166,9 +167,9 @@ def fit_rig(rig: RigInput, track: Track) -> RigFit:
     """
     _check_views(rig)
     frames = sorted({view.frame for view in rig.views})
-    kept_out = choose_kept_out(rig.views, frames)
-    fitted = [frame for frame in frames if frame not in kept_out]
-    views = [view for view in rig.views if view.frame not in kept_out]
+    held_out = choose_held_out(rig.views, frames)
+    fitted = [frame for frame in frames if frame not in held_out]
+    views = [view for view in rig.views if view.frame not in held_out]
     by_camera = views_by_camera(views, len(rig.names))
     cameras = tuple(
         replace(lens, rotation=np.eye(3), translation=np.zeros(3))
@@ -177,7 +178,7 @@ def fit_rig(rig: RigInput, track: Track) -> RigFit:
         for index, lens in enumerate(track(rig.lenses, len(rig.lenses), "initial lenses"))
     )
     located = locate_views(rig.board, cameras, rig.views)
-    pairs = pair_cameras([each for each in located if each.view.frame not in kept_out])
+    pairs = pair_cameras([each for each in located if each.view.frame not in held_out])
     groups = join_cameras(len(cameras), pairs)
     if len(groups) > 1:
         raise _not_joined(rig, groups)
@@ -188,11 +189,11 @@ def fit_rig(rig: RigInput, track: Track) -> RigFit:
     )
     frames = [frame for frame in frames if any(each.view.frame == frame for each in located)]
     rough = _adjust(rig, cameras, located, [frame for frame in fitted if frame in frames], track)
-    tested = _choose_timing(rig, rough, located, frames, kept_out, track)
-    return _fit_all(rig, rough, tested, located, frames, kept_out, tuple(pairs))
+    tested = _choose_timing(rig, rough, located, frames, held_out, track)
+    return _fit_all(rig, rough, tested, located, frames, held_out, tuple(pairs))
 
 
-def choose_kept_out(views: Sequence[BoardView], frames: Sequence[int]) -> set[int]:
+def choose_held_out(views: Sequence[BoardView], frames: Sequence[int]) -> set[int]:
     """Choose every fifth frame, unless the fit needs the frame for a camera or a pair of cameras."""
     seen: dict[int, list[int]] = {frame: [] for frame in frames}
     for view in views:
@@ -200,10 +201,12 @@ def choose_kept_out(views: Sequence[BoardView], frames: Sequence[int]) -> set[in
     count = Counter(camera for cameras in seen.values() for camera in cameras)
     pairs = Counter(pair for cameras in seen.values() for pair in combinations(sorted(cameras), 2))
     chosen = set()
-    for frame in frames[KEPT_OUT_EVERY // 2 :: KEPT_OUT_EVERY]:
+    for frame in frames[HELD_OUT_EVERY // 2 :: HELD_OUT_EVERY]:
         cameras = seen[frame]
         shared = list(combinations(sorted(cameras), 2))
-        if any(count[camera] <= KEPT_VIEWS for camera in cameras) or any(pairs[pair] <= KEPT_PAIRS for pair in shared):
+        if any(count[camera] <= MIN_FITTED_VIEWS for camera in cameras) or any(
+            pairs[pair] <= MIN_FITTED_PAIRS for pair in shared
+        ):
             continue
         chosen.add(frame)
         count.subtract(cameras)
@@ -280,16 +283,17 @@ def _choose_timing(
     rough: _Rough,
     located: Sequence[LocatedView],
     frames: Sequence[int],
-    kept_out: set[int],
+    held_out: set[int],
     track: Track,
 ) -> RigState:
-    """Adjust the rig without and with delays and readouts, and choose by the error on the frames kept out.
+    """Adjust the rig without and with delays and readouts, and choose the one with the smaller error on held-out
+    frames.
 
     Returns the adjusted rig with the positions of the board in all frames.
     """
     best: tuple[float, RigState] | None = None
     corners = collect_corners(rig.board, [each.view for each in located], frames)
-    tested = np.array([frame in kept_out for frame in frames], bool)[corners.board]
+    tested = np.array([frame in held_out for frame in frames], bool)[corners.board]
     for timed in track((False, True), 2, "timing"):
         if timed and not tested.any():
             continue
@@ -330,10 +334,10 @@ def _fit_all(
     tested: RigState,
     located: Sequence[LocatedView],
     frames: Sequence[int],
-    kept_out: set[int],
+    held_out: set[int],
     pairs: tuple[CameraPair, ...],
 ) -> RigFit:
-    """Adjust the rig to all frames, and report the errors of the rig that was fitted without the frames kept out."""
+    """Adjust the rig to all frames, and report the errors of the rig that was fitted without the held-out frames."""
     corners = collect_corners(rig.board, [each.view for each in located], frames)
     errors = reprojection_errors(with_motion(tested, frames), corners)
     medians = np.array([np.median(errors[corners.camera == index]) for index in range(len(rig.names))])
@@ -345,7 +349,7 @@ def _fit_all(
         state.cameras,
         tuple(frames),
         locate_boards(rig.board, state, located, frames, frames),
-        np.array([frame in kept_out for frame in frames]),
+        np.array([frame in held_out for frame in frames]),
         corners,
         errors,
         solution.std,

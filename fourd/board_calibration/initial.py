@@ -64,7 +64,8 @@ class CameraPair:
 def initial_lens(board: CalibrationBoard, views: Sequence[BoardView], width: int, height: int) -> Camera:
     """Estimate a lens with one focal length and one distortion coefficient from views of a board.
 
-    The principal point is the image's centre, as the bundle adjustment estimates it better. The pose is the identity.
+    The principal point is fixed at the image's centre. The bundle adjustment estimates it later. The pose is the
+    identity.
     """
     chosen = [views[index] for index in sample_indices(len(views), MAX_LENS_VIEWS)]
     best, error = _fit_lens(board, chosen, width, height)

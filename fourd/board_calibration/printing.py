@@ -29,7 +29,7 @@ RULER_MM = 100.0
 def print_board(path: Path, board: CalibrationBoard, page: str) -> tuple[float, float]:
     """Write a PDF with the board at true scale; a double-sided board has a second page for its back.
 
-    The board is turned by 90 degrees if it only fits so.
+    The board is turned by 90 degrees if it does not fit otherwise.
 
     Args:
         path: file to write.
@@ -75,7 +75,7 @@ def page_size(page: str) -> tuple[float, float]:
 
 
 def _page_content(board: CalibrationBoard, size: tuple[float, float], turned: bool, mirrored: bool) -> bytes:
-    """The drawing operators of a page, in points from its lower left corner."""
+    """The PDF operators that draw a page. Coordinates are in points from the lower left corner."""
     width, height = (1e3 * side for side in board.size_m)
     rectangles = 1e3 * ink_rectangles(board)
     ground = np.array([[0.0, 0.0, width, height]])

@@ -24,13 +24,14 @@ MIN_TILT_DEGREES = 20.0
 """Tilt of the board against the image plane that at least a tenth of the views should exceed. Frontal views hardly
 separate the focal length from the distance."""
 MAX_FOCAL_STD = 0.005
-"""Largest standard deviation of a focal length, as a share of it, that is not reported."""
+"""A standard deviation of the focal length above this value is reported. It is a share of the focal length."""
 MAX_CENTRE_STD_DEGREES = 0.3
-"""Largest standard deviation of the viewing direction, from the principal point, that is not reported."""
+"""A standard deviation of the viewing direction above this value, which follows from the principal point, is
+reported."""
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10
-KEPT_OUT_RATIO = 1.5
-"""Ratio of the errors on frames kept out and in the fit above which the fit is reported as overfitted."""
+HELD_OUT_RATIO = 1.5
+"""If the error on held-out frames exceeds the error in the fit by this factor, a warning is reported."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +43,7 @@ class CameraReport:
         views: number of frames in which the camera sees the board.
         corners: number of corners.
         fit_px: root mean square error on the frames of the fit, in pixels.
-        kept_out_px: the same on frames that were kept out of the fit, or None if there is no such frame.
+        held_out_px: the same on held-out frames, or None if there are no held-out frames.
         median_px: median error over all frames, in pixels.
         coverage: share of the image's cells in which corners were seen.
         max_tilt_degrees: 90th percentile of the angle between the board's normal and the viewing direction.
@@ -59,7 +60,7 @@ class CameraReport:
     views: int
     corners: int
     fit_px: float
-    kept_out_px: float | None
+    held_out_px: float | None
     median_px: float
     coverage: float
     max_tilt_degrees: float
@@ -73,7 +74,7 @@ class CameraReport:
 
     def line(self) -> str:
         """The report in one line."""
-        kept = "no frames kept out" if self.kept_out_px is None else f"{self.kept_out_px:.2f} px on frames kept out"
+        kept = "no held-out frames" if self.held_out_px is None else f"{self.held_out_px:.2f} px on held-out frames"
         return (
             f"{self.name}: {self.fit_px:.2f} px rms, {kept}; {self.corners} corners in {self.views} frames cover "
             f"{self.coverage:.0%} of the image; focal length {self.focal_px[0]:.1f} px"
@@ -93,7 +94,7 @@ def report_content(
 
     ``fps`` is the rate of the frames, if it is known.
     """
-    kept = [frame for frame, out in zip(fit.frames, fit.kept_out, strict=True) if out]
+    kept = [frame for frame, out in zip(fit.frames, fit.held_out, strict=True) if out]
     return {
         "cameras": {camera.name: _rounded(camera) for camera in cameras},
         "pairs": [
@@ -104,7 +105,7 @@ def report_content(
             }
             for pair in fit.pairs
         ],
-        "frames": {"fit": len(fit.frames) - len(kept), "kept_out": kept},
+        "frames": {"fit": len(fit.frames) - len(kept), "held_out": kept},
         "timing": None if fit.timing is None else _timing_content(fit.timing, names, fps),
         "board_thickness_m": round(fit.thickness_m, 5),
     }
@@ -195,9 +196,9 @@ def _warnings(report: CameraReport, shared: Sequence[int]) -> list[str]:
         found.append(f"the orientation is uncertain by {report.rotation_std_degrees:.1f} degrees; film more frames")
     if shared and max(shared) < FEW_SHARED_FRAMES:
         found.append(f"at most {max(shared)} frames are shared with another camera; film the board where both see it")
-    if report.kept_out_px is not None and report.kept_out_px > KEPT_OUT_RATIO * report.fit_px + 0.1:
+    if report.held_out_px is not None and report.held_out_px > HELD_OUT_RATIO * report.fit_px + 0.1:
         found.append(
-            f"the error is {report.kept_out_px:.2f} px on frames kept out and {report.fit_px:.2f} px in the fit; film "
+            f"the error is {report.held_out_px:.2f} px on held-out frames and {report.fit_px:.2f} px in the fit; film "
             "more frames"
         )
     return [f"{report.name}: {line}" for line in found]

@@ -55,7 +55,7 @@ def test_poses_with_known_lenses(tmp_path: Path) -> None:
     assert share < 0.4
     report = json.loads((out / "report.json").read_text())
     assert max(camera["fit_px"] for camera in report["cameras"].values()) < 0.7
-    assert max(camera["kept_out_px"] for camera in report["cameras"].values()) < 0.8
+    assert max(camera["held_out_px"] for camera in report["cameras"].values()) < 0.8
 
 
 def test_lenses_from_the_board(tmp_path: Path) -> None:

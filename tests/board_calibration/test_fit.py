@@ -19,7 +19,7 @@ from fourd.board_calibration.adjustment.rig import (
 )
 from fourd.board_calibration.adjustment.system import Free
 from fourd.board_calibration.detection import BoardView
-from fourd.board_calibration.fit import choose_kept_out, fit_rig
+from fourd.board_calibration.fit import choose_held_out, fit_rig
 from fourd.board_calibration.report import coverage, report_cameras, time_lines
 from fourd.boards import CalibrationBoard
 from fourd.errors import UserError
@@ -85,12 +85,12 @@ def test_the_rig_is_recovered() -> None:
     assert degrees < 0.1
     assert position < 0.2
     for index in range(3):
-        kept_out = fit.rms(index, kept_out=True)
-        assert kept_out is not None
+        held_out = fit.rms(index, held_out=True)
+        assert held_out is not None
         # The noise is 0.05 px along each axis.
-        assert 0.05 < kept_out < 0.1
+        assert 0.05 < held_out < 0.1
         assert fit.std[index, 6] < 0.002 * cameras[index].intrinsics[0, 0]
-    assert fit.kept_out.sum() == 8
+    assert fit.held_out.sum() == 8
 
 
 def test_known_lenses_are_kept() -> None:
@@ -156,9 +156,9 @@ def test_too_few_views_are_refused() -> None:
 def test_rare_views_stay_in_the_fit() -> None:
     """Catches a fit without a frame that is one of the few frames of a camera or of a pair of cameras."""
     few = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(8)]
-    assert choose_kept_out(few, range(8)) == set()
+    assert choose_held_out(few, range(8)) == set()
     many = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(30)]
-    assert choose_kept_out(many, range(30)) == {2, 7, 12, 17, 22, 27}
+    assert choose_held_out(many, range(30)) == {2, 7, 12, 17, 22, 27}
 
 
 def test_badly_determined_values_are_reported() -> None:

@@ -30,15 +30,16 @@ class CloudEncoding:
         position_step: distance between neighbouring positions of an axis, in world units.
         position_bits: number of bits per coordinate, 1 to 21.
         radius_lower: radius of the code 1, in world units. The code 0 is the radius 0.
-        radius_steps: radius codes per factor of 2.
+        radius_steps: number of codes from a radius to twice this radius.
         density_levels: code of the density 1, at most 255.
-        sh_basis: (K, 48) float32, orthonormal rows. Coefficients of spherical harmonics are ``sh_mean`` plus a
-            combination of the rows. The 48 numbers are 16 terms for red, then for green, then for blue.
+        sh_basis: (K, 48) float32, orthonormal rows. The coefficients of spherical harmonics of a point are ``sh_mean``
+            plus the sum of the rows, each multiplied by a factor. The 48 numbers are 16 terms for red, then for green,
+            then for blue.
         sh_mean: (48,) float32.
-        sh_step: step of the factors of the rows.
-        weight_steps: weight codes per factor of 2. The code 1 is the largest weight of the point, and the code 0 is the
-            weight 0.
-        colour_step: step of colours in source views, in units of 1/255, at most MAX_COLOUR_STEP.
+        sh_step: quantisation step of the factors.
+        weight_steps: number of codes from a blend weight to half this weight. The code 1 is the largest weight of the
+            point, and the code 0 is the weight 0.
+        colour_step: quantisation step of colours in source views, in units of 1/255, at most MAX_COLOUR_STEP.
         every_point_has_colours: whether colours are stored for all source views of a point, or only for the views with
             a blend weight above 0. Without a stored colour, a point has its mean colour.
     """

@@ -24,8 +24,8 @@ def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
 def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
     """Return the frame with the mean colours of the points in all views in which their blend weight is 0.
 
-    A view with a blend weight of 0 does not see the point, so its colour belongs to something else. Shading uses these
-    colours where the blend weights of all selected views are 0.
+    A view with a blend weight of 0 does not see the point, so its colour is that of another surface. Shading uses these
+    colours only where the blend weights of all selected views are 0.
     """
     if frame.view_count == 0:
         return frame
@@ -34,5 +34,5 @@ def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
 
 
 def has_own_unseen_colours(frame: BakedFrame) -> bool:
-    """Return whether some point has another colour than its mean in a view that does not see it."""
+    """Return whether the colour of some point, in a view with a blend weight of 0, differs from its mean colour."""
     return frame.view_count > 0 and not np.array_equal(fill_unseen_colours(frame).rgb, frame.rgb)

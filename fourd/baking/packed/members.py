@@ -29,7 +29,7 @@ from fourd.ops.unpack.op import unpack_harmonics, unpack_views
 
 POINTS, SH, COLOUR = "points", "sh", "colour"
 LARGEST_WEIGHT = 1024.0
-"""Largest decoded blend weight of each point. The float16 numbers below it have room for 24 factors of 2."""
+"""Largest decoded blend weight of each point. The smallest normal float16 number is 2^-24 times this number."""
 _MAX_RADIUS_CODE = 2**16 - 1
 
 

@@ -1,4 +1,4 @@
-"""Checks that a packed cloud differs from its source by no more than its encoding promises."""
+"""Checks that a packed cloud differs from its source only by the rounding errors of its encoding."""
 
 from __future__ import annotations
 
@@ -40,7 +40,8 @@ def check_bounds(cloud: BakedFrame, members: Mapping[str, bytes], encoding: Clou
 
 
 def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: CloudEncoding) -> None:
-    """Check the root mean square: components that no sample needed are missing in single points."""
+    """Check the root mean square error. Single points can have larger errors, because the basis contains only
+    components that a sampled point needs."""
     difference = decoded.astype(np.float32) - sh.astype(np.float32)
     rms = np.sqrt(np.square(difference).sum(axis=(1, 2)).mean() / SH_NUMBERS)
     magnitude = np.abs(sh.astype(np.float32)).max(initial=0)
@@ -55,7 +56,9 @@ def _check_views(
     true = cloud.blend_weights.astype(np.float64)
     seen = true > 0
     if not np.array_equal(seen, weights > 0):
-        raise RuntimeError("blend_weights: expected zeros at the same places, got others")
+        raise RuntimeError(
+            "blend_weights: expected zeros in the same elements as in the source, got zeros in other elements"
+        )
     largest = np.where(seen.any(axis=1), true.max(axis=1), 1)[:, None]
     octaves = np.log2(largest / np.where(seen, true, 1))
     decoded_octaves = np.log2(LARGEST_WEIGHT / np.where(seen, weights.astype(np.float64), 1))

@@ -22,7 +22,7 @@ class Precision:
     """Steps of a tier. See :class:`fourd.baking.files.encoding.CloudEncoding`.
 
     ``positions_per_radius`` is the number of position steps per median radius. ``keeps_unseen_colours`` states whether
-    colours of points in views that do not see them are kept.
+    the colours of a point are kept in views with a blend weight of 0.
     """
 
     positions_per_radius: int
@@ -62,7 +62,7 @@ class CloudSamples:
         radius_lower: smallest radius above 0.
         radii: sampled radii.
         sh: (S, 48) float32, sampled coefficients.
-        has_own_unseen_colours: whether some point has another colour than its mean in a view that does not see it.
+        has_own_unseen_colours: see :func:`fourd.baking.packed.colours.has_own_unseen_colours`.
     """
 
     lower: NDArray[np.float64]
@@ -87,7 +87,8 @@ def merge_samples(samples: Iterable[CloudSamples]) -> CloudSamples:
 
 
 def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
-    """Sample the points of one of ``frames`` frames of a cloud, at equal distances in the order of its points."""
+    """Sample the points of one frame at equal distances in the order of its points. ``frames`` is the number of frames
+    that are sampled in total."""
     if frame.point_count == 0:
         nothing = np.zeros(0, np.float32)
         return CloudSamples(
@@ -131,9 +132,9 @@ def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
 
 
 def _sh_basis(sh: NDArray[np.float32], step: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the principal components (K, 48) of the coefficients that exceed half a step in some sample, and the mean.
+    """Return the principal components (K, 48) of the coefficients, and the mean (48,) of the coefficients.
 
-    The remaining components would be rounded to 0.
+    Components that are at most half a step in all samples are left out, because they would be rounded to 0.
     """
     if len(sh) == 0:
         return np.zeros((0, SH_NUMBERS), np.float32), np.zeros(SH_NUMBERS, np.float32)

@@ -13,7 +13,8 @@ from fourd.errors import UserError
 SAMPLED_FRAMES = 3
 """Number of frames from which the bytes of a tier are estimated."""
 MARGIN = 0.95
-"""Share of the connection that the estimate may use, because frames differ."""
+"""Share of the connection's rate that the estimated rate may use. The rest is for frames that are larger than the
+mean."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,6 @@ def choose_tier(source: Path, max_mbps: float, name: Path) -> Choice:
     finally:
         reader.close()
     raise UserError(
-        f"--max-mbps: expected at least {choice.mbps / MARGIN:.1f} for {name} at {fps:g} frames per second, "
+        f"--max-mbps: expected at least {choice.mbps / MARGIN:.1f} Mbit/s for {name} at {fps:g} frames per second, "
         f"got {max_mbps:g}; use a faster connection, or train with fewer points"
     )

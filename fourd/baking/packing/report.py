@@ -26,9 +26,9 @@ CONTENTS = {
 
 @dataclass(frozen=True)
 class PackSettings:
-    """The tier, or the connection in megabits per second for which the tier is chosen.
+    """The tier, or the rate of a connection in megabits per second.
 
-    The tier is ignored if there is a connection.
+    If a rate is given, the best tier for this rate is chosen, and ``tier`` is ignored.
     """
 
     tier: Tier

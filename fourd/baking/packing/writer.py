@@ -104,7 +104,7 @@ class PackedWriter:
         return total
 
     def _manifest_room(self) -> int:
-        """Return a number of bytes that the complete manifest does not exceed."""
+        """Return an upper limit of the size of the complete manifest, in bytes."""
         frames = self.manifest.frame_count
         members = (frames + 1) * (len(packed_names(self.manifest)) + 1)
         names = sum(len(name) for name in self.manifest.optional_attributes) * (frames + 1)

@@ -36,10 +36,10 @@ class ViewNoise:
     """Standard deviations of the errors of corners.
 
     Attributes:
-        corner_px: (C,) of the independent errors in each camera, along each axis.
-        turn: of the shared rotation about each axis through the middle of the board, in radians.
-        shift_m: of the shared shift along each axis.
-        jitter: of the shared delay, in frames.
+        corner_px: (C,) standard deviation of the independent errors in each camera, along each axis.
+        turn: standard deviation of the shared rotation about each axis through the middle of the board, in radians.
+        shift_m: standard deviation of the shared shift along each axis.
+        jitter: standard deviation of the shared delay, in frames.
     """
 
     corner_px: Array
@@ -61,7 +61,8 @@ class Views:
         index: (N,) view of each corner.
         camera: (V,) camera of each view.
         board: (V,) position of the board in each view.
-        rows: (V, M) corners of each view; rows beyond the view's number of corners are N.
+        rows: (V, M) indices of the corners of each view. M is the largest number of corners of a view. Unused elements
+            are N.
     """
 
     index: NDArray[np.intp]
@@ -70,7 +71,7 @@ class Views:
     rows: NDArray[np.intp]
 
     def pad(self, values: Array, which: slice = slice(None)) -> Array:
-        """Rows (V, 2 M, Q) of the views ``which`` from values (N, 2, Q) of the corners, zero where there is none."""
+        """Arrange values (N, 2, Q) of the corners by view: (V, 2 M, Q) for the views ``which``, padded with zeros."""
         padded = np.concatenate([values, np.zeros((1, *values.shape[1:]))])[self.rows[which]]
         return padded.reshape(len(padded), -1, values.shape[2])
 
@@ -111,7 +112,8 @@ def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> 
 def weigh(
     views: Views, residual: Array, shared: Array, noise: ViewNoise, camera: NDArray[np.intp], huber_px: Array
 ) -> Weights:
-    """Weights of a Huber loss of the errors that the shared errors of the view leave, and of the shared errors.
+    """Weights of a Huber loss of the corners' errors, after subtraction of the view's shared errors, and weights of the
+    shared errors.
 
     Args:
         views: the corners by view.
@@ -149,7 +151,7 @@ def estimate_noise(
     weights: Weights,
     floor: ViewNoise,
 ) -> ViewNoise:
-    """Improve the standard deviations for the rig's present state.
+    """Estimate the standard deviations again for the current state of the rig.
 
     The independent errors are what remains if each view has its own pose of the board. The shared errors are estimated
     in frames that two or more cameras see, together with the pose of the board.

@@ -87,7 +87,7 @@ class Poses:
 
 @dataclass(frozen=True, eq=False)
 class Timing:
-    """When each camera sees each row of its images, and how the board moves meanwhile.
+    """The time at which each camera sees each row of its images, and the motion of the board during this time.
 
     A corner at the phase q of the readout is seen at the time ``f + delay + q readout`` in frames, where f is the
     frame number. The phase is -0.5 at one edge of the sensor, 0 in its middle and 0.5 at the opposite edge.
@@ -120,7 +120,8 @@ class BoardShape:
     """Differences of a board from the plane z = 0 of its front.
 
     Attributes:
-        offsets_m: (K, 3) displacements of the corners: the board is not quite flat, and the print not quite regular.
+        offsets_m: (K, 3) displacements of the corners, because the board is not exactly flat and the print is not
+            exactly regular.
         thickness_m: distance between the front and the back of a double-sided board. The back is at z = -thickness.
     """
 

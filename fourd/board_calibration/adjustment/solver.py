@@ -40,12 +40,12 @@ DAMPING = 1e-3
 MIN_RELATIVE_DECREASE = 1e-6
 """The solver stops when a step decreases the cost by less than this fraction of the cost."""
 PRIOR_ASPECT = 0.005
-"""Standard deviation of the logarithm of fx / fy around 0: pixels are square."""
+"""Standard deviation of the logarithm of fx / fy around 0, because most cameras have square pixels."""
 PRIOR_CENTRE = 0.015
 """Standard deviation of the principal point around the image's centre, as a share of the image's longer side."""
 PRIOR_DISTORTION = np.array([0.3, 0.3, 0.005, 0.005, 0.3])
-"""Standard deviations of k1, k2, p1, p2 and k3 around 0. The prior matters where corners cover a small part of the
-image or few directions of the board, which leaves combinations of coefficients undetermined."""
+"""Standard deviations of k1, k2, p1, p2 and k3 around 0. This prior matters if corners cover only a small part of the
+image or the board has only a few orientations. Some combinations of the coefficients are then undetermined."""
 PRIOR_TIME = np.array([0.5, 0.5])
 """Standard deviations of the delay and of the readout around 0, in frames."""
 PRIOR_THICKNESS_M = 0.005
@@ -194,10 +194,11 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
 
     They are 0 for fixed parameters.
 
-    The covariance is H^-1 G H^-1, where H are the reduced normal equations and G is the sum over the frames of the
-    squared gradients (the sandwich estimate with clusters, Liang and Zeger 1986), and of the prior. It allows for
-    errors that are correlated within a frame and are larger than the model of the errors says. H is reduced by the mean
-    ratio of the curvature of the Huber loss to its weights (Huber, Robust Statistics, 1981, sec. 7.6).
+    The covariance is H^-1 G H^-1. H is the matrix of the reduced normal equations. G is the sum of the outer products
+    of the frames' gradients, plus the precision of the prior (sandwich estimate with clusters, Liang and Zeger 1986).
+    The estimate remains valid if errors are correlated within a frame, or larger than the error model assumes. H is
+    multiplied by the mean curvature of the Huber loss, relative to its weights (Huber, Robust Statistics, 1981, sec.
+    7.6).
     """
     views = group_views(corners)
     weights, _ = _weigh(state, corners, views, errors)
@@ -207,7 +208,7 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
-    # The mean of the prior is as uncertain as the prior says, which adds to the gradients' variance.
+    # The mean of the prior is uncertain, too. Its variance is added to the variance of the gradients.
     precision, _ = _prior(state, free)
     covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
     variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)
@@ -215,9 +216,10 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
 
 
 def _curvature(weights: Array) -> float:
-    """Mean curvature of the Huber loss of a length in the plane, relative to the mean weight.
+    """Mean curvature of the Huber loss of two-dimensional errors, relative to the mean weight.
 
-    Beyond the scale of the loss, the curvature is 0 along the error and equal to the weight across it.
+    For errors larger than the scale of the loss, the curvature is 0 in the direction of the error, and equal to the
+    weight in the perpendicular direction.
     """
     return float(np.mean(np.where(weights < 1, weights / 2, 1.0)) / np.mean(weights))
 

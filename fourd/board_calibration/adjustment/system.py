@@ -71,7 +71,8 @@ class System:
         return step, np.einsum("fij,fj->fi", inverse, rest)
 
     def predicted_decrease(self, shared: Array, boards: Array) -> float:
-        """Decrease of the cost by a step, twice that of the quadratic model at most."""
+        """Scalar product of a step and the right-hand side, which is at most twice the decrease of the quadratic
+        model."""
         return float(self.rhs_shared @ shared + np.sum(self.rhs_boards * boards))
 
     def reduce(self, damping: float) -> tuple[Array, Array]:
@@ -127,8 +128,8 @@ def squared_error(
 ) -> float:
     """Weighted sum of squares of the residuals (N, 2), with the best shared errors of each view.
 
-    ``shared`` (N, 2, 7) are the derivatives with respect to the shared errors, and ``scale`` (N,) the weights' square
-    roots over the standard deviations of the corners.
+    ``shared`` (N, 2, 7) are the derivatives with respect to the shared errors. ``scale`` (N,) are the square roots of
+    the weights, divided by the standard deviations of the corners.
     """
     flat = float(np.sum((residual * scale[:, None]) ** 2))
     std = noise.shared_std

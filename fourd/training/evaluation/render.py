@@ -85,7 +85,7 @@ class ModelRenderer:
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
         """Render the background of a full scene alone, without shadows."""
-        assert isinstance(self.scene, FullScene), "expected a full scene, got an object, which has no background"
+        assert isinstance(self.scene, FullScene), "expected a full scene, got an object scene, which has no background"
         points = self.scene.evaluate_background(camera, self._nearest(camera, exclude))
         return render_view([points], camera, layers)
 
