@@ -70,7 +70,10 @@ def test_the_connection_chooses_the_tier(scene: Path, tmp_path: Path, capsys: py
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--max-mbps", "0.001"), r"--max-mbps: expected at least \d+\.\d Mbit/s for .*scene.4dv at 24 frames per second"),
+        (
+            ("--max-mbps", "0.001"),
+            r"--max-mbps: expected at least \d+\.\d Mbit/s for .*scene.4dv at 24 frames per second",
+        ),
         (("--max-mbps", "0"), "--max-mbps: expected a number of megabits per second above 0, got 0.0"),
         (("--tier", "tiny"), "tier"),
     ],
