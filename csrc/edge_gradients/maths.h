@@ -1,10 +1,10 @@
-// The line in which two triangles intersect, where it crosses the segment between the centres of two neighbouring
-// pixels, and how the crossing moves with the vertices.
+// Finds the line along which two triangles intersect, the point where this line crosses the segment between the centres
+// of two neighbouring pixels, and the derivatives of this point with respect to the vertices.
 //
-// With the lines N_i of the edges (antialias/maths.h), z/w of a triangle at a pixel is the sum of b_i z_i, where b_i is
-// N_i / V, and V is the sum of N_i w_i. V does not depend on the pixel, so z/w is linear in the image:
-// D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
-// b_i (dz - p_a da - p_b db - p_w dw). The crossing is where both triangles have the same D.
+// N_i are the linear functions of the edges (antialias/maths.h). z/w of a triangle at a pixel is the sum of b_i z_i
+// with b_i = N_i / V. V is the sum of N_i w_i, and does not depend on the pixel. z/w is therefore a linear function of
+// the pixel f: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by b_i (dz - p_a da
+// - p_b db - p_w dw). At the crossing, both triangles have the same D.
 #pragma once
 
 #include "antialias/maths.h"
@@ -17,14 +17,14 @@ using antialias::Mesh;
 using antialias::Sight;
 using antialias::Vertex;
 
-constexpr int kMaxVertices = 6;  // Of the two triangles that decide a crossing.
+constexpr int kMaxVertices = 6;  // Maximum number of vertices that move a crossing: those of two triangles.
 
 struct Position {
     float x, y, z, w;
 };
 
-// How far from the owner a pair is crossed, as a function of the vertices: indices of the vertices, and derivatives with
-// respect to their positions. The derivatives are 0 if one of them is not finite or above kMaxSlope.
+// The derivatives of the distance between the owner of a pair and the crossing: the indices of the vertices, and the
+// derivatives with respect to their positions. If one derivative is not finite or above kMaxSlope, all are 0.
 struct Motion {
     int count = 0;
     int vertex[kMaxVertices];
@@ -36,7 +36,7 @@ FOURD_HD static inline bool is_valid(const Mesh& mesh, int triangle) {
     return mesh.has(of[0]) && mesh.has(of[1]) && mesh.has(of[2]);
 }
 
-// Triangles with a common edge do not intersect elsewhere.
+// Two triangles that share an edge intersect only along this edge, so they need no test.
 FOURD_HD static inline bool share_an_edge(const Mesh& mesh, int one, int two) {
     const int* p = mesh.triangles + 3 * static_cast<std::size_t>(one);
     const int* q = mesh.triangles + 3 * static_cast<std::size_t>(two);
@@ -73,7 +73,7 @@ struct Outline {
     }
 };
 
-// z/w of a triangle at the owner, and how much it falls per pixel along and across the pair.
+// z/w of a triangle as a linear function: its value at the owner, and its decrease per pixel along and across the pair.
 struct Plane {
     float volume, depth, fall, fall_across;
 
@@ -88,8 +88,8 @@ struct Plane {
     }
 };
 
-// Whether the two triangles intersect between the pixel centres so that the first is nearer at the owner. As for
-// silhouettes, only lines that are more perpendicular than parallel to the segment count.
+// Whether the two triangles intersect between the pixel centres, and the triangle of the owner is the nearer one at the
+// owner. As for silhouettes, lines whose angle to the segment is below 45 degrees are ignored.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);

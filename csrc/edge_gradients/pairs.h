@@ -13,8 +13,8 @@ using antialias::Plan;
 using antialias::Rows;
 using antialias::View;
 
-// Codes are those of antialias/maths.h, with one more value for each pair: number 0 with bit 2 means that the triangles
-// of both pixels intersect.
+// The codes are those of antialias/maths.h, with one additional value per pair: if the edge number is 0 and bit 2 is 1,
+// the triangles of the two pixels intersect.
 FOURD_HD static inline Code intersection_code(int axis) { return antialias::code_of(0, true, axis); }
 FOURD_HD static inline bool is_intersection(Code code, int axis) {
     return antialias::edge_of(code, axis) == 0 && antialias::owner_is_neighbour(code, axis);
@@ -23,8 +23,8 @@ FOURD_HD static inline int vertices_of(Code code, int axis) {
     return is_intersection(code, axis) ? kMaxVertices : (antialias::edge_of(code, axis) != 0 ? 2 : 0);
 }
 
-// The gradient with respect to the distance of the edge from pixel `owner` to pixel `other`: if the distance grows by
-// dt, one of the two pixels changes by dt (c_owner - c_other). The gradient is the mean of both cases.
+// The derivative of the loss with respect to the distance of the edge from the pixel `owner`. If the distance increases
+// by dt, one of the two pixels changes by dt (c_owner - c_other). The derivative is the mean over both cases.
 FOURD_HD static inline float change(const View& view, std::size_t owner, std::size_t other, const float* gradient) {
     const std::size_t one = owner * view.channels, two = other * view.channels;
     const float* colours = view.plan.images.colours;

@@ -1,7 +1,7 @@
-"""Spherical harmonics fitted to the colours that a scene shows.
+"""Spherical harmonics that are fitted to the colours of a scene.
 
-For each point, the colours that the scene shows from the capture's cameras, and from cameras between them, are
-approximated by least squares. Directions in which the point is visible count most.
+For each point, the spherical harmonics are fitted by least squares to the point's colours as seen from the capture's
+cameras and from cameras between them. Directions from which the point is visible have the largest weights.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from fourd.ops.points.arrays import point_visibility_numpy
 from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
 
 MIN_WEIGHT = 0.02
-"""Weight of a direction in which the point is not visible. A visible point has a weight of up to 1."""
+"""Weight of a direction from which the point is not visible. A visible point has a weight of up to 1."""
 RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
-"""Weight of the squared coefficients of degrees 0 to 3, so that they do not fit noise."""
+"""Weight of the squared coefficients of degrees 0 to 3. This regularisation prevents fitting of noise."""
 DIRECTIONS = 24
-"""Number of viewpoints of a scene without cameras."""
+"""Number of viewpoints from which a scene without cameras is sampled."""
 _CHUNK = 8192
 _NEIGHBOURS = 2
 

@@ -23,7 +23,7 @@ struct Loops {
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 
-// As for antialias, memory accesses and branches limit the speed, so the loops are not compiled for AVX-512.
+// The loops are not compiled for AVX-512, because memory accesses and branches limit their speed.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::edge_gradients

@@ -23,7 +23,8 @@ from fourd.progress import Tracker
 
 @dataclass(frozen=True)
 class Arguments:
-    """Without --to, bakes the newest checkpoint of a run into a .4dv file. With --to, writes other programs' files."""
+    """Without --to, bakes the newest checkpoint of a run into a .4dv file. With --to, writes files for other
+    programs."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
     """Run folder. With --to, also a .4dv file, or Gaussian splats."""

@@ -18,7 +18,7 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def edge_gradients(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
 ) -> Tensor:
-    """Compute the gradient of ``pos`` by moving visibility edges, with the shape of ``pos``.
+    """Compute the part of the gradient of ``pos`` that comes from moving visibility edges, in the shape of ``pos``.
 
     ``pos`` is (B, V, 4), or (V, 4) for all images. ``gradient`` (B, H, W, C) is the gradient of the image. The
     operator itself is not differentiable.
@@ -48,7 +48,8 @@ def _(
 
 
 def add_edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, threads: int) -> Tensor:
-    """Return ``color`` with gradients of moving edges, see :func:`fourd.raster.triangles.edge_gradients`."""
+    """Return ``color``, whose backward pass includes the gradients of moving visibility edges. See
+    :func:`fourd.raster.triangles.edge_gradients`."""
     return _MovingEdges.apply(color, rast, pos, tri, opposite, threads)
 
 

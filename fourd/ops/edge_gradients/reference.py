@@ -90,10 +90,11 @@ def _dot(one: Tensor, two: Tensor) -> Tensor:
 
 
 def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return whether both triangles of each pair contain both pixel centres, and swap their order between these.
+    """Return whether the triangles of each pair intersect between the pixel centres.
 
-    As for silhouettes, only lines that are more perpendicular than parallel to the segment between the centres count.
-    Triangles with a common edge do not intersect elsewhere.
+    Both triangles must contain both pixel centres, and the nearer triangle must change between the centres. As for
+    silhouettes, lines whose angle to the segment between the centres is below 45 degrees are ignored. Triangles that
+    share an edge intersect only along this edge, so they are not tested.
     """
     corners = tri.long()
     own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]

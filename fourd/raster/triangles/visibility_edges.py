@@ -28,8 +28,8 @@ def edge_gradients(
     visibility edge. Let c_1 and c_2 be their colours. If the edge moves by dt pixels from the first pixel towards the
     second, one of the two pixels changes by dt (c_1 - c_2). It is not known which one, so the gradient is the mean of
     the gradients of both cases. A visibility edge is either a silhouette edge of the nearer triangle, as in
-    :func:`fourd.raster.triangles.antialias`, or the line along which two triangles intersect. Edges that are more
-    parallel than perpendicular to the segment between the pixel centres do not count.
+    :func:`fourd.raster.triangles.antialias`, or the line along which two triangles intersect. Edges whose
+    angle to the segment between the pixel centres is below 45 degrees are ignored.
 
     The result is differentiable in ``color``, with the gradient of the identity, and in x, y and w of ``pos``. At
     intersections, it is also differentiable in z. The forward pass copies nothing, and the backward pass finds the
