@@ -250,7 +250,7 @@ class SceneReader:
         if self.manifest.background is None or not self.manifest.background.shadow:
             return None
         name = member_name(index, SHADOW)
-        content = self._content(name)
+        content = self.read_member(name)
         if self.manifest.encoding is None:
             return np.frombuffer(content, np.uint8)
         with self._decoding(name):
@@ -272,7 +272,7 @@ class SceneReader:
     def _read_arrays(self, folder: str, points: int) -> dict[str, NDArray[Any]]:
         arrays: dict[str, NDArray[Any]] = {}
         for attribute in self.manifest.attributes:
-            content = self._content(f"{folder}/{attribute.name}")
+            content = self.read_member(f"{folder}/{attribute.name}")
             shape = attribute.resolve_shape(points, self.manifest.view_count)
             arrays[attribute.name] = np.frombuffer(content, dtype=attribute.dtype).reshape(shape)
         return arrays
@@ -280,7 +280,7 @@ class SceneReader:
     def _unpack(self, folder: str, points: int, encoding: CloudEncoding) -> dict[str, NDArray[Any]]:
         """Decode the members of a packed cloud."""
         views = self.manifest.view_count
-        members = {name: self._content(f"{folder}/{name}") for name in packed_names(self.manifest)}
+        members = {name: self.read_member(f"{folder}/{name}") for name in packed_names(self.manifest)}
         with self._decoding(folder):
             arrays = decode_cloud(members, points, views, encoding)
             for attribute in self.manifest.attributes:
@@ -299,7 +299,8 @@ class SceneReader:
             expected, _, got = str(error).removeprefix("expected ").partition(", got ")
             raise damaged(self.path, f"{expected} in {name}", got) from error
 
-    def _content(self, name: str) -> bytes:
+    def read_member(self, name: str) -> bytes:
+        """Return the stored bytes of a member. Raises KeyError if there is no such member, and UserError."""
         if self._zip.fp is None:
             raise ValueError(f"{self.path}: expected an open scene, got a closed one")
         try:
@@ -316,7 +317,7 @@ class SceneReader:
         if size > MAX_MANIFEST_BYTES:
             raise damaged(self.path, f"at most {MAX_MANIFEST_BYTES} bytes of {MANIFEST_NAME}", f"{size}")
         try:
-            return manifest_from_json(self._content(MANIFEST_NAME))
+            return manifest_from_json(self.read_member(MANIFEST_NAME))
         except NewerVersionError as error:
             raise UserError(f"{self.path}: {error}; update fourd to open this newer scene") from error
         except ManifestError as error:

@@ -28,6 +28,8 @@ COMMANDS = {
     "pack": "scenes.pack",
     "render": "scenes.render",
     "view": "scenes.view",
+    "web": "scenes.web",
+    "serve": "scenes.serve",
     "bench": "scenes.bench",
     "info": "scenes.info",
 }
@@ -68,6 +70,8 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd pack SCENE -o scene.4dv     convert a scene to a compact file
   fourd render RUN|SCENE --out OUT  render images or a video
   fourd view SCENE|RUN              play a scene in a window
+  fourd web SCENE -o DIR            write a web page that plays a scene
+  fourd serve SCENE|SITE            show a scene in the web browser
   fourd bench                       time kernels and stages on this machine
   fourd info FILE|DIR               describe a file or folder
 

@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("fourd", "viewer", "csrc", "docs", "tools", "configs", "examples")
-SOURCES = {".py", ".h", ".inc", ".cpp", ".cu", ".cuh", ".glsl", ".vert", ".frag"}
+SOURCES = {".py", ".h", ".inc", ".cpp", ".cu", ".cuh", ".glsl", ".vert", ".frag", ".js"}
 SUFFIXES = SOURCES | {".md", ".yaml", ".sh", ".cmake", ".mk"}
 PAGES = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "Makefile")
 

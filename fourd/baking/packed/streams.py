@@ -1,21 +1,33 @@
-"""Members of a packed scene: byte planes under Zstandard (RFC 8878)."""
+"""Members of a packed scene: byte planes under Zstandard (RFC 8878) or zlib (RFC 1950).
+
+Web browsers decompress zlib, but not Zstandard. The first bytes of a member state its compression.
+"""
 
 from __future__ import annotations
+
+import zlib
+from typing import Literal
 
 import numpy as np
 import zstandard
 from numpy.typing import NDArray
 
-LEVEL = 19
-"""Compression level. The level hardly changes the time of decompression."""
+Compression = Literal["zstd", "zlib"]
+"""How the members of a file are compressed."""
+
+LEVEL, ZLIB_LEVEL = 19, 9
+"""Compression levels. The level hardly changes the time of decompression."""
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 class StreamError(ValueError):
     """A damaged member. The message has the form "expected ..., got ..."."""
 
 
-def compress(content: bytes) -> bytes:
+def compress(content: bytes, compression: Compression = "zstd") -> bytes:
     """Compress a member's content. Equal contents give equal bytes."""
+    if compression == "zlib":
+        return zlib.compress(content, ZLIB_LEVEL)
     return zstandard.ZstdCompressor(level=LEVEL, write_content_size=True).compress(content)
 
 
@@ -27,11 +39,17 @@ def stored(content: bytes) -> bytes:
 def decompress(member: bytes, largest: int) -> NDArray[np.uint8]:
     """Return the content of a member as bytes (N,).
 
-    The size that the member declares is compared with ``largest``, in bytes, before memory is allocated.
+    At most ``largest`` bytes are decompressed. The size that a Zstandard member declares is checked before memory is
+    allocated.
 
     Raises:
-        StreamError: if the member is damaged, declares no size or declares more than ``largest``.
+        StreamError: if the member is damaged, declares no size or has more than ``largest`` bytes.
     """
+    content = _from_zstd(member, largest) if member.startswith(_ZSTD_MAGIC) else _from_zlib(member, largest)
+    return np.frombuffer(content, np.uint8)
+
+
+def _from_zstd(member: bytes, largest: int) -> bytes:
     try:
         size = zstandard.frame_content_size(member)
         if not 0 <= size <= largest:
@@ -41,7 +59,20 @@ def decompress(member: bytes, largest: int) -> NDArray[np.uint8]:
         raise StreamError(f"expected Zstandard data, got other content ({error})") from error
     if len(content) != size:
         raise StreamError(f"expected {size} bytes, got {len(content)}")
-    return np.frombuffer(content, np.uint8)
+    return content
+
+
+def _from_zlib(member: bytes, largest: int) -> bytes:
+    stream = zlib.decompressobj()
+    try:
+        content = stream.decompress(member, largest + 1)
+    except zlib.error as error:
+        raise StreamError(f"expected Zstandard or zlib data, got other content ({error})") from error
+    if len(content) > largest:
+        raise StreamError(f"expected at most {largest} bytes, got more")
+    if not stream.eof:
+        raise StreamError(f"expected the complete zlib stream, got its first {len(content)} bytes")
+    return content
 
 
 def decompress_exactly(member: bytes, size: int) -> NDArray[np.uint8]:

@@ -19,7 +19,7 @@ from fourd.baking.container import BACKGROUND, MANIFEST_NAME, SHADOW, frame_fold
 from fourd.baking.files.archive import disk_errors, make_member, open_zip
 from fourd.baking.manifest import manifest_to_json
 from fourd.baking.packed.members import packed_names
-from fourd.baking.packed.streams import compress
+from fourd.baking.packed.streams import Compression, compress
 from fourd.baking.scene import PACKED_VERSION, SceneManifest
 from fourd.files import atomic_path
 
@@ -41,14 +41,16 @@ class PackedWriter:
     Args:
         path: path of the `.4dv`. A missing folder is created.
         manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``.
+        compression: compression of all members. Web browsers read "zlib" alone.
 
     Raises:
         UserError: if the disk is full or the path cannot be written.
     """
 
-    def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
+    def __init__(self, path: Path | str, manifest: SceneManifest, compression: Compression = "zstd") -> None:
         self.path = Path(path)
         self.manifest = replace(manifest, version=PACKED_VERSION)
+        self._compression = compression
         self._stack = ExitStack()
         self._zip: zipfile.ZipFile | None = None
         self._temporary = self.path
@@ -96,7 +98,7 @@ class PackedWriter:
         assert self._zip is not None
         total = 0
         for name, content in members.items():
-            compressed = compress(content)
+            compressed = compress(content, self._compression)
             with disk_errors(self.path):
                 self._zip.writestr(make_member(f"{folder}/{name}"), compressed)
             self._sizes[f"{folder}/{name}"] = len(compressed)

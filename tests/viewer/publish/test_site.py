@@ -1,0 +1,86 @@
+"""Sites: their files, and the scene in the form that browsers read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fourd.baking import SceneReader
+from fourd.baking.packed.streams import StreamError, compress, decompress
+from fourd.baking.packing.pack import pack_scene
+from fourd.baking.packing.transcode import transcode_scene
+from fourd.cli.main import main
+from fourd.errors import UserError
+from fourd.viewer.publish.site import SCENE_NAME, write_site
+from tests.baking.scenes import write_full_scene, write_scene
+
+
+def test_files_of_a_site(tmp_path: Path) -> None:
+    """Catches a site without the modules that its page loads, and text of the title that becomes markup."""
+    write_scene(tmp_path / "scene.4dv")
+    write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>")
+    write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>")
+    names = {path.relative_to(tmp_path / "site").as_posix() for path in (tmp_path / "site").rglob("*.*")}
+    assert {"index.html", "page.css", "poster.jpg", SCENE_NAME, "player/fourd-player.js"} <= names
+    assert {"player/decode/worker.js", "player/sort/worker.js"} <= names
+    page = (tmp_path / "site" / "index.html").read_text()
+    assert "<title>&lt;b&gt;</title>" in page
+    assert "{{" not in page
+
+
+def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
+    """Catches points that are quantised a second time, and members that stay in Zstandard."""
+    write_full_scene(tmp_path / "scene.4dv")
+    pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", "full")
+    transcode_scene(tmp_path / "packed.4dv", tmp_path / "web.4dv", "zlib")
+    packed, web = SceneReader(tmp_path / "packed.4dv"), SceneReader(tmp_path / "web.4dv")
+    for index in range(packed.manifest.frame_count):
+        for name, array in packed.read(index).arrays.items():
+            np.testing.assert_array_equal(web.read(index).arrays[name], array)
+    assert web.read_member("frames/000000/points")[0] == 0x78
+    packed.close()
+    web.close()
+
+
+def test_errors_of_zlib_members() -> None:
+    """Catches a damaged zlib member that is read without an error."""
+    member = compress(bytes(1000), "zlib")
+    assert len(decompress(member, 1000)) == 1000
+    for damaged, expected in (
+        (member[:-6], "expected the complete zlib stream"),
+        (b"other", "expected Zstandard or zlib data"),
+        (member[:-1] + b"\2", "expected Zstandard or zlib data"),
+        (compress(bytes(10**6), "zlib"), "expected at most 1000 bytes, got more"),
+    ):
+        with pytest.raises(StreamError, match=expected):
+            decompress(damaged, 1000)
+
+
+def test_other_folders_are_kept(tmp_path: Path) -> None:
+    """Catches a site that replaces a folder with other files."""
+    write_scene(tmp_path / "scene.4dv")
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "file").write_text("x")
+    with pytest.raises(UserError, match="expected a new folder or an earlier site, got a folder with other files"):
+        write_site(tmp_path / "scene.4dv", tmp_path / "mine", "stream")
+    assert (tmp_path / "mine" / "file").exists()
+
+
+def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches commands that end with a traceback for wrong input."""
+    write_scene(tmp_path / "scene.4dv")
+    assert main(["web", str(tmp_path / "scene.4dv"), "-o", str(tmp_path / "site"), "--tier", "light"]) == 0
+    assert "next: fourd serve" in capsys.readouterr().err.replace("\n", " ")
+    for words, expected in (
+        (["web", str(tmp_path / "none.4dv"), "-o", str(tmp_path / "other")], "expected a .4dv file"),
+        (["serve", str(tmp_path)], "expected a .4dv file or a folder of fourd web, got another folder"),
+        (["serve", str(tmp_path / "none.4dv"), "--port", "0"], "expected a .4dv file"),
+        (["serve", str(tmp_path / "site"), "--port", "70000"], "--port: expected 0 to 65535, got 70000"),
+    ):
+        assert main(words) == 2
+        error = capsys.readouterr().err
+        assert expected in error
+        assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "other").exists()

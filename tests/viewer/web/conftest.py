@@ -1,0 +1,100 @@
+"""A Chromium that all tests of the web player share, and the sites that it opens."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fourd.viewer.publish.server import SiteServer
+from fourd.viewer.publish.site import write_site
+from tests.baking.scenes import write_full_scene, write_scene
+from tests.viewer.web.page import PlayerPage
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+FLAGS = (
+    "--headless",
+    "--no-sandbox",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--ignore-gpu-blocklist",
+    # Mesa's llvmpipe by EGL draws in half the time of SwiftShader.
+    "--use-gl=angle",
+    "--use-angle=gl-egl",
+)
+SWIFTSHADER_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """A running Chromium."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium here")
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(
+            executable_path=CHROMIUM, args=FLAGS, ignore_default_args=list(SWIFTSHADER_FLAGS)
+        )
+        yield browser
+        browser.close()
+
+
+@pytest.fixture(scope="session")
+def object_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site of an object scene. Most pixels of the subject have more than K layers. Tests must not change it."""
+    folder = tmp_path_factory.mktemp("object")
+    write_scene(folder / "scene.4dv", frames=6, points=4000)
+    write_site(folder / "scene.4dv", folder / "site", "full", 'A <scene> & "more"')
+    return folder / "site"
+
+
+@pytest.fixture(scope="session")
+def full_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site of a scene with a background and shadows. Tests must not change the site."""
+    folder = tmp_path_factory.mktemp("full")
+    write_full_scene(folder / "scene.4dv", points=2000, background_points=5000)
+    write_site(folder / "scene.4dv", folder / "site", "stream")
+    return folder / "site"
+
+
+@contextmanager
+def serving(folder: Path, server_type: type[SiteServer] = SiteServer) -> Iterator[SiteServer]:
+    """Serve a folder while the block runs."""
+    with server_type(folder) as server:
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02}, daemon=True)
+        thread.start()
+        yield server
+        server.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Callable[..., PlayerPage]]:
+    """A function that opens a page of a site. Pages are closed after the test."""
+    contexts = []
+
+    def open_one(url: str, size: tuple[int, int] = (320, 240), **options: Any) -> PlayerPage:
+        context = browser.new_context(viewport={"width": size[0], "height": size[1]}, **options)
+        contexts.append(context)
+        return PlayerPage(context.new_page(), url)
+
+    yield open_one
+    for context in contexts:
+        context.close()
+
+
+@pytest.fixture
+def play(open_page: Callable[..., PlayerPage], object_site: Path) -> Iterator[PlayerPage]:
+    """The page of the object scene, paused at frame 0."""
+    with serving(object_site) as server:
+        page = open_page(server.url)
+        page.pause(0)
+        yield page

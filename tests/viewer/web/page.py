@@ -1,0 +1,78 @@
+"""A page with a player, driven by tests."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+
+TIMEOUT_MS = 20_000
+NAMES = "const player = document.querySelector('fourd-player'), {stage} = player;"
+IS_READY = "player.firstImageMs > 0 || (!player.panel.message.hidden && player.panel.message.textContent)"
+
+
+class PlayerPage:
+    """Opens a page and runs functions with its player, which is `player` in scripts."""
+
+    def __init__(self, page: Any, url: str) -> None:
+        self.page = page
+        self.problems: list[str] = []
+        page.on("pageerror", lambda error: self.problems.append(str(error)))
+        page.on("console", self._collect)
+        page.goto(url)
+
+    def _collect(self, message: Any) -> None:
+        if "ReadPixels" not in message.text and "Failed to load resource" not in message.text:
+            self.problems.append(message.text)
+
+    def run(self, script: str, argument: Any = None) -> Any:
+        """Evaluate a function body with `player`, its `stage`, and `argument`."""
+        return self.page.evaluate(f"async (argument) => {{ {NAMES} {script} }}", argument)
+
+    def wait(self, condition: str) -> None:
+        """Wait until an expression with `player` is true."""
+        self.page.wait_for_function(f"() => {{ {NAMES} return {condition}; }}", timeout=TIMEOUT_MS)
+
+    def ready(self) -> None:
+        """Wait for the first image. Raises AssertionError if the page shows an error."""
+        self.wait(IS_READY)
+        assert self.message() == ""
+
+    def message(self) -> str:
+        """The message that the page shows, or an empty string."""
+        return str(self.run("return player.panel.message.hidden ? '' : player.panel.message.textContent;"))
+
+    def error(self) -> str:
+        """Wait for an error, and return its text."""
+        self.wait("!player.panel.message.hidden")
+        return self.message()
+
+    def pause(self, frame: int) -> None:
+        """Pause at a frame, and wait until it is shown."""
+        self.ready()
+        self.run("player.seek(argument); await player.settled();", frame)
+
+    def pixels(self, camera: Camera, mode: str = "sorted") -> NDArray[np.uint8]:
+        """The image (H, W, 3) of the current frame from a camera, which has the size of the canvas."""
+        described = {
+            "intrinsics": camera.intrinsics.ravel().tolist(),
+            "rotation": camera.rotation.ravel().tolist(),
+            "translation": camera.translation.tolist(),
+            "width": camera.width,
+            "height": camera.height,
+        }
+        script = """
+            stage.mode = argument.mode;
+            stage.fixedCamera = argument.camera;
+            stage.isDirty = true;
+            await player.settled();
+            stage.redraw();
+            const pixels = stage.renderer.readPixels();
+            return btoa(Array.from(pixels, (byte) => String.fromCharCode(byte)).join(""));
+        """
+        content = base64.b64decode(self.run(script, {"camera": described, "mode": mode}))
+        return np.frombuffer(content, np.uint8).reshape(camera.height, camera.width, 4)[..., :3]

@@ -1,0 +1,105 @@
+"""The web player on servers that ignore ranges, stall, cut the file or change it."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import BinaryIO
+
+from fourd.viewer.publish.server import Part, SiteHandler, SiteServer
+from fourd.viewer.publish.site import SCENE_NAME, write_scene
+from tests.baking.scenes import write_scene as write_random_scene
+from tests.viewer.web.conftest import serving
+from tests.viewer.web.page import PlayerPage
+
+
+class WholeFileHandler(SiteHandler):
+    """Sends the whole file, whatever range is asked for."""
+
+    def do_GET(self) -> None:
+        del self.headers["Range"]
+        super().do_GET()
+
+
+class StallingHandler(SiteHandler):
+    """Sends the start of the scene, and no content for other ranges."""
+
+    def _send_content(self, stream: BinaryIO, part: Part) -> None:
+        if part.start > 0:
+            self.wfile.flush()
+            self.rfile.read(1)  # until the client gives up
+            self.close_connection = True
+            return
+        super()._send_content(stream, part)
+
+
+class CuttingHandler(SiteHandler):
+    """Ends connections after half of the content, except for the start of the scene."""
+
+    def _send_content(self, stream: BinaryIO, part: Part) -> None:
+        if part.start > 0:
+            self.close_connection = True
+            part = Part(part.start, part.length // 2)
+        super()._send_content(stream, part)
+
+
+class WholeFileServer(SiteServer):
+    handler = WholeFileHandler
+
+
+class StallingServer(SiteServer):
+    handler = StallingHandler
+
+
+class CuttingServer(SiteServer):
+    handler = CuttingHandler
+
+
+def test_a_server_without_ranges(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
+    """Catches a player that takes the start of the file for the requested range."""
+    with serving(object_site, WholeFileServer) as server:
+        page = open_page(server.url)
+        page.pause(4)
+        size = (object_site / SCENE_NAME).stat().st_size
+        page.wait(f"stage.store.file.source.bytesReceived === {size}")
+    assert page.problems == []
+
+
+def test_a_server_that_stalls(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
+    """Catches a player that waits for ever."""
+    with serving(object_site, StallingServer) as server:
+        page = open_page(server.url + "index.html")
+        page.run("player.setAttribute('timeout', '0.2'); player.setAttribute('src', 'scene.4dv');")
+        assert page.error().endswith("the server sends no data; reload the page")
+
+
+def test_a_connection_that_ends_early(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
+    """Catches a player that draws half a frame."""
+    with serving(object_site, CuttingServer) as server:
+        page = open_page(server.url)
+        assert page.error().startswith(server.url + SCENE_NAME)
+        assert "reload the page" in page.message()
+
+
+def test_a_scene_that_changes(open_page: Callable[..., PlayerPage], object_site: Path, tmp_path: Path) -> None:
+    """Catches a player that mixes the frames of two scenes."""
+    site = tmp_path / "site"
+    shutil.copytree(object_site, site)
+    with serving(site) as server:
+        page = open_page(server.url)
+        page.pause(0)
+        write_random_scene(tmp_path / "other.4dv", frames=6, points=100)
+        write_scene(tmp_path / "other.4dv", site / SCENE_NAME, "full")
+        page.run("stage.store.entries.clear(); player.seek(5);")
+        assert page.error() == "The scene has changed on the server. Reload the page."
+
+
+def test_a_missing_scene(open_page: Callable[..., PlayerPage], object_site: Path, tmp_path: Path) -> None:
+    """Catches an empty page without a message."""
+    site = tmp_path / "site"
+    shutil.copytree(object_site, site)
+    (site / SCENE_NAME).unlink()
+    with serving(site) as server:
+        page = open_page(server.url)
+        assert page.error() == f"{server.url}{SCENE_NAME}: expected a scene, got HTTP status 404; check the address"

@@ -1,0 +1,87 @@
+"""Writes the folder of a web page that plays a scene. The page's program is in viewer/web."""
+
+from __future__ import annotations
+
+import html
+import shutil
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from PIL import Image
+
+from fourd.baking import SceneReader
+from fourd.baking.files.encoding import Tier
+from fourd.baking.packing.pack import pack_scene
+from fourd.baking.packing.transcode import transcode_scene
+from fourd.baking.player import Player
+from fourd.errors import UserError
+from fourd.files import atomic_folder, is_unused
+from fourd.progress import Track, untracked
+
+SCENE_NAME, PAGE_NAME, POSTER_NAME, PLAYER_FOLDER = "scene.4dv", "index.html", "poster.jpg", "player"
+_POSTER_SIDE = 960
+_NOT_SERVED = ("index.html", "page.css", "tsconfig.json", "node_modules", "package-lock.json")
+
+
+def write_site(source: Path, out: Path, tier: Tier, title: str | None = None, track: Track = untracked) -> None:
+    """Write a folder with a page, a poster image, the player's modules and the scene.
+
+    Packed scenes keep their tier. Their members are compressed again, because browsers cannot decompress Zstandard.
+
+    Args:
+        source: a `.4dv` of any version.
+        out: the folder to write. An earlier site in this folder is replaced.
+        tier: tier to which a scene is packed that is not yet packed.
+        title: title of the page, by default the name of the file.
+        track: reports progress.
+
+    Raises:
+        UserError: if ``source`` is not a valid scene, or if ``out`` has other content.
+    """
+    if not is_unused(out) and not is_site(out):
+        raise UserError(f"{out}: expected a new folder or an earlier site, got a folder with other files; change -o")
+    with atomic_folder(out) as folder:
+        write_scene(source, folder / SCENE_NAME, tier, track)
+        write_poster(folder / SCENE_NAME, folder / POSTER_NAME)
+        copy_player(folder, title or source.stem)
+
+
+def is_site(folder: Path) -> bool:
+    """Whether a folder has the files that :func:`write_site` writes."""
+    return all((folder / name).exists() for name in (PAGE_NAME, SCENE_NAME, PLAYER_FOLDER))
+
+
+def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked) -> None:
+    """Write a scene in the form that browsers read: packed, with zlib. Raises UserError."""
+    reader = SceneReader(source)
+    manifest = reader.manifest
+    is_packed = manifest.encoding is not None
+    reader.close()
+    if manifest.frame_count == 0 or not manifest.cameras:
+        raise UserError(f"{source}: expected a scene with frames and cameras, got none; export the run again")
+    if is_packed:
+        transcode_scene(source, out, "zlib", track)
+    else:
+        pack_scene(source, out, tier, track, compression="zlib")
+
+
+def write_poster(scene: Path, out: Path) -> None:
+    """Render the first frame from the first camera to a JPEG file."""
+    reader = SceneReader(scene)
+    try:
+        camera = reader.manifest.cameras[0]
+        camera = camera.rescale(min(1.0, _POSTER_SIDE / max(camera.width, camera.height)))
+        pixels = Player().draw(reader.read(0), camera, reader.manifest)
+    finally:
+        reader.close()
+    Image.fromarray(pixels[..., :3]).save(out, quality=85)
+
+
+def copy_player(folder: Path, title: str) -> None:
+    """Copy the page and the player's modules."""
+    with as_file(files("fourd.viewer") / "web") as web:
+        shutil.copytree(web, folder / PLAYER_FOLDER, ignore=shutil.ignore_patterns(*_NOT_SERVED))
+        page = (web / "index.html").read_text(encoding="utf-8")
+        page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{scene}}", SCENE_NAME)
+        (folder / PAGE_NAME).write_text(page, encoding="utf-8")
+        shutil.copyfile(web / "page.css", folder / "page.css")

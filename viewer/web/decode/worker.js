@@ -1,0 +1,41 @@
+import { describeError } from "../scene/errors.js";
+import { decodeBase, decodeView } from "./cloud.js";
+import { inflateExactly } from "./inflate.js";
+/** @typedef {import("./pool.js").DecodeRequest} DecodeRequest */
+/** @typedef {import("./pool.js").DecodeReply} DecodeReply */
+
+/** @type {{postMessage(message: DecodeReply, transfer: Transferable[]): void, onmessage: unknown}} */
+const scope = /** @type {any} */ (self);
+
+scope.onmessage = async (/** @type {MessageEvent<DecodeRequest>} */ event) => {
+  const { id } = event.data;
+  const started = performance.now();
+  try {
+    const { result, transfer } = await decode(event.data);
+    scope.postMessage({ id, result, ms: performance.now() - started }, transfer);
+  } catch (error) {
+    scope.postMessage({ id, error: describeError(error), ms: 0 }, []);
+  }
+};
+
+/** @param {DecodeRequest} request */
+async function decode(request) {
+  if (request.kind === "base") {
+    const base = await decodeBase(request.members, request.points, request.encoding, request.folder);
+    const buffers = [base.xyz.buffer, base.sizes.buffer, base.factors.buffer, base.mean.buffer];
+    return { result: base, transfer: buffers };
+  }
+  if (request.kind === "views") {
+    const { mean, encoding, folder } = request;
+    /** @type {[number, Uint8Array<ArrayBuffer>][]} */
+    const views = await Promise.all(
+      request.views.map(async ({ view, member }) => {
+        const name = `${folder}/views/${String(view).padStart(3, "0")}`;
+        return /** @type {[number, Uint8Array<ArrayBuffer>]} */ ([view, await decodeView(member, mean, encoding, name)]);
+      }),
+    );
+    return { result: views, transfer: views.map(([, rgba]) => rgba.buffer) };
+  }
+  const shadow = (await inflateExactly(request.member, request.points, `${request.folder}/shadow`)).slice();
+  return { result: shadow, transfer: [shadow.buffer] };
+}

@@ -1,0 +1,217 @@
+import { SceneError } from "../scene/errors.js";
+import { bindTexture, makeFramebuffer, makeProgram, makeTexture } from "./gl.js";
+import { COPY_FRAGMENT, FULL_SCREEN_VERTEX, PEEL_FRAGMENT, SORTED_FRAGMENT } from "./shaders.js";
+/** @typedef {import("./discs.js").Discs} Discs */
+
+/** A rank that is larger than the rank of every layer. */
+const NONE = 1e9;
+
+/**
+ * @typedef {object} Compositor
+ * @property {(width: number, height: number, layers: number) => WebGLTexture} draw Composites the discs into a
+ *   texture (RGBA16F, premultiplied). Row 0 of the texture is the top of the image.
+ * @property {() => void} release
+ */
+
+/**
+ * Composites up to K discs per pixel in one pass. The discs are drawn nearest first and blended under the discs before
+ * them. The stencil buffer counts the discs of each pixel, so that exactly the K nearest are composited.
+ * @implements {Compositor}
+ */
+export class SortedCompositor {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {Discs} discs
+   */
+  constructor(gl, discs) {
+    requireFloatTargets(gl, "EXT_color_buffer_half_float");
+    this.gl = gl;
+    this.discs = discs;
+    this.pass = discs.makePass(SORTED_FRAGMENT);
+    /** @type {Target | null} */
+    this.target = null;
+  }
+
+  /**
+   * @param {number} width
+   * @param {number} height
+   * @param {number} layers
+   */
+  draw(width, height, layers) {
+    const { gl } = this;
+    if (!this.target || this.target.width !== width || this.target.height !== height) {
+      this.target?.release();
+      this.target = new Target(gl, width, height, [gl.RGBA16F], gl.DEPTH24_STENCIL8, gl.DEPTH_STENCIL_ATTACHMENT);
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clearStencil(0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
+    blendUnder(gl);
+    gl.enable(gl.STENCIL_TEST);
+    gl.stencilFunc(gl.GREATER, layers, 0xff);
+    gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
+    this.discs.draw(this.pass, width, height);
+    gl.disable(gl.STENCIL_TEST);
+    gl.disable(gl.BLEND);
+    return this.target.textures[0];
+  }
+
+  release() {
+    this.target?.release();
+    this.target = null;
+  }
+}
+
+/**
+ * Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next layer of every pixel. Exact and slow.
+ * @implements {Compositor}
+ */
+export class PeelingCompositor {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {Discs} discs
+   */
+  constructor(gl, discs) {
+    requireFloatTargets(gl, "EXT_color_buffer_float");
+    this.gl = gl;
+    this.discs = discs;
+    this.peel = discs.makePass(PEEL_FRAGMENT);
+    this.copy = makeProgram(gl, FULL_SCREEN_VERTEX, COPY_FRAGMENT);
+    this.emptyArray = gl.createVertexArray();
+    /** Two targets that alternate, because a pass reads the ranks of the pass before. @type {Target[]} */
+    this.layers = [];
+    /** @type {Target | null} */
+    this.sum = null;
+  }
+
+  /**
+   * @param {number} width
+   * @param {number} height
+   * @param {number} layers
+   */
+  draw(width, height, layers) {
+    const { gl } = this;
+    const sum = this.#resize(width, height);
+    clear(gl, sum.framebuffer, [0, 0, 0, 0]);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.layers[1].framebuffer);
+    gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
+    for (let layer = 0; layer < layers; layer++) {
+      const current = this.layers[layer % 2];
+      this.#peelLayer(current, this.layers[1 - (layer % 2)], width, height);
+      gl.bindFramebuffer(gl.FRAMEBUFFER, sum.framebuffer);
+      blendUnder(gl);
+      bindTexture(gl, 0, current.textures[0]);
+      this.copy.use();
+      this.copy.integers({ image: 0 });
+      gl.bindVertexArray(this.emptyArray);
+      gl.drawArrays(gl.TRIANGLES, 0, 3);
+      gl.disable(gl.BLEND);
+    }
+    return sum.textures[0];
+  }
+
+  release() {
+    for (const target of [...this.layers, this.sum]) target?.release();
+    this.layers = [];
+    this.sum = null;
+  }
+
+  /**
+   * @param {Target} current
+   * @param {Target} previous
+   * @param {number} width
+   * @param {number} height
+   */
+  #peelLayer(current, previous, width, height) {
+    const { gl } = this;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, current.framebuffer);
+    gl.clearBufferfv(gl.COLOR, 0, [0, 0, 0, 0]);
+    gl.clearBufferfv(gl.COLOR, 1, [NONE, 0, 0, 0]);
+    gl.clearBufferfv(gl.DEPTH, 0, [1]);
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LESS);
+    bindTexture(gl, 0, previous.textures[1]);
+    this.discs.draw(this.peel, width, height, { peeled_rank: 0 });
+    gl.disable(gl.DEPTH_TEST);
+  }
+
+  /**
+   * @param {number} width
+   * @param {number} height
+   */
+  #resize(width, height) {
+    const { gl } = this;
+    if (this.sum && this.sum.width === width && this.sum.height === height) return this.sum;
+    this.release();
+    this.layers = [0, 1].map(
+      () => new Target(gl, width, height, [gl.RGBA16F, gl.R32F], gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT),
+    );
+    this.sum = new Target(gl, width, height, [gl.RGBA16F]);
+    return this.sum;
+  }
+}
+
+/** Textures of one size, with a framebuffer that draws into them. */
+class Target {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {number} width
+   * @param {number} height
+   * @param {number[]} formats
+   * @param {number} [depthFormat]
+   * @param {number} [attachment]
+   */
+  constructor(gl, width, height, formats, depthFormat, attachment) {
+    this.gl = gl;
+    this.width = width;
+    this.height = height;
+    this.textures = formats.map((format) => makeTexture(gl, format, width, height));
+    /** @type {WebGLRenderbuffer | null} */
+    this.buffer = null;
+    let depth;
+    if (depthFormat !== undefined && attachment !== undefined) {
+      this.buffer = gl.createRenderbuffer();
+      gl.bindRenderbuffer(gl.RENDERBUFFER, this.buffer);
+      gl.renderbufferStorage(gl.RENDERBUFFER, depthFormat, width, height);
+      depth = { attachment, buffer: this.buffer };
+    }
+    this.framebuffer = makeFramebuffer(gl, this.textures, depth);
+  }
+
+  release() {
+    this.gl.deleteFramebuffer(this.framebuffer);
+    this.gl.deleteRenderbuffer(this.buffer);
+    for (const texture of this.textures) this.gl.deleteTexture(texture);
+  }
+}
+
+/**
+ * @param {WebGL2RenderingContext} gl
+ * @param {string} extension
+ */
+function requireFloatTargets(gl, extension) {
+  if (gl.getExtension("EXT_color_buffer_float") || gl.getExtension(extension)) return;
+  throw new SceneError(`WebGL: expected the extension ${extension}, got none; use a newer browser or graphics driver`);
+}
+
+/**
+ * Composites premultiplied colours behind the content of the framebuffer.
+ * @param {WebGL2RenderingContext} gl
+ */
+function blendUnder(gl) {
+  gl.disable(gl.DEPTH_TEST);
+  gl.enable(gl.BLEND);
+  gl.blendEquation(gl.FUNC_ADD);
+  gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
+}
+
+/**
+ * @param {WebGL2RenderingContext} gl
+ * @param {WebGLFramebuffer} framebuffer
+ * @param {number[]} colour
+ */
+function clear(gl, framebuffer, colour) {
+  gl.bindFramebuffer(gl.FRAMEBUFFER, framebuffer);
+  gl.clearBufferfv(gl.COLOR, 0, colour);
+}

@@ -1,0 +1,114 @@
+import { SceneError } from "../scene/errors.js";
+import { PeelingCompositor, SortedCompositor } from "./compositors.js";
+import { Discs } from "./discs.js";
+import { FrameTextures } from "./frame_textures.js";
+import { bindTexture, makeProgram } from "./gl.js";
+import { FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT } from "./shaders.js";
+/** @typedef {import("../scene/manifest.js").Manifest} Manifest */
+/** @typedef {import("../scene/manifest.js").Camera} Camera */
+/** @typedef {import("./frame_textures.js").Cloud} Cloud */
+
+/** @typedef {"sorted" | "reference"} Mode Compositing in one pass, or exact depth peeling. */
+
+/**
+ * What an image shows.
+ * @typedef {object} Picture
+ * @property {(Cloud | null)[]} clouds Dynamic points and background.
+ * @property {Uint8Array | null} shadow
+ * @property {import("../sort/sorter.js").SortedPoints} order
+ * @property {Camera} camera Its size is the size of the image before it is scaled to the canvas.
+ * @property {{views: number[], weights: number[]}} selection Source views and their view weights.
+ * @property {number} layers K, the maximum number of points that are composited per pixel.
+ * @property {[number, number, number]} background Colour in [0, 1].
+ */
+
+/** Draws pictures into a canvas with WebGL 2. */
+export class Renderer {
+  /**
+   * @param {HTMLCanvasElement | OffscreenCanvas} canvas
+   * @param {Manifest} manifest
+   */
+  constructor(canvas, manifest) {
+    const options = { alpha: false, antialias: false, depth: false, stencil: false, preserveDrawingBuffer: false };
+    const gl = /** @type {WebGL2RenderingContext | null} */ (canvas.getContext("webgl2", options));
+    if (!gl) {
+      throw new SceneError("WebGL: expected WebGL 2, got a browser without it; switch on hardware acceleration");
+    }
+    this.gl = gl;
+    this.canvas = canvas;
+    this.textures = new FrameTextures(gl, manifest);
+    this.discs = new Discs(gl, manifest);
+    this.overBackground = makeProgram(gl, FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT);
+    this.emptyArray = gl.createVertexArray();
+    /** @type {Partial<Record<Mode, SortedCompositor | PeelingCompositor>>} */
+    this.compositors = {};
+  }
+
+  /**
+   * Draws a picture into the canvas, which has the size of the picture or another size.
+   * @param {Picture} picture
+   * @param {Mode} mode
+   */
+  draw(picture, mode) {
+    const { gl } = this;
+    if (gl.isContextLost()) return;
+    const { views, weights } = picture.selection;
+    const layers = this.textures.load(picture.clouds, picture.shadow, views);
+    const loaded = views.map((view, index) => ({ layer: layers.get(view), weight: weights[index] }));
+    const usable = /** @type {{layer: number, weight: number}[]} */ (loaded.filter(({ layer }) => layer !== undefined));
+    // Before any view has arrived, points have their mean colours, which are in layer 0.
+    const blended = usable.length ? usable : views.length ? [{ layer: 0, weight: 1 }] : [];
+    this.discs.project(
+      this.textures,
+      picture.order,
+      picture.camera,
+      { layers: blended.map(({ layer }) => layer), weights: blended.map(({ weight }) => weight) },
+      picture.shadow !== null,
+    );
+    const { width, height } = picture.camera;
+    const image = this.#compositor(mode).draw(width, height, picture.layers);
+    this.#present(image, picture.background);
+  }
+
+  /**
+   * The pixels of the canvas, which must have been drawn in the same task.
+   * @returns {Uint8Array} (height, width, 4), row 0 at the top.
+   */
+  readPixels() {
+    const { gl } = this;
+    const { width, height } = this.canvas;
+    const bytes = new Uint8Array(4 * width * height);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, bytes);
+    const flipped = new Uint8Array(bytes.length);
+    for (let row = 0; row < height; row++) {
+      flipped.set(bytes.subarray(4 * width * row, 4 * width * (row + 1)), 4 * width * (height - 1 - row));
+    }
+    return flipped;
+  }
+
+  /** @param {Mode} mode */
+  #compositor(mode) {
+    this.compositors[mode] ??=
+      mode === "sorted" ? new SortedCompositor(this.gl, this.discs) : new PeelingCompositor(this.gl, this.discs);
+    return this.compositors[mode];
+  }
+
+  /**
+   * @param {WebGLTexture} image
+   * @param {[number, number, number]} background
+   */
+  #present(image, background) {
+    const { gl, overBackground } = this;
+    const { width, height } = this.canvas;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+    gl.viewport(0, 0, width, height);
+    bindTexture(gl, 0, image);
+    for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
+    overBackground.use();
+    overBackground.integers({ image: 0 });
+    overBackground.floats({ background, target: [width, height] });
+    gl.bindVertexArray(this.emptyArray);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+  }
+}

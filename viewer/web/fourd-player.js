@@ -1,0 +1,293 @@
+import { DecodePool } from "./decode/pool.js";
+import { Controls } from "./navigate/controls.js";
+import { estimateUp, poseFromCamera } from "./navigate/pose.js";
+import { fromFragment, toFragment } from "./navigate/share_link.js";
+import { Stage } from "./play/stage.js";
+import { ByteSource } from "./scene/byte_source.js";
+import { SceneError, describeError } from "./scene/errors.js";
+import { SceneFile } from "./scene/scene_file.js";
+import { Panel } from "./ui/panel.js";
+import { addShortcuts } from "./ui/shortcuts.js";
+import { STYLE } from "./ui/style.js";
+/** @typedef {import("./navigate/pose.js").Pose} Pose */
+
+const SPINNER_DELAY_MS = 300;
+const QUIET_MS = 3000;
+
+/**
+ * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
+ *
+ * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
+ * (a colour such as #203040), `mode="reference"` (exact depth peeling), `links` (the page's address holds view and time),
+ * `timeout` (seconds without data after which a request is repeated, 15 by default).
+ * Events: `ready` after the first image, and `error`.
+ */
+export class FourdPlayer extends HTMLElement {
+  static observedAttributes = ["src"];
+
+  constructor() {
+    super();
+    const root = this.attachShadow({ mode: "open" });
+    const sheet = new CSSStyleSheet();
+    sheet.replaceSync(STYLE);
+    root.adoptedStyleSheets = [sheet];
+    this.panel = new Panel(root);
+    /** @type {Stage | null} */
+    this.stage = null;
+    /** @type {DecodePool | null} */
+    this.pool = null;
+    this.generation = 0;
+    this.cameraIndex = -1;
+    /** @type {Pose | null} */
+    this.initialPose = null;
+    this.lastInput = performance.now();
+    /** Milliseconds from the start of loading to the first image. */
+    this.firstImageMs = 0;
+    this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
+    this.#listen();
+    addShortcuts(this);
+  }
+
+  connectedCallback() {
+    if (!this.hasAttribute("tabindex")) this.tabIndex = 0;
+    this.panel.bar.hidden = this.getAttribute("controls") === "none";
+    const poster = this.getAttribute("poster");
+    if (poster) Object.assign(this.panel.poster, { src: poster, hidden: false });
+    this.observer = new ResizeObserver(() => this.#resize());
+    this.observer.observe(this);
+    this.#open();
+  }
+
+  disconnectedCallback() {
+    this.observer?.disconnect();
+    this.#close();
+  }
+
+  attributeChangedCallback() {
+    if (this.isConnected) this.#open();
+  }
+
+  /** Resolves when the image shows the current time and view at full resolution. */
+  async settled() {
+    while (!this.stage?.isSettled) {
+      if (!this.panel.message.hidden && !this.panel.message.classList.contains("note")) {
+        throw new SceneError(this.panel.message.textContent ?? "");
+      }
+      await new Promise((resolve) => setTimeout(resolve, 5));
+    }
+  }
+
+  /**
+   * Moves to a camera of the capture.
+   * @param {number} index
+   */
+  moveToCamera(index) {
+    const { stage } = this;
+    const camera = stage?.manifest.cameras[index];
+    if (!stage || !camera) return;
+    const { width, height } = this.panel.canvas;
+    this.cameraIndex = index;
+    this.panel.camera.value = String(index);
+    stage.setPose(poseFromCamera(camera, stage.manifest.focus, estimateUp(stage.manifest.cameras), width, height));
+  }
+
+  moveToInitialView() {
+    if (this.initialPose) this.stage?.setPose(this.initialPose);
+  }
+
+  togglePlay() {
+    this.stage?.store.retry();
+    this.stage?.clock.toggle();
+  }
+
+  /**
+   * Pauses at a frame.
+   * @param {number} frame
+   */
+  seek(frame) {
+    if (!this.stage) return;
+    this.stage.store.retry();
+    this.stage.clock.isPlaying = false;
+    this.stage.clock.seek(frame);
+  }
+
+  /** A link to the current view and time. */
+  get shareLink() {
+    const link = new URL(location.href);
+    if (this.stage) link.hash = toFragment(this.stage.pose, this.stage.clock.frame / this.stage.clock.fps);
+    return link.href;
+  }
+
+  async copyLink() {
+    const link = this.shareLink;
+    history.replaceState(null, "", link);
+    try {
+      await navigator.clipboard.writeText(link);
+      this.panel.showNote("The link to this view is copied.");
+    } catch {
+      this.panel.showNote("The address of the page holds this view.");
+    }
+  }
+
+  /** Saves the image as a PNG file. */
+  async saveImage() {
+    this.stage?.redraw();
+    const blob = await new Promise((resolve) => this.panel.canvas.toBlob(resolve, "image/png"));
+    if (!blob) return;
+    const anchor = document.createElement("a");
+    anchor.href = URL.createObjectURL(blob);
+    anchor.download = `frame_${String(this.stage?.clock.frame ?? 0).padStart(6, "0")}.png`;
+    anchor.click();
+    setTimeout(() => URL.revokeObjectURL(anchor.href), 10000);
+  }
+
+  toggleFullScreen() {
+    const change = document.fullscreenElement ? document.exitFullscreen() : this.requestFullscreen();
+    change.catch(() => this.panel.showNote("The browser does not allow full screen here."));
+  }
+
+  #listen() {
+    const { panel } = this;
+    panel.play.addEventListener("click", () => this.togglePlay());
+    panel.scrub.addEventListener("input", () => this.seek(Number(panel.scrub.value)));
+    panel.speed.addEventListener("change", () => this.stage && (this.stage.clock.speed = Number(panel.speed.value)));
+    panel.loop.addEventListener("click", () => this.stage && (this.stage.clock.loops = !this.stage.clock.loops));
+    panel.camera.addEventListener("change", () => panel.camera.value && this.moveToCamera(Number(panel.camera.value)));
+    panel.shoot.addEventListener("click", () => this.saveImage());
+    panel.link.addEventListener("click", () => this.copyLink());
+    panel.full.addEventListener("click", () => this.toggleFullScreen());
+    panel.canvas.addEventListener("pointerdown", () => this.focus());
+    for (const name of ["pointermove", "pointerdown", "keydown", "focusin"]) {
+      this.addEventListener(name, () => (this.lastInput = performance.now()));
+    }
+    panel.canvas.addEventListener("webglcontextlost", (event) => {
+      event.preventDefault();
+      this.stage?.loseContext();
+      panel.showError("The graphics driver was reset. The player waits for it.");
+    });
+    panel.canvas.addEventListener("webglcontextrestored", () => {
+      this.stage?.restoreContext();
+      panel.hideMessage();
+    });
+  }
+
+  async #open() {
+    this.#close();
+    const src = this.getAttribute("src");
+    if (!src) return;
+    const generation = ++this.generation;
+    const started = performance.now();
+    this.panel.hideMessage();
+    this.panel.spinner.hidden = false;
+    try {
+      const pool = new DecodePool();
+      this.pool = pool;
+      const seconds = Number(this.getAttribute("timeout")) || 15;
+      const source = new ByteSource(new URL(src, document.baseURI).href, 1000 * seconds);
+      const file = await SceneFile.open(source);
+      if (generation !== this.generation) return pool.release();
+      this.#start(file, pool, started);
+    } catch (error) {
+      if (generation === this.generation) this.#fail(error);
+    }
+  }
+
+  /**
+   * @param {SceneFile} file
+   * @param {DecodePool} pool
+   * @param {number} started
+   */
+  #start(file, pool, started) {
+    const { manifest } = file;
+    if (manifest.points.length === 0) throw new SceneError("The scene has no frames; export it again");
+    if (manifest.cameras.length === 0) throw new SceneError("The scene has no cameras; export it again");
+    this.#resize();
+    const { width, height } = this.panel.canvas;
+    const up = estimateUp(manifest.cameras);
+    this.initialPose = poseFromCamera(manifest.cameras[0], manifest.focus, up, width, height);
+    const stage = new Stage(this.panel.canvas, file, pool, this.initialPose, (error) => this.#fail(error));
+    this.stage = stage;
+    if (this.getAttribute("mode") === "reference") stage.mode = "reference";
+    stage.background = parseColour(this.getAttribute("background"));
+    this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
+    const linked = this.hasAttribute("links") ? fromFragment(location.hash, up) : {};
+    if (linked.pose) stage.setPose(linked.pose);
+    if (linked.seconds !== undefined) stage.clock.seek(Math.round(linked.seconds * manifest.fps));
+    stage.clock.isPlaying = this.hasAttribute("autoplay");
+    this.#run(stage, started);
+  }
+
+  /**
+   * @param {Stage} stage
+   * @param {number} started
+   */
+  #run(stage, started) {
+    let last = performance.now();
+    let waitingSince = last;
+    const step = (/** @type {number} */ now) => {
+      if (stage !== this.stage) return;
+      const elapsed = Math.max(now - last, 0) / 1000;
+      last = now;
+      try {
+        this.controls.update(elapsed);
+        stage.update(now, elapsed);
+      } catch (error) {
+        this.#fail(error);
+        return;
+      }
+      if (stage.images === 1 && !this.firstImageMs) this.#announce(started);
+      if (!stage.isWaiting) waitingSince = now;
+      this.panel.spinner.hidden = now - waitingSince < SPINNER_DELAY_MS || !this.panel.message.hidden;
+      this.panel.showTime(stage.clock);
+      this.classList.toggle("quiet", stage.clock.isPlaying && now - this.lastInput > QUIET_MS);
+      requestAnimationFrame(step);
+    };
+    requestAnimationFrame(step);
+  }
+
+  /** @param {number} started */
+  #announce(started) {
+    this.firstImageMs = performance.now() - started;
+    this.panel.poster.hidden = true;
+    this.dispatchEvent(new CustomEvent("ready"));
+  }
+
+  /** @param {unknown} error */
+  #fail(error) {
+    if (error instanceof DOMException && error.name === "AbortError") return;
+    this.panel.spinner.hidden = true;
+    this.panel.showError(describeError(error));
+    if (this.stage) this.stage.clock.isPlaying = false;
+    this.dispatchEvent(new CustomEvent("error", { detail: error }));
+  }
+
+  #close() {
+    this.generation++;
+    this.stage?.release();
+    this.pool?.release();
+    this.stage = this.pool = null;
+    this.firstImageMs = 0;
+  }
+
+  #resize() {
+    const { canvas } = this.panel;
+    const width = Math.max(Math.round(this.clientWidth * devicePixelRatio), 1);
+    const height = Math.max(Math.round(this.clientHeight * devicePixelRatio), 1);
+    if (canvas.width === width && canvas.height === height) return;
+    canvas.width = width;
+    canvas.height = height;
+    if (this.stage) this.stage.isDirty = true;
+  }
+}
+
+/**
+ * @param {string | null} text A colour such as #203040.
+ * @returns {[number, number, number]}
+ */
+function parseColour(text) {
+  const digits = /^#([0-9a-f]{2})([0-9a-f]{2})([0-9a-f]{2})$/i.exec(text ?? "");
+  if (!digits) return [0, 0, 0];
+  return [parseInt(digits[1], 16) / 255, parseInt(digits[2], 16) / 255, parseInt(digits[3], 16) / 255];
+}
+
+if (!customElements.get("fourd-player")) customElements.define("fourd-player", FourdPlayer);

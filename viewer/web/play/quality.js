@@ -1,0 +1,40 @@
+const SLOW_MS = 45;
+const FAST_MS = 20;
+const LOWEST = 0.4;
+const STEP = 0.8;
+const IMAGES = 6;
+
+/** Chooses the resolution of images from the time between them, while the view moves or the scene plays. */
+export class Quality {
+  constructor() {
+    /** Fraction of the full width and height. */
+    this.scale = 1;
+    this.mean = 0;
+    this.count = 0;
+  }
+
+  /**
+   * Reports the time between two successive images.
+   * @param {number} ms
+   */
+  report(ms) {
+    if (ms > 1000) return; // The page was hidden.
+    this.count++;
+    this.mean += (ms - this.mean) / Math.min(this.count, IMAGES);
+    if (this.count < IMAGES) return;
+    if (this.mean > SLOW_MS && this.scale > LOWEST) this.#change(Math.max(this.scale * STEP, LOWEST));
+    else if (this.mean < FAST_MS && this.scale < 1) this.#change(Math.min(this.scale / STEP, 1));
+  }
+
+  /** Starts a new measurement, after the view stood still. */
+  rest() {
+    this.count = 0;
+    this.mean = 0;
+  }
+
+  /** @param {number} scale */
+  #change(scale) {
+    this.scale = scale;
+    this.rest();
+  }
+}

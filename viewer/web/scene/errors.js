@@ -1,0 +1,12 @@
+/** The error that the user can read: one line with what was expected, what was found, and the fix. */
+export class SceneError extends Error {}
+
+/**
+ * Returns the text that the page shows for an error.
+ * @param {unknown} error
+ * @returns {string}
+ */
+export function describeError(error) {
+  if (error instanceof SceneError) return error.message;
+  return `The player failed: ${error instanceof Error ? error.message : String(error)}`;
+}

@@ -1,0 +1,172 @@
+import { SceneError } from "./errors.js";
+import { JsonNode } from "./json_node.js";
+
+/**
+ * A pinhole camera in OpenCV's convention. Matrices are lists of rows.
+ * @typedef {object} Camera
+ * @property {number[]} intrinsics 3 x 3, in pixels.
+ * @property {number[]} rotation 3 x 3, R_camera_world.
+ * @property {number[]} translation (3,) T_camera_world, in world units.
+ * @property {number} width In pixels.
+ * @property {number} height In pixels.
+ */
+
+/** @typedef {Camera & {name: string}} NamedCamera */
+
+/**
+ * How the points of one cloud are quantised; docs/formats.md describes the values.
+ * @typedef {object} CloudEncoding
+ * @property {number[]} lower
+ * @property {number} positionStep
+ * @property {number} codeBytes Bytes of a Morton code.
+ * @property {number} radiusLower
+ * @property {number} radiusSteps
+ * @property {number} densityLevels
+ * @property {Float32Array} shBasis (shRows, 48), multiplied by the step.
+ * @property {Float32Array} shMean (48,)
+ * @property {number} shRows
+ * @property {number} weightSteps
+ * @property {number} colourStep
+ * @property {boolean} everyPointHasColours
+ */
+
+/**
+ * @typedef {object} Manifest
+ * @property {NamedCamera[]} sources Source views.
+ * @property {NamedCamera[]} cameras Source views, then other cameras of the capture.
+ * @property {number[]} focus
+ * @property {number[]} points Number of dynamic points of each frame.
+ * @property {number} fps
+ * @property {number} layers
+ * @property {number} neighbours
+ * @property {boolean} fadeViews
+ * @property {number} shRange
+ * @property {number} shBase
+ * @property {number} near
+ * @property {{points: number, shadow: boolean} | null} background
+ * @property {CloudEncoding} dynamicEncoding
+ * @property {CloudEncoding | null} backgroundEncoding
+ * @property {Map<string, [number, number]>} members Offset and size in bytes of each member.
+ */
+
+export const SH_NUMBERS = 48;
+const VERSION = 3;
+const MAX_POINTS = 1 << 24;
+const MAX_FRAMES = 1_000_000;
+const MAX_VIEWS = 4096;
+
+/**
+ * Parses and checks the text of a manifest.
+ * @param {string} text
+ * @returns {Manifest}
+ */
+export function parseManifest(text) {
+  const root = new JsonNode(parseJson(text), "manifest.json");
+  checkVersion(root);
+  const sources = cameras(root.nodes("source_views", MAX_VIEWS));
+  const full = root.text("kind") === "full";
+  const described = full ? root.node("background") : null;
+  const encoding = root.node("encoding");
+  const sh = root.node("sh");
+  return {
+    sources,
+    cameras: [...sources, ...cameras(root.nodes("other_views", MAX_VIEWS))],
+    focus: root.numbers("focus", 3),
+    points: root.nodes("frames", MAX_FRAMES).map((frame) => frame.integer("points", 0, MAX_POINTS)),
+    fps: root.number("fps", 1e-3, 1e4, 30),
+    layers: root.integer("layers", 1, 64),
+    neighbours: root.integer("neighbours", 1, 64),
+    fadeViews: root.flag("fade_views", false),
+    shRange: sh.number("range", 0, 1e3),
+    shBase: sh.number("base", -1e3, 1e3),
+    near: root.number("near", 1e-12, 1e9),
+    background: described && { points: described.integer("points", 0, MAX_POINTS), shadow: described.flag("shadow") },
+    dynamicEncoding: cloudEncoding(encoding.node("dynamic")),
+    backgroundEncoding: full ? cloudEncoding(encoding.node("background")) : null,
+    members: members(root.node("members")),
+  };
+}
+
+/**
+ * @param {string} text
+ * @returns {unknown}
+ */
+function parseJson(text) {
+  try {
+    return JSON.parse(text);
+  } catch {
+    throw new SceneError("manifest.json: expected JSON, got other content; the scene is damaged: copy it again");
+  }
+}
+
+/** @param {JsonNode} root */
+function checkVersion(root) {
+  const format = root.text("format");
+  if (format !== "fourd-scene") throw root.failure("format", '"fourd-scene"');
+  const version = root.integer("version", 1, 2 ** 31);
+  if (version > VERSION) {
+    const fix = "update the player with a newer fourd web";
+    throw new SceneError(`The scene has format version ${version}, but this player reads version ${VERSION}; ${fix}`);
+  }
+  if (version < VERSION) {
+    throw new SceneError(`The player reads packed scenes, got format version ${version}; use fourd web or fourd pack`);
+  }
+}
+
+/**
+ * @param {JsonNode[]} nodes
+ * @returns {NamedCamera[]}
+ */
+function cameras(nodes) {
+  return nodes.map((node) => {
+    const camera = {
+      name: node.text("name"),
+      intrinsics: node.matrix("intrinsics"),
+      rotation: node.matrix("rotation"),
+      translation: node.numbers("translation", 3),
+      width: node.integer("width", 1, 1 << 16),
+      height: node.integer("height", 1, 1 << 16),
+    };
+    if (!(camera.intrinsics[0] > 0 && camera.intrinsics[4] > 0)) throw node.failure("intrinsics", "focal lengths > 0");
+    return camera;
+  });
+}
+
+/**
+ * @param {JsonNode} node
+ * @returns {CloudEncoding}
+ */
+function cloudEncoding(node) {
+  const shRows = node.integer("sh_rows", 0, SH_NUMBERS);
+  const step = node.number("sh_step", 1e-9, 1e3);
+  return {
+    lower: node.numbers("lower", 3),
+    positionStep: node.number("position_step", 1e-30, 1e30),
+    codeBytes: Math.ceil((3 * node.integer("position_bits", 1, 21)) / 8),
+    radiusLower: node.number("radius_lower", 1e-30, 1e4),
+    radiusSteps: node.integer("radius_steps", 1, 1 << 16),
+    densityLevels: node.integer("density_levels", 1, 255),
+    shBasis: Float32Array.from(node.numbers("sh_basis", shRows * SH_NUMBERS), (value) => Math.fround(value) * step),
+    shMean: Float32Array.from(node.numbers("sh_mean", SH_NUMBERS)),
+    shRows,
+    weightSteps: node.integer("weight_steps", 1, 1 << 16),
+    colourStep: node.integer("colour_step", 1, 127),
+    everyPointHasColours: node.flag("every_point_has_colours"),
+  };
+}
+
+/**
+ * @param {JsonNode} node
+ * @returns {Map<string, [number, number]>}
+ */
+function members(node) {
+  const found = new Map();
+  for (const name of Object.keys(node.content)) {
+    const [offset, size] = node.numbers(name, 2);
+    if (!(Number.isSafeInteger(offset) && Number.isSafeInteger(size) && offset >= 0 && size >= 0)) {
+      throw node.failure(name, "an offset and a size in bytes");
+    }
+    found.set(name, [offset, size]);
+  }
+  return found;
+}

@@ -1,0 +1,96 @@
+import { SceneError } from "./errors.js";
+import { parseManifest } from "./manifest.js";
+/** @typedef {import("./manifest.js").Manifest} Manifest */
+/** @typedef {import("./byte_source.js").ByteSource} ByteSource */
+
+const FIRST_READ = 1 << 16;
+const LOCAL_HEADER = 30;
+const MAX_MANIFEST = 64 << 20;
+const MERGE_GAP = 1 << 13;
+
+/** A packed scene on a server. */
+export class SceneFile {
+  /**
+   * @param {ByteSource} source
+   * @param {Manifest} manifest
+   */
+  constructor(source, manifest) {
+    this.source = source;
+    this.manifest = manifest;
+  }
+
+  /**
+   * Reads the manifest, which is the first member of the file.
+   * @param {ByteSource} source
+   * @returns {Promise<SceneFile>}
+   */
+  static async open(source) {
+    const head = await source.read(0, FIRST_READ);
+    const { start, size } = manifestRange(head, source.url);
+    const rest = Math.max(start + size - head.length, 0);
+    const tail = rest > 0 ? await source.readExactly(head.length, rest) : new Uint8Array(0);
+    const bytes = new Uint8Array(size);
+    bytes.set(head.subarray(start, start + size));
+    bytes.set(tail, size - rest);
+    return new SceneFile(source, parseManifest(new TextDecoder().decode(bytes)));
+  }
+
+  /**
+   * Reads members. Members that are neighbours in the file are read with one request.
+   * @param {string[]} names
+   * @param {AbortSignal} [signal]
+   * @returns {Promise<Map<string, Uint8Array>>} Compressed content by name.
+   */
+  async read(names, signal) {
+    const wanted = names.map((name) => ({ name, ...this.#range(name) })).sort((a, b) => a.offset - b.offset);
+    /** @type {{offset: number, end: number, members: typeof wanted}[]} */
+    const runs = [];
+    for (const member of wanted) {
+      const last = runs.at(-1);
+      if (last && member.offset >= last.offset && member.offset - last.end <= MERGE_GAP) {
+        last.end = Math.max(last.end, member.offset + member.size);
+        last.members.push(member);
+      } else {
+        runs.push({ offset: member.offset, end: member.offset + member.size, members: [member] });
+      }
+    }
+    const found = new Map();
+    await Promise.all(
+      runs.map(async (run) => {
+        const bytes = await this.source.readExactly(run.offset, run.end - run.offset, signal);
+        for (const { name, offset, size } of run.members) {
+          found.set(name, bytes.slice(offset - run.offset, offset - run.offset + size));
+        }
+      }),
+    );
+    return found;
+  }
+
+  /** @param {string} name */
+  #range(name) {
+    const range = this.manifest.members.get(name);
+    if (!range) throw new SceneError(`${this.source.url}: expected the member ${name}, got none; export the scene again`);
+    return { offset: range[0], size: range[1] };
+  }
+}
+
+/**
+ * @param {Uint8Array} head First bytes of the file.
+ * @param {string} url
+ */
+function manifestRange(head, url) {
+  const view = new DataView(head.buffer, head.byteOffset, head.byteLength);
+  const expected = `${url}: expected a packed .4dv scene`;
+  if (head.length < LOCAL_HEADER || view.getUint32(0, true) !== 0x04034b50) {
+    throw new SceneError(`${expected}, got another kind of file; write the site again with fourd web`);
+  }
+  const nameLength = view.getUint16(26, true);
+  const start = LOCAL_HEADER + nameLength + view.getUint16(28, true);
+  const name = new TextDecoder().decode(head.subarray(LOCAL_HEADER, LOCAL_HEADER + nameLength));
+  const size = view.getUint32(22, true);
+  if (name !== "manifest.json") throw new SceneError(`${expected}, got a file without index; use fourd web`);
+  if (size > MAX_MANIFEST || view.getUint32(18, true) !== size) {
+    throw new SceneError(`${expected}, got a manifest of ${size} bytes; copy the file again`);
+  }
+  return { start, size };
+}

@@ -1,0 +1,142 @@
+/** Speeds of playback that the player offers. */
+export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+
+const HELP = [
+  ["drag, one finger", "orbit"],
+  ["right or Shift + drag, two fingers", "pan"],
+  ["wheel, Ctrl + drag, pinch", "move nearer or farther"],
+  ["W A S D, Q, E", "fly; with Shift faster"],
+  ["Space", "play or pause"],
+  ["Left, Right", "previous frame, next frame"],
+  ["Home, End", "first frame, last frame"],
+  ["[ and ]", "play slower, play faster"],
+  ["N, P", "next camera, previous camera"],
+  ["0", "initial view"],
+  ["L", "loop"],
+  ["F", "full screen"],
+  ["C", "copy a link to this view"],
+  ["I", "save the image"],
+];
+
+/** The elements of the player in its shadow tree: image, buttons and messages. */
+export class Panel {
+  /** @param {ShadowRoot} root */
+  constructor(root) {
+    this.canvas = document.createElement("canvas");
+    this.poster = element("img", { className: "poster", alt: "", hidden: true });
+    this.spinner = element("div", { className: "spinner", hidden: true });
+    this.spinner.setAttribute("role", "status");
+    this.spinner.setAttribute("aria-label", "Loading");
+    this.message = element("div", { className: "message", hidden: true });
+    this.message.setAttribute("role", "alert");
+    this.help = makeHelp();
+    this.play = button("▶", "Play or pause (Space)");
+    this.scrub = element("input", { type: "range", min: "0", max: "0", step: "1", value: "0", title: "Time" });
+    this.scrub.setAttribute("aria-label", "Frame");
+    this.time = element("span", { className: "time" });
+    this.speed = element("select", { title: "Speed" });
+    for (const value of SPEEDS) this.speed.append(new Option(`${value}×`, String(value)));
+    this.loop = button("⟳", "Loop (L)");
+    this.camera = element("select", { title: "Cameras of the capture" });
+    this.shoot = button("⤓", "Save the image (I)");
+    this.link = button("🔗", "Copy a link to this view (C)");
+    this.full = button("⛶", "Full screen (F)");
+    this.question = button("?", "Controls");
+    this.bar = element("div", { className: "bar" });
+    this.bar.append(this.play, this.scrub, this.time, this.loop, this.speed, this.camera);
+    this.bar.append(this.shoot, this.link, this.full, this.question);
+    root.append(this.canvas, this.poster, this.spinner, this.bar, this.help, this.message);
+    this.question.addEventListener("click", () => (this.help.hidden = !this.help.hidden));
+    /** @type {ReturnType<typeof setTimeout> | undefined} */
+    this.noteTimer = undefined;
+  }
+
+  /**
+   * Shows an error until the page is loaded again.
+   * @param {string} text
+   */
+  showError(text) {
+    clearTimeout(this.noteTimer);
+    this.message.classList.remove("note");
+    this.message.textContent = text;
+    this.message.hidden = false;
+  }
+
+  /**
+   * Shows a note for three seconds, unless an error is shown.
+   * @param {string} text
+   */
+  showNote(text) {
+    if (!this.message.hidden && !this.message.classList.contains("note")) return;
+    this.message.classList.add("note");
+    this.message.textContent = text;
+    this.message.hidden = false;
+    clearTimeout(this.noteTimer);
+    this.noteTimer = setTimeout(() => (this.message.hidden = true), 3000);
+  }
+
+  hideMessage() {
+    clearTimeout(this.noteTimer);
+    this.message.hidden = true;
+  }
+
+  /** @param {string[]} cameras */
+  setCameras(cameras) {
+    this.camera.replaceChildren(new Option("Camera", ""), ...cameras.map((name, index) => new Option(name, String(index))));
+    this.camera.hidden = cameras.length === 0;
+  }
+
+  /**
+   * Shows the state of playback.
+   * @param {import("../play/clock.js").Clock} clock
+   */
+  showTime(clock) {
+    const last = clock.frames - 1;
+    setText(this.play, clock.isPlaying ? "❚❚" : "▶");
+    setText(this.time, `${(clock.frame / clock.fps).toFixed(2)} / ${(last / clock.fps).toFixed(2)} s`);
+    if (this.scrub.max !== String(last)) this.scrub.max = String(last);
+    if (this.scrub.value !== String(clock.frame)) this.scrub.value = String(clock.frame);
+    if (this.speed.value !== String(clock.speed)) this.speed.value = String(clock.speed);
+    this.loop.setAttribute("aria-pressed", String(clock.loops));
+  }
+}
+
+function makeHelp() {
+  const help = element("div", { className: "help", hidden: true });
+  const table = document.createElement("table");
+  for (const [keys, action] of HELP) {
+    const row = table.insertRow();
+    row.insertCell().textContent = keys;
+    row.insertCell().textContent = action;
+  }
+  help.append(table);
+  return help;
+}
+
+/**
+ * @param {string} text
+ * @param {string} title
+ */
+function button(text, title) {
+  const made = element("button", { type: "button", textContent: text, title });
+  made.setAttribute("aria-label", title);
+  return made;
+}
+
+/**
+ * @template {keyof HTMLElementTagNameMap} Name
+ * @param {Name} name
+ * @param {Partial<HTMLElementTagNameMap[Name]>} properties
+ * @returns {HTMLElementTagNameMap[Name]}
+ */
+function element(name, properties) {
+  return Object.assign(document.createElement(name), properties);
+}
+
+/**
+ * @param {HTMLElement} target
+ * @param {string} text
+ */
+function setText(target, text) {
+  if (target.textContent !== text) target.textContent = text;
+}

@@ -1,0 +1,64 @@
+import { SPEEDS } from "./panel.js";
+/** @typedef {import("../fourd-player.js").FourdPlayer} FourdPlayer */
+
+/**
+ * Handles the keys that control playback and the view. Keys are those of the viewer's window where both have them.
+ * @param {FourdPlayer} player
+ */
+export function addShortcuts(player) {
+  /** @type {Record<string, () => void>} */
+  const actions = {
+    Space: () => player.togglePlay(),
+    ArrowLeft: () => step(player, -1),
+    ArrowRight: () => step(player, 1),
+    Home: () => player.seek(0),
+    End: () => player.seek((player.stage?.clock.frames ?? 1) - 1),
+    BracketLeft: () => changeSpeed(player, -1),
+    BracketRight: () => changeSpeed(player, 1),
+    KeyN: () => changeCamera(player, 1),
+    KeyP: () => changeCamera(player, -1),
+    Digit0: () => player.moveToInitialView(),
+    KeyL: () => player.panel.loop.click(),
+    KeyF: () => player.toggleFullScreen(),
+    KeyC: () => player.copyLink(),
+    KeyI: () => player.saveImage(),
+  };
+  player.addEventListener("keydown", (event) => {
+    const action = actions[event.code];
+    if (!action || event.ctrlKey || event.altKey || event.metaKey) return;
+    // Buttons, lists and the time bar keep their own keys.
+    const target = event.composedPath()[0];
+    const isSpace = event.code === "Space" && target instanceof HTMLButtonElement;
+    const isArrow = event.code.startsWith("Arrow") && target instanceof HTMLSelectElement;
+    if (isSpace || isArrow || (target instanceof HTMLInputElement && event.code !== "Space")) return;
+    event.preventDefault();
+    action();
+  });
+}
+
+/**
+ * @param {FourdPlayer} player
+ * @param {number} frames
+ */
+function step(player, frames) {
+  const clock = player.stage?.clock;
+  if (clock) player.seek((clock.frame + frames + clock.frames) % clock.frames);
+}
+
+/**
+ * @param {FourdPlayer} player
+ * @param {number} direction
+ */
+function changeSpeed(player, direction) {
+  const clock = player.stage?.clock;
+  if (clock) clock.speed = SPEEDS[SPEEDS.indexOf(clock.speed) + direction] ?? clock.speed;
+}
+
+/**
+ * @param {FourdPlayer} player
+ * @param {number} direction
+ */
+function changeCamera(player, direction) {
+  const count = player.stage?.manifest.cameras.length ?? 0;
+  if (count) player.moveToCamera((player.cameraIndex + direction + count) % count);
+}
