@@ -373,7 +373,7 @@ def locate_boards(
         board: the board.
         rig: cameras, timing and shape of the board, and the board's poses in the frames ``known``, which are the
             initial poses there.
-        located: views with the poses that explain them.
+        located: views with the poses of the board that agree with them.
         frames: frame numbers, in ascending order.
         known: frame numbers of the poses in ``rig``.
     """

@@ -34,7 +34,7 @@ MAX_ERROR_PX = 30.0
 
 @dataclass(frozen=True, eq=False)
 class LocatedView:
-    """A view with the poses of the board that explain it.
+    """A view with the poses of the board that agree with it.
 
     Attributes:
         view: the view.

@@ -56,7 +56,7 @@ class MatteQuality:
         """One line for each view and range of frames with poor mattes. The line with the smallest share comes first."""
         found = sorted(self._poor_runs())
         lines = [
-            f"{name}, {_frame_range(first, last)}: the other views explain {share:.0%} of this matte"
+            f"{name}, {_frame_range(first, last)}: the hull of the other views covers {share:.0%} of this matte"
             for share, name, first, last in found[:MAX_LINES]
         ]
         if len(found) > MAX_LINES:

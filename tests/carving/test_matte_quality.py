@@ -43,7 +43,9 @@ def test_a_matte_with_background_is_named() -> None:
         f"{views.names[2]}, frame 3",
         f"{views.names[2]}, frames 0 to 1",
     ]
-    assert all("the other views explain" in line and line.endswith("% of this matte") for line in quality.warnings())
+    assert all(
+        "the hull of the other views covers" in line and line.endswith("% of this matte") for line in quality.warnings()
+    )
 
 
 def test_contradicting_mattes_stop_carving(tmp_path: Path) -> None:

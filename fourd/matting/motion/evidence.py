@@ -34,11 +34,10 @@ CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
 """Upper limit of the evidence of the hull."""
 SURE_SCORE = np.float32(4.0)
-"""Score above which even the least certain of the other views is sure of the subject."""
+"""Voxels with a larger score are sure voxels: even the view with the lowest probability shows the subject there."""
 SURE_RANGE = np.float32(2.0)
 MAX_SURE_LOG_ODDS = 6.0
-"""Upper limit of the evidence of voxels with scores above SURE_SCORE. It outweighs colours of the subject that its
-background has too."""
+"""Upper limit of the evidence of sure voxels. It is large enough for colours that subject and background share."""
 SMOOTHING = 20.0
 COLOUR_EDGE = 8.0
 
@@ -173,7 +172,8 @@ def _add_hull(
     else:
         scores = grid.scores(own)
         priors = [scores.prior(index) for index in range(len(own))]
-    # All views together measure how reliable sure voxels are, because a part that one view misses would bias its ratio.
+    # The evidence of sure voxels is estimated from all views together. In a single view that misses a part of the
+    # subject, the estimate would be biased.
     sure_own = [
         odds[(prior > SURE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
     ]

@@ -37,12 +37,12 @@ CONFIRMED_FRAMES = 1.5
 A frame counts if the pixel is outside the other views' hull and the pixel's colour matches the background model.
 """
 CLEAR_PX = 8
-"""Minimum distance in pixels from the hull of the other views of the pixels that show how often the background changes.
-Pixels that are closer may show parts of the subject that the hull misses."""
+"""How often the background changes is learned only from pixels that are at least this far, in pixels, from the hull of
+the other views. Closer pixels may show parts of the subject that the hull misses."""
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
-"""A trusted probability confirms background below the inverse of this value."""
+"""If probabilities are trusted, a probability below the inverse of this value confirms the background."""
 
 
 @dataclass(eq=False)
