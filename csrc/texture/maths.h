@@ -180,7 +180,7 @@ FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
     }
     const Axis out = {{low, high}, {1.0f - fraction, fraction}, {-scale, scale}};
     if (boundary == Boundary::cube) return out;
-    // Bit masks instead of selections, which compilers turn into branches that prevent vectorisation.
+    // These are bit masks, because compilers turn selections into branches, which prevent vectorisation.
     return {{low + (size & (low >> 31)), high - (size & ((size - 1 - high) >> 31))},
             {out.weight[0], out.weight[1]},
             {out.slope[0], out.slope[1]}};

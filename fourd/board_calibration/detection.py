@@ -21,9 +21,9 @@ MIN_SPREAD = 0.5
 """Minimum standard deviation of a view's corners across their main direction, in squares. Corners on one line do not
 determine a pose."""
 MARKER_CLEARANCE = 0.95
-"""Half side of the patch around a corner, as a share of the distance to the nearest marker."""
+"""Half the side length of the patch around a corner, as a share of the distance to the nearest marker."""
 CHESSBOARD_PATCH = 0.2
-"""Half side of the patch around a corner of a chessboard, in squares."""
+"""Half the side length of the patch around a corner of a chessboard, in squares."""
 MAX_CHESSBOARD_PX = 1000
 """Longer side of the reduced image in which a chessboard is searched first. Images without a chessboard are the slowest
 to search."""
@@ -87,7 +87,7 @@ class BoardDetector:
 
     @property
     def _patch_squares(self) -> float:
-        """Half side of the patch around a corner, in squares. It ends before the markers."""
+        """Half the side length of the patch around a corner, in squares. The patch ends before the markers."""
         if self.board.marker_m is None:
             return CHESSBOARD_PATCH
         return MARKER_CLEARANCE * (1 - self.board.marker_m / self.board.square_m) / 2

@@ -1,5 +1,5 @@
-"""Control of the C library's heap: fast reuse of freed memory within a bounded resident size. Only glibc is supported.
-With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
+"""Settings of the C library's heap, so that freed memory is reused fast and the resident size stays bounded. Only glibc
+is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
 
 Images differ in size, so freed memory does not always fit the next allocation. The heap's address space therefore grows
 for hours during training. A page of the heap occupies memory only if the page was written since the last trim. Data

@@ -31,7 +31,7 @@ def write_site(source: Path, out: Path, tier: Tier, title: str | None = None, tr
     Args:
         source: a `.4dv` of any version.
         out: the folder to write. An earlier site in this folder is replaced.
-        tier: tier to which a scene is packed that is not yet packed.
+        tier: tier of the result, if the scene is not yet packed.
         title: title of the page, by default the name of the file.
         track: reports progress.
 

@@ -131,7 +131,7 @@ class Scatter {
     }
 
   private:
-    // Number of floats for the sums of any band.
+    // Number of floats that are enough for the sums of any band.
     std::size_t sums_size() const {
         std::size_t largest = 0;
         for (int level = 0; level < query_.texture.shape.level_count; ++level) {

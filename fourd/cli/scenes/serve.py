@@ -23,7 +23,7 @@ class Arguments:
     """Serves a scene, or a folder that fourd web wrote, until Ctrl-C. Files outside the folder are not served."""
 
     scene: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE|SITE")]]
-    """A .4dv file, or a folder of fourd web."""
+    """A .4dv file, or a folder that fourd web wrote."""
     port: int = 8000
     """Port to listen on. 0 selects a free port."""
     host: str = "127.0.0.1"

@@ -18,7 +18,7 @@ ScenePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]
 
 @dataclass(frozen=True)
 class Arguments:
-    """The folder has the page, a poster image, the player and the scene. It needs no program on the server."""
+    """Writes a folder of static files: a page, a poster image, the player and the scene."""
 
     scene: ScenePath
     """The .4dv file to show, of any version. Packed scenes keep their tier."""

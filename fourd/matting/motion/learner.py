@@ -42,7 +42,7 @@ the other views. Closer pixels may show parts of the subject that the hull misse
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
-"""If probabilities are trusted, a probability below the inverse of this value confirms the background."""
+"""If a low probability alone confirms the background, it must be below the inverse of this value."""
 
 
 @dataclass(eq=False)

@@ -95,7 +95,8 @@ def cube_grid(cubes: NDArray[np.integer], lower: NDArray[np.floating], side: flo
 
 
 def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
-    """Corners (T, 4, 3), in half sides, of the tetrahedra between cubes that are neighbours along ``axis``."""
+    """Corners (T, 4, 3) of the tetrahedra between cubes that are neighbours along ``axis``. The unit is half the side
+    of a cube."""
     step = np.zeros(3, np.int64)
     step[axis] = 1
     keys = np.sort(_keys(cubes))

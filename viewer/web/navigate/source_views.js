@@ -2,7 +2,7 @@ import { addScaled, apply, cross, dot, length, normalize, transpose } from "./ma
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 
-/** Factor of the largest angle that is the limit angle if all source views are selected. */
+/** If all source views are selected, the limit angle is the largest angle times this factor. */
 const FADE_MARGIN = 1.25;
 
 /**

@@ -17,7 +17,7 @@ export const BACKGROUND = -1;
  * @property {Map<number, Uint8Array<ArrayBuffer>>} views
  * @property {Uint8Array | null} shadow
  * @property {boolean} isBusy
- * @property {boolean} hasFailed A failed entry is loaded again after `retry` alone.
+ * @property {boolean} hasFailed A failed entry is loaded again only after a call of `retry`.
  * @property {AbortController | null} abort
  * @property {number} used When the entry was last wanted.
  */

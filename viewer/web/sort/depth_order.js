@@ -1,5 +1,5 @@
 /**
- * The half-space and cone in which points are kept. Points outside are not drawn.
+ * Defines the region in which points are kept: the view frustum with a border. Points outside are not drawn.
  * @typedef {object} SortCamera
  * @property {number[]} rotation 3 x 3, R_camera_world.
  * @property {number[]} translation
