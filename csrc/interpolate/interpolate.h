@@ -14,7 +14,7 @@ struct Query {
     const float* attr;         // (images or 1, vertices, channels).
     std::size_t vertices;
     std::size_t channels;
-    std::size_t image_stride;  // Vertices between the attributes of two images; 0 if the images share them.
+    std::size_t image_stride;  // Number of vertices from the attributes of one image to those of the next; 0 if shared.
     const std::int32_t* tri;   // (triangles, 3).
     std::size_t triangles;
     const float* rast;         // (images, height, width, 4): u, v, an unused number, and the encoded triangle id.

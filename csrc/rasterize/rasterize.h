@@ -15,7 +15,7 @@ constexpr int kLongestSide = 1 << 15;  // Largest image side in pixels.
 struct Query {
     const float* pos;            // (vertices, 4) of every image: clip coordinates x, y, z, w.
     std::size_t vertices;        // Number of vertices of an image.
-    std::size_t image_stride;    // Vertices between the positions of two images; 0 if the images share them.
+    std::size_t image_stride;    // Number of vertices from the positions of one image to those of the next; 0 if shared.
     const std::int32_t* tri;     // (triangles, 3): vertices of each triangle.
     std::size_t triangles;       // At most kMaxTriangles (common/triangle_id.h).
     const std::int32_t* ranges;  // (images, 2): first triangle and number of triangles; null for all triangles.

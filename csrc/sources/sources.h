@@ -10,7 +10,7 @@
 
 namespace fourd::sources {
 
-// Maps of the source views. Each map covers the whole image of its view.
+// Images, mattes, depth maps and feature maps of the source views. Each map covers the whole image of its view.
 struct Maps {
     const float* images;    // (views, 3, height, width).
     const float* mattes;    // (views, height, width). Values are in [0, 1].

@@ -96,7 +96,7 @@ FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<N
 }
 
 // The range of tiles along one axis that has the pixel centres between low and high. The range is
-// larger by `margin` pixels on both sides. Returns whether there are any.
+// larger by `margin` pixels on both sides. Returns false where there are no such tiles.
 template <typename Number>
 FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number margin, Number* first, Number* last) {
     const Number* const tag = nullptr;

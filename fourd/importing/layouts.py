@@ -93,8 +93,8 @@ def find_layout(source: Path, formats: Sequence[CalibrationFormat]) -> Layout | 
         The layout; only the frames if no calibration is found; or None if no frames are found.
 
     Raises:
-        UserError: when ``source`` contains several recordings or an OpenCap session, all calibrations inside
-            ``source`` are unusable, or two calibrations of one format are usable.
+        UserError: if ``source`` contains several recordings, if it contains an OpenCap session, if all calibrations
+            inside ``source`` are unusable, or if two calibrations of the same format are usable.
     """
     folder = source if source.is_dir() else source.parent
     _refuse_opencap(folder)

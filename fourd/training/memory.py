@@ -26,7 +26,7 @@ returned to the system."""
 
 FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
 """Target for the resident size when training a full scene, in bytes. A step on a full scene uses more memory than a
-step on an object. With the target for objects, the heap would be trimmed at every step."""
+step on an object scene. With the target for object scenes, the heap would be trimmed at every step."""
 
 MIN_GROWTH_BYTES = 128 * 2**20
 """Minimum growth of the resident size between two trims of the heap, in bytes. With more frequent trims, page faults

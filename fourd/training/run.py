@@ -122,7 +122,7 @@ class Run:
         return Contraction((x, y, z), self.config.scene.reach)
 
     def background(self, saved: Path | None) -> StaticBackground | None:
-        """The background of a full scene, or None for an object.
+        """The background of a full scene, or None for an object scene.
 
         The background's points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are
         used.

@@ -33,11 +33,11 @@ HULL_RANGE = np.float32(4.0)
 CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
 """Upper limit of the evidence of the hull."""
-SURE_SCORE = np.float32(4.0)
-"""Voxels with a larger score are sure voxels: even the view with the lowest probability shows the subject there."""
-SURE_RANGE = np.float32(2.0)
-MAX_SURE_LOG_ODDS = 6.0
-"""Upper limit of the evidence of sure voxels. It is large enough for colours that subject and background share."""
+RELIABLE_SCORE = np.float32(4.0)
+"""Voxels with a larger score are reliable voxels: even the view with the lowest probability shows the subject there."""
+RELIABLE_RANGE = np.float32(2.0)
+MAX_RELIABLE_LOG_ODDS = 6.0
+"""Upper limit of the evidence of reliable voxels. It is large enough for colours that subject and background share."""
 SMOOTHING = 20.0
 COLOUR_EDGE = 8.0
 
@@ -172,12 +172,12 @@ def _add_hull(
     else:
         scores = grid.scores(own)
         priors = [scores.prior(index) for index in range(len(own))]
-    # The evidence of sure voxels is estimated from all views together. In a single view that misses a part of the
+    # The evidence of reliable voxels is estimated from all views together. In a single view that misses a part of the
     # subject, the estimate would be biased.
-    sure_own = [
-        odds[(prior > SURE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
+    reliable_own = [
+        odds[(prior > RELIABLE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
     ]
-    sure = _inside_hull_log_odds(np.concatenate(sure_own), MAX_SURE_LOG_ODDS)
+    reliable = _inside_hull_log_odds(np.concatenate(reliable_own), MAX_RELIABLE_LOG_ODDS)
     log_odds, off_hull = [], []
     for odds, prior, appearance, rgb in zip(own, priors, appearances, pictures, strict=True):
         on_hull = prior > HULL_THRESHOLD
@@ -185,7 +185,7 @@ def _add_hull(
         if grid is not None:
             certainty = np.clip((prior - HULL_THRESHOLD) / HULL_RANGE, 0, 1)
             inside = certainty * _inside_hull_log_odds(odds[on_hull & appearance.region], MAX_INSIDE_HULL_LOG_ODDS)
-            inside = np.maximum(inside, np.clip((prior - SURE_SCORE) / SURE_RANGE, 0, 1) * sure)
+            inside = np.maximum(inside, np.clip((prior - RELIABLE_SCORE) / RELIABLE_RANGE, 0, 1) * reliable)
             combined += np.where(on_hull, inside, OFF_HULL_LOG_ODDS)
         combined[~appearance.region] = -MAX_LOG_ODDS
         log_odds.append(smooth_log_odds(combined.astype(np.float32), rgb))

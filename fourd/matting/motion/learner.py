@@ -194,7 +194,7 @@ def _background_weight(odds: Floats) -> Floats:
 
 
 def _background_confirmation(odds: Floats) -> Floats:
-    """Confirmation in (0, 1] of background from the subject's colour log-odds.
+    """Weight in (0, 1] with which a colour confirms the background, from the subject's colour log-odds.
 
     Typical background colours have a high confirmation.
 

@@ -19,7 +19,7 @@ from fourd.ops.shade.shading import Shading
 MIN_TRANSMITTANCE = 1e-3
 """Compositing of a pixel ends when the pixel's transmittance falls below this value.
 
-The value is a quarter of an 8-bit step, so that the points that are not composited would not be visible.
+The remaining points could change the colour by at most a quarter of an 8-bit step, so they are not visible.
 """
 
 

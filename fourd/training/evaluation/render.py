@@ -59,7 +59,7 @@ class ModelRenderer:
 
     @property
     def background(self) -> StaticBackground | None:
-        """The background of a full scene, or None for an object."""
+        """The background of a full scene, or None for an object scene."""
         return self.scene.background
 
     def render(

@@ -34,8 +34,9 @@ class Target:
         camera: camera of the rendered part of the image.
         rgb: (H, W, 3) colours in [0, 1], premultiplied by ``known``.
         matte: (H, W) alpha of the foreground, or None if the target is a plate.
-        known: (H, W) mask in [0, 1] that is 1 where ``rgb`` is known. For an object, the mask is the matte. For a frame
-            with background, the mask is 1 everywhere. For a plate, the mask is 1 where the plate shows the background.
+        known: (H, W) mask in [0, 1] that is 1 where ``rgb`` is known. In an object scene, the mask is the matte. For a
+            frame with background, the mask is 1 everywhere. For a plate, the mask is 1 where the plate shows the
+            background.
         fills_picture: whether the scene fills the image. In a scene that fills the image, unknown pixels are excluded
             from the loss. In a scene that does not fill the image, unknown pixels get the step's background colour.
     """
@@ -90,7 +91,7 @@ class TrainingScene(Protocol):
 
     @property
     def background(self) -> StaticBackground | None:
-        """The static background, or None for an object."""
+        """The static background, or None for an object scene."""
 
     @property
     def resident_bytes(self) -> int:
