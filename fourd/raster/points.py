@@ -72,8 +72,7 @@ def render_points(
             "auto" for the kernel of the tensors' device.
         transmittance_min: transmittance below which compositing of a pixel stops. Gradients require the exact value 0.
             The value 1e-4 is faster. The "reference" backend ignores this argument.
-        threads: number of threads of the "cpu" backend; 0 means the environment variable FOURD_THREADS, or
-            torch.get_num_threads() if it is not set.
+        threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

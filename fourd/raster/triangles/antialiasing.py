@@ -83,8 +83,7 @@ def antialias(
         pos_gradient_boost: the gradient of ``pos`` is multiplied by this number.
         backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
             "auto" for the kernel of the tensors' device.
-        threads: number of threads of the "cpu" backend; 0 means the environment variable FOURD_THREADS, or
-            torch.get_num_threads() if it is not set.
+        threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Returns:
         (B, H, W, C) antialiased image.

@@ -39,13 +39,11 @@ def rasterize_soft(
     """Render triangles with soft edges and soft occlusion (SoftRas, Liu et al. 2019, equations 1 to 4).
 
     Triangle j covers pixel i with the share D_ij = sigmoid(d_ij^2 / sigma) if the pixel's centre is inside the
-    triangle, and sigmoid(-d_ij^2 / sigma) otherwise. d_ij is a distance from the triangle's edges, see ``distance``.
-    The alpha of the pixel is alpha_i = 1 - prod_j (1 - D_ij).
-
-    The features of the pixel are a weighted mean over the triangles and the background. Triangle j has the weight
-    D_ij exp(zbar_ij / gamma). The background has the features 0 and the weight exp(eps / gamma). zbar_ij is the
-    normalised depth of the triangle at the pixel, 1 at ``near`` and 0 at ``far``. Outside the triangle, the depth is
-    that of the point with the clamped barycentric coordinates of the pixel.
+    triangle, and sigmoid(-d_ij^2 / sigma) otherwise. See ``distance`` for d_ij. The alpha of the pixel is
+    1 - prod_j (1 - D_ij). The features of the pixel are a weighted mean over the triangles and the background. Triangle
+    j has the weight D_ij exp(zbar_ij / gamma). The background has the features 0 and the weight exp(eps / gamma).
+    zbar_ij is the normalised depth of the triangle at the pixel, 1 at ``near`` and 0 at ``far``. Outside the triangle,
+    it is the depth at the clamped barycentric coordinates of the pixel.
 
     The results are differentiable in xyz and features. The gradient treats the selection of triangles as constant. On
     the CPU, results and gradients are bit-identical for any number of threads.
@@ -57,8 +55,7 @@ def rasterize_soft(
         camera: a pinhole camera without lens distortion.
         sigma: softness of the edges, above 0. It has the unit of d squared.
         gamma: temperature of the depth softmax, above 0.
-        layers: maximum number of triangles per pixel. The triangles with the smallest depth at the pixel are used, and
-            at equal depth those with the smallest index. None means all triangles.
+        layers: maximum number of triangles per pixel, nearest first, and at equal depth by index. None means no limit.
         distance: "euclidean": d is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d is the smallest barycentric coordinate.
         cutoff: triangles with D below ``cutoff`` are skipped at a pixel, in (0, 0.5).

@@ -79,8 +79,7 @@ def texture(
         max_mip_level: index of the last level that is built and used. None means all levels, down to 1 x 1.
         backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
             "auto" for the kernel of the tensors' device.
-        threads: number of threads of the "cpu" backend; 0 means the environment variable FOURD_THREADS, or
-            torch.get_num_threads() if it is not set.
+        threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
