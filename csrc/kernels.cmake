@@ -101,5 +101,6 @@ fourd_kernel(texture
   CUDA_BINDING cuda/binding.cpp)
 
 fourd_kernel(unpack
+  CPU positions.cpp
   DISPATCH loops.cpp WIDEST avx2 TOLERANT
   BINDING binding.cpp)

@@ -18,7 +18,7 @@ inline Bytes random_bytes(Random& random, std::size_t count) {
     return bytes;
 }
 
-// Decodes random views and spherical harmonics. Values are arbitrary, so only memory accesses are checked.
+// Decodes random positions, views and spherical harmonics. Values are arbitrary, so only memory accesses are checked.
 inline void run_unpack(unsigned seed, const char* simd) {
     Random random(seed);
     const unpack::Loops& loops = unpack::select_loops(simd_named(simd));
@@ -30,6 +30,12 @@ inline void run_unpack(unsigned seed, const char* simd) {
     std::vector<std::uint16_t> sh(points * unpack::kShNumbers);
     loops.harmonics({factors.data(), factors.data() + rows * points, rows, points, basis.data(), mean_sh.data()},
                     sh.data());
+
+    const int code_bytes = random_int(random, 1, 8);
+    const Bytes planes = random_bytes(random, static_cast<std::size_t>(code_bytes) * points);
+    const double lower[3] = {-1, 0, 1};
+    Floats xyz(3 * points);
+    unpack::positions({planes.data(), code_bytes, points, lower, 0.01}, xyz.data());
 
     const bool all = seed % 2 == 0;
     const std::size_t count = static_cast<std::size_t>(random_int(random, 0, 5));

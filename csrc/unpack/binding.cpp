@@ -34,6 +34,17 @@ void unpack_harmonics(const Bytes& content, const Array<const float, 2>& basis, 
     loops.harmonics(from, out.data());
 }
 
+void unpack_positions(const Bytes& content, const Array<const double, 1>& lower, double step,
+                      const Array<float, 2>& out) {
+    const std::size_t points = out.shape(0);
+    require(lower.shape(0) == 3 && out.shape(1) == 3, "lower, out: expected three coordinates");
+    const std::size_t bytes = points == 0 ? 1 : content.shape(0) / points;
+    require(bytes >= 1 && bytes <= 8 && content.shape(0) == bytes * points,
+            "content: expected 1 to 8 bytes for each point");
+    nb::gil_scoped_release release;
+    unpack::positions({content.data(), static_cast<int>(bytes), points, lower.data(), step}, out.data());
+}
+
 unpack::View view_of(const Bytes& content, std::size_t points, bool every_point_has_colours) {
     require(content.shape(0) >= points, "contents: expected a weight code for each point");
     const std::size_t none = static_cast<std::size_t>(std::count(content.data(), content.data() + points, 0));
@@ -68,6 +79,8 @@ void unpack_views(const std::vector<Bytes>& contents, const Array<const std::uin
 void bind_unpack(nb::module_& module) {
     module.def("unpack_harmonics", &unpack_harmonics, nb::arg("content"), nb::arg("basis"), nb::arg("mean"),
                nb::arg("simd"), nb::arg("out"), "See fourd.ops.unpack.op for what it computes.");
+    module.def("unpack_positions", &unpack_positions, nb::arg("content"), nb::arg("lower"), nb::arg("step"),
+               nb::arg("out"), "See fourd.ops.unpack.op for what it computes.");
     module.def("unpack_views", &unpack_views, nb::arg("contents"), nb::arg("mean"), nb::arg("weights"),
                nb::arg("colour_step"), nb::arg("every_point_has_colours"), nb::arg("simd"), nb::arg("out_weights"),
                nb::arg("out_rgb"));

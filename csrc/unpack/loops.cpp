@@ -1,4 +1,12 @@
+#if defined(__F16C__)
+#include <immintrin.h>
+#endif
+
+#include <cstring>
+
+#include "common/eight.h"
 #include "common/half.h"
+#include "common/inline.h"
 #include "unpack/unpack.h"
 
 namespace fourd::unpack {
@@ -6,33 +14,76 @@ namespace FOURD_SIMD {
 namespace {
 
 constexpr std::size_t kBlock = 64;  // Points whose output fits into the first-level cache.
+constexpr std::size_t kGroup = 4;   // Points whose sums are computed at the same time.
+
+// The rows of the basis that have a factor other than 0 in a block of points, and these factors.
+struct Block {
+    const float* rows[kShNumbers];
+    float factors[kShNumbers][kBlock];
+    std::size_t row_count;
+};
+
+// The components of the basis are sorted by their variance, so that many blocks have no factors in the last rows.
+FOURD_INLINE void read_factors(const Harmonics& from, std::size_t first, std::size_t count, Block* block) {
+    block->row_count = 0;
+    for (std::size_t row = 0; row < from.rows; ++row) {
+        const std::uint8_t* const low = from.low + row * from.points + first;
+        const std::uint8_t* const high = from.high + row * from.points + first;
+        float* const factors = block->factors[block->row_count];
+        int any = 0;
+        for (std::size_t i = 0; i < count; ++i) {
+            const int code = low[i] | high[i] << 8;
+            any |= code;
+            factors[i] = static_cast<float>((code >> 1) ^ -(code & 1));
+        }
+        for (std::size_t i = count; i < kBlock; ++i) factors[i] = 0;
+        if (any == 0) continue;
+        block->rows[block->row_count] = from.basis + row * kShNumbers;
+        ++block->row_count;
+    }
+}
+
+// `count` is a multiple of 8. The instruction rounds as to_half does.
+FOURD_INLINE void to_halves(const float* from, std::size_t count, std::uint16_t* to) {
+#if defined(__F16C__)
+    const __m256 largest = _mm256_set1_ps(65504.0f), smallest = _mm256_set1_ps(-65504.0f);
+    for (std::size_t i = 0; i < count; i += 8) {
+        const __m256 clamped = _mm256_max_ps(_mm256_min_ps(_mm256_loadu_ps(from + i), largest), smallest);
+        const __m128i halves = _mm256_cvtps_ph(clamped, _MM_FROUND_TO_NEAREST_INT);
+        std::memcpy(to + i, &halves, sizeof halves);
+    }
+#else
+    for (std::size_t i = 0; i < count; ++i) to[i] = to_half(from[i]);
+#endif
+}
 
 void harmonics(const Harmonics& from, std::uint16_t* out) {
-    alignas(64) float factors[kShNumbers][kBlock];
-    alignas(64) std::uint16_t halves[kShNumbers][kBlock];
+    Block block;
+    alignas(64) float sums[kBlock][kShNumbers];
     for (std::size_t first = 0; first < from.points; first += kBlock) {
         const std::size_t count = from.points - first < kBlock ? from.points - first : kBlock;
-        for (std::size_t row = 0; row < from.rows; ++row) {
-            const std::uint8_t* const low = from.low + row * from.points + first;
-            const std::uint8_t* const high = from.high + row * from.points + first;
-            for (std::size_t i = 0; i < count; ++i) {
-                const int code = low[i] | high[i] << 8;
-                factors[row][i] = static_cast<float>((code >> 1) ^ -(code & 1));
-            }
+        read_factors(from, first, count, &block);
+        for (std::size_t i = 0; i < count; i += kGroup) {
+            for_eights(kShNumbers, [&](std::size_t number, auto tag) {
+                using Number = NumberOf<decltype(tag)>;
+                Number a, b, c, d, row;
+                load(from.mean + number, &a);
+                b = c = d = a;
+                for (std::size_t k = 0; k < block.row_count; ++k) {
+                    const float* const factors = block.factors[k] + i;
+                    load(block.rows[k] + number, &row);
+                    a += row * factors[0];
+                    b += row * factors[1];
+                    c += row * factors[2];
+                    d += row * factors[3];
+                }
+                store(&a, sums[i] + number);
+                store(&b, sums[i + 1] + number);
+                store(&c, sums[i + 2] + number);
+                store(&d, sums[i + 3] + number);
+            });
         }
-        for (int number = 0; number < kShNumbers; ++number) {
-            alignas(64) float sums[kBlock];
-            for (std::size_t i = 0; i < kBlock; ++i) sums[i] = from.mean[number];
-            for (std::size_t row = 0; row < from.rows; ++row) {
-                const float scale = from.basis[row * kShNumbers + number];
-                for (std::size_t i = 0; i < kBlock; ++i) sums[i] += scale * factors[row][i];
-            }
-            for (std::size_t i = 0; i < kBlock; ++i) halves[number][i] = to_half(sums[i]);
-        }
-        for (std::size_t i = 0; i < count; ++i) {
-            std::uint16_t* const to = out + (first + i) * kShNumbers;
-            for (int number = 0; number < kShNumbers; ++number) to[number] = halves[number][i];
-        }
+        to_halves(sums[0], count * kShNumbers, out + first * kShNumbers);
     }
 }
 
@@ -44,27 +95,43 @@ FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int s
     return static_cast<std::uint8_t>(step == 1 ? sum : clamped);
 }
 
+// Writes the weight and the colour of point `i` in one view. `level` has the planes green, red and blue.
+FOURD_INLINE void write_point(const Views& from, std::size_t number, std::size_t i, const std::uint8_t (&level)[3],
+                              std::uint16_t* out_weights, std::uint8_t* out_rgb) {
+    out_weights[i * from.view_count + number] = from.weights[from.views[number].codes[i]];
+    const std::uint8_t* const mean = from.mean + 3 * i;
+    std::uint8_t* const rgb = out_rgb + 3 * (i * from.view_count + number);
+    rgb[0] = add_level(mean[0], static_cast<std::uint8_t>(level[0] + level[1]), from.colour_step);
+    rgb[1] = add_level(mean[1], level[0], from.colour_step);
+    rgb[2] = add_level(mean[2], static_cast<std::uint8_t>(level[0] + level[2]), from.colour_step);
+}
+
+// Writes one view of `count` points that all have colours.
+void view_of_all(const Views& from, std::size_t number, std::size_t first, std::size_t count,
+                 std::uint16_t* out_weights, std::uint8_t* out_rgb) {
+    const View& of = from.views[number];
+    for (std::size_t i = first; i < first + count; ++i) {
+        const std::uint8_t level[3] = {of.levels[i], of.levels[of.colours + i], of.levels[2 * of.colours + i]};
+        write_point(from, number, i, level, out_weights, out_rgb);
+    }
+}
+
 // Writes one view of `count` points. Returns the number of colours that were read. Points without a colour also read a
 // level, which is then masked. A branch would be slower, because the processor cannot predict it.
-std::size_t view(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
-                 std::uint16_t* out_weights, std::uint8_t* out_rgb) {
+std::size_t view_of_some(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
+                         std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];
     const std::size_t last = of.colours > 0 ? of.colours - 1 : 0;
     for (std::size_t i = first; i < first + count; ++i) {
-        const std::uint8_t code = of.codes[i];
-        const bool has_colour = of.colours > 0 && (code != 0 || from.every_point_has_colours);
-        const std::uint8_t* const level = of.levels + (next < last ? next : last);
+        const bool has_colour = of.codes[i] != 0;
+        const std::uint8_t* const levels = of.levels + (next < last ? next : last);
         const std::uint8_t used = has_colour ? 0xff : 0;
-        const std::uint8_t green = of.colours > 0 ? level[0] & used : 0;
-        const std::uint8_t red = of.colours > 0 ? level[of.colours] & used : 0;
-        const std::uint8_t blue = of.colours > 0 ? level[2 * of.colours] & used : 0;
+        std::uint8_t level[3] = {0, 0, 0};
+        for (std::size_t plane = 0; plane < 3; ++plane) {
+            if (of.colours > 0) level[plane] = levels[plane * of.colours] & used;
+        }
         next += has_colour;
-        out_weights[i * from.view_count + number] = from.weights[code];
-        const std::uint8_t* const mean = from.mean + 3 * i;
-        std::uint8_t* const rgb = out_rgb + 3 * (i * from.view_count + number);
-        rgb[0] = add_level(mean[0], static_cast<std::uint8_t>(green + red), from.colour_step);
-        rgb[1] = add_level(mean[1], green, from.colour_step);
-        rgb[2] = add_level(mean[2], static_cast<std::uint8_t>(green + blue), from.colour_step);
+        write_point(from, number, i, level, out_weights, out_rgb);
     }
     return next;
 }
@@ -74,7 +141,11 @@ void views(const Views& from, std::size_t* next, std::uint16_t* out_weights, std
     for (std::size_t first = 0; first < from.points; first += kBlock) {
         const std::size_t count = from.points - first < kBlock ? from.points - first : kBlock;
         for (std::size_t number = 0; number < from.view_count; ++number) {
-            next[number] = view(from, number, first, count, next[number], out_weights, out_rgb);
+            if (from.every_point_has_colours) {
+                view_of_all(from, number, first, count, out_weights, out_rgb);
+            } else {
+                next[number] = view_of_some(from, number, first, count, next[number], out_weights, out_rgb);
+            }
         }
     }
 }

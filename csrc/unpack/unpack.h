@@ -39,6 +39,18 @@ struct Views {
     bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
 };
 
+// Positions: the differences of successive Morton codes, as planes of bytes. The lowest bytes come first.
+struct Positions {
+    const std::uint8_t* planes;  // (code_bytes, points).
+    int code_bytes;              // 1 to 8.
+    std::size_t points;
+    const double* lower;  // (3): position of cell 0.
+    double step;          // Side length of a cell.
+};
+
+// Writes positions (points, 3).
+void positions(const Positions& from, float* out);
+
 struct Loops {
     // Writes the coefficients (points, kShNumbers) as halves.
     void (*harmonics)(const Harmonics& from, std::uint16_t* out);

@@ -5,8 +5,29 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from fourd.ops.unpack.op import unpack_harmonics, unpack_views
-from fourd.ops.unpack.reference import unpack_harmonics_reference, unpack_views_reference
+from fourd.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
+from fourd.ops.unpack.reference import (
+    unpack_harmonics_reference,
+    unpack_positions_reference,
+    unpack_views_reference,
+)
+
+
+@pytest.mark.parametrize("code_bytes", [1, 3, 8])
+def test_positions_equal_the_reference(code_bytes: int, rng: np.random.Generator) -> None:
+    """Catches mixed-up axes, and codes that are not summed modulo 2^64."""
+    content = rng.integers(0, 256, code_bytes * 300).astype(np.uint8)
+    arguments = (content, rng.normal(size=3), 1e-3, 300)
+    found, expected = unpack_positions(*arguments), unpack_positions_reference(*arguments)
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_positions_of_another_size_are_refused() -> None:
+    """Catches a kernel that reads past the end of a short member."""
+    assert unpack_positions(np.zeros(0, np.uint8), np.zeros(3), 1.0, 0).shape == (0, 3)
+    for size in (7, 36):
+        with pytest.raises(ValueError, match="content: expected 1 to 8 bytes for each point"):
+            unpack_positions(np.zeros(size, np.uint8), np.zeros(3), 1.0, 4)
 
 
 @pytest.mark.parametrize("points", [0, 1, 63, 64, 65, 500])

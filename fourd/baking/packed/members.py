@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 
 from fourd.baking.files.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
 from fourd.baking.packed.colours import mean_colours
-from fourd.baking.packed.positions import decode_positions, encode_positions
+from fourd.baking.packed.positions import encode_positions
 from fourd.baking.packed.streams import StreamError, decompress, decompress_exactly, join_planes, split_planes, zigzag
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.ops.shade.harmonics import SH_TERMS
-from fourd.ops.unpack.op import unpack_harmonics, unpack_views
+from fourd.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
 
 POINTS, SH, COLOUR = "points", "sh", "colour"
 LARGEST_WEIGHT = 1024.0
@@ -82,18 +82,34 @@ def decode_cloud(
     Raises:
         StreamError: if a member is damaged. The message has the form "expected ..., got ...".
     """
+    sh, weights, rgb = _allocate(points, views)
     arrays = _decode_points(members[POINTS], points, encoding)
-    arrays["sh"] = _decode_sh(members[SH], points, encoding)
+    _decode_sh(members[SH], encoding, sh)
     mean = _decode_mean(members[COLOUR], points) if views else np.zeros((points, 3), np.uint8)
     contents = [_decode_view(members[view_member(view)], points, encoding) for view in range(views)]
-    arrays["blend_weights"], arrays["rgb"] = unpack_views(
+    unpack_views(
         contents,
         mean,
         weight_table(encoding),
         encoding.colour_step,
         every_point_has_colours=encoding.every_point_has_colours,
+        out=(weights, rgb),
     )
-    return arrays
+    return arrays | {"sh": sh.reshape(points, 3, SH_TERMS), "blend_weights": weights, "rgb": rgb}
+
+
+def _allocate(points: int, views: int) -> tuple[NDArray[np.float16], NDArray[np.float16], NDArray[np.uint8]]:
+    """Allocate the harmonics (N, 48), the blend weights (N, V) and the colours (N, V, 3) as parts of one array.
+
+    The system gives large pages to arrays of 4 MB or more, which is about 2 ms faster for 40,000 points and 17 views.
+    """
+    sh, weights = 2 * SH_NUMBERS * points, 2 * views * points
+    memory = np.empty(sh + weights + 3 * views * points, np.uint8)
+    return (
+        memory[:sh].view(np.float16).reshape(points, SH_NUMBERS),
+        memory[sh : sh + weights].view(np.float16).reshape(points, views),
+        memory[sh + weights :].reshape(points, views, 3),
+    )
 
 
 def weight_table(encoding: CloudEncoding) -> NDArray[np.float16]:
@@ -120,12 +136,11 @@ def _decode_points(member: bytes, points: int, encoding: CloudEncoding) -> dict[
     size = points * (encoding.code_bytes + 3)
     content = decompress_exactly(member, size)
     code_end, radius_end = points * encoding.code_bytes, points * (encoding.code_bytes + 2)
-    codes = np.cumsum(join_planes(content[:code_end], encoding.code_bytes, np.uint64), dtype=np.uint64)
     radius_codes = join_planes(content[code_end:radius_end], 2, np.uint16).astype(np.float32)
     radius = np.exp2((radius_codes - 1) / encoding.radius_steps) * np.float32(encoding.radius_lower)
     density = content[radius_end:].astype(np.float32) / encoding.density_levels
     return {
-        "xyz": decode_positions(codes, encoding),
+        "xyz": unpack_positions(content[:code_end], encoding.lower, encoding.position_step, points),
         "radius": np.where(radius_codes > 0, radius, 0).astype(np.float16),
         "density": density.astype(np.float16),
     }
@@ -138,10 +153,11 @@ def _encode_sh(sh: NDArray[np.float16], encoding: CloudEncoding) -> bytes:
     return split_planes(codes.ravel(), 2)
 
 
-def _decode_sh(member: bytes, points: int, encoding: CloudEncoding) -> NDArray[np.float16]:
-    content = decompress_exactly(member, 2 * len(encoding.sh_basis) * points)
+def _decode_sh(member: bytes, encoding: CloudEncoding, out: NDArray[np.float16]) -> None:
+    """Decode the coefficients of the N points to ``out`` (N, 48)."""
+    content = decompress_exactly(member, 2 * len(encoding.sh_basis) * len(out))
     basis = encoding.sh_basis * np.float32(encoding.sh_step)
-    return unpack_harmonics(content, basis, encoding.sh_mean, points).reshape(points, 3, SH_TERMS)
+    unpack_harmonics(content, basis, encoding.sh_mean, len(out), out)
 
 
 def _encode_mean(mean: NDArray[np.uint8]) -> bytes:

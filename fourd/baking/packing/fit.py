@@ -16,6 +16,9 @@ from fourd.morton import MAX_BITS
 SAMPLES, SAMPLES_PER_FRAME = 200_000, 2000
 """Maximum number of points, in total and per frame, from which the basis of the spherical harmonics is computed."""
 
+_SMALLEST = 1e-9
+"""Smaller numbers of the basis are set to 0, because arithmetic with subnormal numbers is slow."""
+
 
 @dataclass(frozen=True)
 class Precision:
@@ -141,5 +144,6 @@ def _sh_basis(sh: NDArray[np.float32], step: float) -> tuple[NDArray[np.float32]
     mean = sh.mean(axis=0)
     _, components = np.linalg.eigh(np.cov((sh - mean).T.astype(np.float64), bias=True))
     basis = components.T[::-1].astype(np.float32)
+    basis[np.abs(basis) < _SMALLEST] = 0
     kept = np.abs((sh - mean) @ basis.T).max(axis=0) > step / 2
     return np.ascontiguousarray(basis[kept]), mean

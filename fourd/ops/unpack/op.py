@@ -12,8 +12,33 @@ from fourd.ops.loading import load_native, simd_name
 SH_NUMBERS = 48
 
 
+def unpack_positions(
+    content: NDArray[np.uint8], lower: NDArray[np.float64], step: float, points: int
+) -> NDArray[np.float32]:
+    """Return the positions (N, 3) of Morton codes.
+
+    Args:
+        content: (B N,) differences of successive codes as B planes of bytes, the lowest bytes first. Sums are modulo
+            2^64.
+        lower: (3,) position of cell 0.
+        step: side length of a cell.
+        points: N.
+
+    Raises:
+        ImportError: if the native module is not built.
+        ValueError: if the sizes do not match.
+    """
+    out = np.empty((points, 3), np.float32)
+    load_native().unpack_positions(content, np.ascontiguousarray(lower, np.float64), step, out)
+    return out
+
+
 def unpack_harmonics(
-    content: NDArray[np.uint8], basis: NDArray[np.float32], mean: NDArray[np.float32], points: int
+    content: NDArray[np.uint8],
+    basis: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    points: int,
+    out: NDArray[np.float16] | None = None,
 ) -> NDArray[np.float16]:
     """Return ``mean + factors @ basis`` (N, 48), rounded to float16.
 
@@ -22,12 +47,13 @@ def unpack_harmonics(
         basis: (K, 48) rows, multiplied by the step of the factors.
         mean: (48,) mean coefficients.
         points: N.
+        out: array (N, 48) to write to. None allocates one.
 
     Raises:
         ImportError: if the native module is not built.
         ValueError: if the sizes do not match.
     """
-    out = np.empty((points, SH_NUMBERS), np.float16)
+    out = np.empty((points, SH_NUMBERS), np.float16) if out is None else out
     load_native().unpack_harmonics(content, basis, mean, simd_name(), out.view(np.uint16))
     return out
 
@@ -39,6 +65,7 @@ def unpack_views(
     colour_step: int,
     *,
     every_point_has_colours: bool,
+    out: tuple[NDArray[np.float16], NDArray[np.uint8]] | None = None,
 ) -> tuple[NDArray[np.float16], NDArray[np.uint8]]:
     """Return the blend weights (N, V) and the colours (N, V, 3) of V source views.
 
@@ -50,14 +77,14 @@ def unpack_views(
         weights: (256,) blend weight of each code.
         colour_step: 1 to 127.
         every_point_has_colours: whether M is N.
+        out: arrays (N, V) and (N, V, 3) to write to. None allocates them.
 
     Raises:
         ImportError: if the native module is not built.
         ValueError: if the sizes do not match.
     """
-    points = len(mean)
-    out_weights = np.empty((points, len(contents)), np.float16)
-    out_rgb = np.empty((points, len(contents), 3), np.uint8)
+    points, views = len(mean), len(contents)
+    out_weights, out_rgb = out or (np.empty((points, views), np.float16), np.empty((points, views, 3), np.uint8))
     load_native().unpack_views(
         list(contents),
         mean,

@@ -7,6 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.morton import gather_bits
+
+
+def unpack_positions_reference(
+    content: NDArray[np.uint8], lower: NDArray[np.float64], step: float, points: int
+) -> NDArray[np.float32]:
+    """Return the positions (N, 3) of Morton codes."""
+    planes = content.reshape(-1, points).astype(np.uint64)
+    shifts = (8 * np.arange(len(planes), dtype=np.uint64))[:, None]
+    codes = np.cumsum((planes << shifts).sum(axis=0, dtype=np.uint64), dtype=np.uint64)
+    cells = np.stack([gather_bits(codes >> np.uint64(axis)) for axis in range(3)], axis=1)
+    return (lower + cells * step).astype(np.float32)
+
 
 def unpack_harmonics_reference(
     content: NDArray[np.uint8], basis: NDArray[np.float32], mean: NDArray[np.float32], points: int
