@@ -37,7 +37,7 @@ struct HashGridArguments {
         require(features() >= 1 && features() <= hashgrid::kMaxFeatures, "table: expected 1 to 8 features");
         std::size_t entries = 0;
         for (const int resolution : resolutions) {
-            require(resolution >= 1 && resolution <= kFinest, "resolutions: expected 1 to 2^20 cells a side");
+            require(resolution >= 1 && resolution <= kFinest, "resolutions: expected 1 to 2^20 cells per side");
             levels.push_back(hashgrid::level_of(resolution, log2_entries, entries));
             entries = levels.back().first + levels.back().entries;
         }

@@ -43,7 +43,7 @@ struct SourceArguments {
         require(xyz.shape(0) <= 0x7fffffff, "xyz: expected at most 2^31 - 1 points");
         require(height >= 1 && width >= 1 && height <= kLongestSide && width <= kLongestSide,
                 "images: expected sides from 1 to 2^24");
-        require(!softness || softness->shape(0) == xyz.shape(0), "softness: expected one a point");
+        require(!softness || softness->shape(0) == xyz.shape(0), "softness: expected one value per point");
         require(fits(mattes, images), "mattes: expected the images' shape");
         require(!depth || fits(*depth, images), "depth: expected the images' shape");
         query.maps.images = images.data();
@@ -88,7 +88,7 @@ struct SourceArguments {
   private:
     static std::vector<sources::Pinhole> cameras_of(const std::vector<double>& numbers, std::size_t views) {
         require(views >= 1 && views <= kMaxViews, "images: expected 1 to 2^16 views");
-        require(numbers.size() == kNumbers * views, "cameras: expected 21 numbers a view");
+        require(numbers.size() == kNumbers * views, "cameras: expected 21 numbers per view");
         std::vector<sources::Pinhole> out(views);
         for (std::size_t view = 0; view < views; ++view) {
             const double* from = numbers.data() + kNumbers * view;

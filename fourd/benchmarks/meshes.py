@@ -72,7 +72,8 @@ def interpolating(count: int, side: int, backward: bool) -> Work:
 
 def antialiasing(count: int, side: int, *, changes_image: bool = True) -> Work:
     """Return a function that antialiases three channels with a given topology, and computes the gradients of colours
-    and positions. With ``changes_image`` False, only the gradients are those of visibility edges."""
+    and positions. If ``changes_image`` is false, :func:`fourd.raster.triangles.edge_gradients` replaces
+    ``antialias``."""
     xyz, tri = make_mesh(count)
     topology = antialias_construct_topology(tri)
     pos = project(xyz, side)

@@ -12,7 +12,8 @@ from fourd.benchmarks.workloads import SEED, make_camera, make_points
 from fourd.raster.triangles import rasterize_soft, splat_triangles
 
 CIRCUMRADIUS = 2.2
-"""Circumradius of the triangles, as a multiple of the spacing of their centres. The triangles overlap about 8 deep."""
+"""Circumradius of the triangles, as a multiple of the spacing of their centres. At each pixel, about 8 triangles
+overlap."""
 
 
 def make_soup(count: int) -> dict[str, Tensor]:

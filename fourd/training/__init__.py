@@ -2,5 +2,5 @@
 
 ``loop.Trainer`` runs the steps. The trainer samples each step with ``schedule`` and performs the step with ``step``.
 The trainer also logs metrics, validates, and saves checkpoints. ``scenes`` contains everything that differs between
-objects and full scenes. ``losses`` contains the loss terms.
+object scenes and full scenes. ``losses`` contains the loss terms.
 """

@@ -279,5 +279,5 @@ def test_invalid_arguments_are_named(rng: np.random.Generator) -> None:
     operator = torch.ops.fourd.encode_hash_grid
     with pytest.raises(ValueError, match="table: expected as many entries as the levels need"):
         operator(good, table[1:].clone(), list(shape.resolutions), shape.log2_entries)
-    with pytest.raises(ValueError, match=r"resolutions: expected 1 to 2\^20 cells a side"):
+    with pytest.raises(ValueError, match=r"resolutions: expected 1 to 2\^20 cells per side"):
         operator(good, table, [0], shape.log2_entries)

@@ -180,5 +180,5 @@ def test_too_many_views_are_rejected(gpu: torch.device) -> None:
 def test_softness_of_another_length_is_rejected(count: int, gpu: torch.device, rng: np.random.Generator) -> None:
     """Catches reads past the end of the softness array."""
     views = random_views(rng, True).to(gpu)
-    with pytest.raises(ValueError, match="softness: expected one a point"):
+    with pytest.raises(ValueError, match="softness: expected one value per point"):
         sample_sources(torch.zeros(4, 3, device=gpu), None, *views.arguments, torch.ones(count, device=gpu))

@@ -1,4 +1,4 @@
-"""Scenes of an object on black. The object is the foreground that the mattes show."""
+"""Object scenes: the foreground that the mattes show, on black."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class ObjectScene:
         pass
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
-        """Do nothing: the points of an object are neither split nor removed."""
+        """Do nothing: the points of an object scene are neither split nor removed."""
 
     def clear_caches(self) -> None:
         pass

@@ -1,5 +1,5 @@
-"""The interface of a scene. The interface covers everything in training and rendering that differs between objects and
-full scenes."""
+"""The interface of a scene. The interface covers everything in training and rendering that differs between object
+scenes and full scenes."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class OptimizedPoints:
 
 
 class TrainingScene(Protocol):
-    """Interface of both kinds of scenes: objects and full scenes."""
+    """Interface of both kinds of scenes: object scenes and full scenes."""
 
     @property
     def models(self) -> Mapping[str, PointModel]:
