@@ -1,1 +1,1 @@
-"""Gradients at visibility edges that do not change the image (``csrc/edge_gradients``)."""
+"""Gradients of moving visibility edges, without a change of the image (``csrc/edge_gradients``)."""

@@ -1,4 +1,4 @@
-"""Gradients at visibility edges that do not change the image, in plain torch."""
+"""Gradients of moving visibility edges, without a change of the image, in plain torch."""
 
 from __future__ import annotations
 
