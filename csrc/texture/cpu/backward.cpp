@@ -206,6 +206,15 @@ class Scatter {
     Buffer<float> sums_;
 };
 
+// The arrays of pixel gradients are larger than the gradient of the texture.
+void prefer_huge_pages_for(const Query& query, const Gradients& out) {
+    const std::size_t bytes = query.pictures * query.pixels * sizeof(float);
+    const std::size_t coordinates = static_cast<std::size_t>(query.coordinates());
+    if (out.uv) prefer_huge_pages(out.uv, coordinates * bytes);
+    if (out.uv_da) prefer_huge_pages(out.uv_da, 2 * coordinates * bytes);
+    if (out.bias) prefer_huge_pages(out.bias, bytes);
+}
+
 }  // namespace
 
 void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out) {
@@ -215,6 +224,7 @@ void sample_backward(const Query& query, const float* gradient, bool is_chain, c
     const std::vector<Task> tasks = tasks_of(query);
     const Bands bands = bands_of(shape);
     Team team(query.threads);
+    prefer_huge_pages_for(query, out);
     EntryTable table(bands, to_texture ? tasks.size() : 0, team.size());
     Buffer<float> levels_of_pixels;
     if (to_texture && uses_mips(query.filter)) levels_of_pixels = Buffer<float>(query.pictures * query.pixels);
