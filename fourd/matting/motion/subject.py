@@ -41,9 +41,9 @@ MIN_REGION_PIXELS = 20
 moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""Weight in [0, 1] of the subject colours of all cameras in the subject colours of each camera.
+"""The subject colours of each camera are mixed with those of all cameras, which have this weight in [0, 1].
 
-Mixing in the colours of other cameras helps where a part of the subject is static in one view.
+Mixing helps where a part of the subject is static in one view.
 """
 
 

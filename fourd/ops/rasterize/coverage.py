@@ -103,7 +103,7 @@ def _guard(side: int) -> int:
 
 
 def _clip(corners: list[Corner], axis: int, sign: int, guard: int) -> list[Corner]:
-    """Cut the part of a polygon off where ``guard * w + sign * x`` is negative (Sutherland and Hodgman 1974)."""
+    """Cut off the part of a polygon where ``guard * w + sign * x`` is negative (Sutherland and Hodgman 1974)."""
     out: list[Corner] = []
     distance = [guard * corner[2] + sign * corner[axis] for corner in corners]
     for i, here in enumerate(corners):

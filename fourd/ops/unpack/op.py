@@ -77,7 +77,7 @@ def unpack_views(
         weights: (256,) blend weight of each code.
         colour_step: 1 to 127.
         every_point_has_colours: whether M is N.
-        out: arrays (N, V) and (N, V, 3) to write to. None allocates them.
+        out: arrays (N, V) and (N, V, 3) to write to. If None, they are allocated.
 
     Raises:
         ImportError: if the native module is not built.

@@ -167,7 +167,7 @@ def _levels(
 
 
 def _given_levels(tex: Tensor, mip: Mip | Sequence[Tensor], max_mip_level: int | None) -> list[Tensor]:
-    """Return the mip levels that the caller gives, at most ``max_mip_level``."""
+    """Return the mip levels that the caller gives, from level 1 to at most ``max_mip_level``."""
     if isinstance(mip, Mip):
         if mip.shape != tuple(tex.shape):
             raise ValueError(
