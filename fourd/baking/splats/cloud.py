@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS, directional_terms
 
+LARGEST = 1e9
+"""Largest absolute value of a splat's numbers."""
+SMALLEST_SCALE = 1e-10
 TERMS_BY_DEGREE = (1, 4, 9, 16)
 """Number of spherical harmonics up to degrees 0 to 3."""
 
@@ -56,6 +59,30 @@ class SplatCloud:
     def base_colour(self) -> NDArray[np.float32]:
         """(N, 3) mean colour over all directions, clamped to [0, 1]."""
         return np.clip(0.5 + SH_CONSTANT * self.sh[..., 0], 0, 1)
+
+
+def make_valid_cloud(
+    xyz: NDArray[np.float32],
+    scale: NDArray[np.float32],
+    rotation: NDArray[np.float32],
+    opacity: NDArray[np.float32],
+    sh: NDArray[np.float32],
+) -> SplatCloud:
+    """Make a cloud from values that were read from a file. The quaternions may have any length.
+
+    Splats are left out if a value is NaN, infinite or larger than :data:`LARGEST`, if a scale is not above 0, or if the
+    quaternion is 0. Opacities are clamped to [0, 1]. Shapes are those of :class:`SplatCloud`.
+    """
+    length = np.linalg.norm(rotation.astype(np.float64), axis=1, keepdims=True)
+    values = np.concatenate([xyz, scale, rotation, opacity[:, None], sh.reshape(len(xyz), -1)], axis=1)
+    kept = (np.abs(values) <= LARGEST).all(axis=1) & (scale >= SMALLEST_SCALE).all(axis=1) & (length[:, 0] > 1e-6)
+    return SplatCloud(
+        xyz[kept],
+        scale[kept],
+        (rotation[kept] / length[kept]).astype(np.float32),
+        np.clip(opacity[kept], 0, 1),
+        np.ascontiguousarray(sh[kept]),
+    )
 
 
 def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud:

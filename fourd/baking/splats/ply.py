@@ -12,13 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.splats.cloud import TERMS_BY_DEGREE, SplatCloud
+from fourd.baking.splats.cloud import SMALLEST_SCALE, TERMS_BY_DEGREE, SplatCloud, make_valid_cloud
 from fourd.errors import UserError
 from fourd.ply import read_header, read_vertices, write_vertices
 
 OPACITY_MARGIN = 1e-6
-MIN_SCALE = 1e-10
-MAX_LOG_SCALE = 30.0
+MAX_LOGARITHM = 60.0
 REQUIRED = (
     *("x", "y", "z", "opacity"),
     *(f"scale_{axis}" for axis in range(3)),
@@ -40,7 +39,7 @@ def write_splat_ply(path: Path, cloud: SplatCloud) -> None:
         cloud.sh[..., 0],
         cloud.sh[..., 1:].reshape(len(cloud), rest),
         np.log(opacity / (1 - opacity))[:, None],
-        np.log(np.maximum(cloud.scale, MIN_SCALE)),
+        np.log(np.maximum(cloud.scale, SMALLEST_SCALE)),
         cloud.rotation,
     ]
     table = np.ascontiguousarray(np.concatenate(columns, axis=1), "<f4")
@@ -53,7 +52,7 @@ def is_splat_ply(path: Path) -> bool:
 
 
 def read_splat_ply(path: Path) -> SplatCloud:
-    """Read a cloud. Splats with a value that is not finite are left out.
+    """Read a cloud. Splats with invalid values are left out, see :func:`fourd.baking.splats.cloud.make_valid_cloud`.
 
     Raises:
         UserError: if the file is missing or truncated, or lacks a property of splats. The message names the file.
@@ -72,38 +71,14 @@ def read_splat_ply(path: Path) -> SplatCloud:
         raise UserError(f"{path}: expected 0, 9, 24 or 45 properties f_rest_N, got {rest}; write the file again")
     higher = _columns(rows, [f"f_rest_{index}" for index in range(rest)]).reshape(len(rows), 3, terms - 1)
     base = _columns(rows, [f"f_dc_{channel}" for channel in range(3)])
-    return cloud_from_logs(
+    logarithms = np.clip(_columns(rows, [f"scale_{axis}" for axis in range(3)]), -MAX_LOGARITHM, MAX_LOGARITHM)
+    logits = np.clip(_columns(rows, ["opacity"])[:, 0], -MAX_LOGARITHM, MAX_LOGARITHM)
+    return make_valid_cloud(
         _columns(rows, ["x", "y", "z"]),
-        _columns(rows, [f"scale_{axis}" for axis in range(3)]),
+        np.exp(logarithms),
         _columns(rows, [f"rot_{axis}" for axis in range(4)]),
-        _columns(rows, ["opacity"])[:, 0],
+        1 / (1 + np.exp(-logits)),
         np.concatenate([base[..., None], higher], axis=-1),
-    )
-
-
-def cloud_from_logs(
-    xyz: NDArray[np.float32],
-    log_scale: NDArray[np.float32],
-    rotation: NDArray[np.float32],
-    logit: NDArray[np.float32],
-    sh: NDArray[np.float32],
-) -> SplatCloud:
-    """Make a cloud from logarithms of scales, quaternions of any length, and logits of opacities.
-
-    Splats with a value that is not finite, or with a quaternion 0, are left out. Shapes are those of
-    :class:`SplatCloud`.
-    """
-    length = np.linalg.norm(rotation, axis=1, keepdims=True)
-    flat = np.concatenate([xyz, log_scale, rotation, logit[:, None], sh.reshape(len(xyz), -1)], axis=1)
-    kept = (
-        np.isfinite(flat).all(axis=1) & (length[:, 0] > 1e-12) & (log_scale.max(axis=1, initial=-1e9) < MAX_LOG_SCALE)
-    )
-    return SplatCloud(
-        xyz[kept],
-        np.exp(log_scale[kept]),
-        rotation[kept] / length[kept],
-        (1 / (1 + np.exp(-np.clip(logit[kept], -50, 50)))).astype(np.float32),
-        np.ascontiguousarray(sh[kept]),
     )
 
 

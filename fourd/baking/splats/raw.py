@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fourd.baking.splats.cloud import SplatCloud
+from fourd.baking.splats.cloud import SplatCloud, make_valid_cloud
 from fourd.errors import UserError
 from fourd.files import atomic_path
 from fourd.ops.shade.harmonics import SH_CONSTANT
@@ -38,22 +38,18 @@ def count_splats(path: Path) -> int:
 
 
 def read_splat(path: Path) -> SplatCloud:
-    """Read a cloud. Splats with a value that is not finite are left out.
+    """Read a cloud. Splats with invalid values are left out, see :func:`fourd.baking.splats.cloud.make_valid_cloud`.
 
     Raises:
         UserError: if the file cannot be read, or its size is not a multiple of 32 bytes.
     """
     count = count_splats(path)
     rows = np.frombuffer(path.read_bytes(), ROW, count=count)
-    rotation = rows["rotation"].astype(np.float32) / 128 - 1
-    length = np.linalg.norm(rotation, axis=1, keepdims=True)
-    scale, rgba = rows["scale"].astype(np.float32), rows["rgba"].astype(np.float32) / 255
-    kept = np.isfinite(rows["xyz"]).all(axis=1) & np.isfinite(scale).all(axis=1) & (scale > 0).all(axis=1)
-    kept &= length[:, 0] > 1e-6
-    return SplatCloud(
-        rows["xyz"][kept].astype(np.float32),
-        scale[kept],
-        rotation[kept] / length[kept],
-        rgba[kept, 3],
-        np.asarray((rgba[kept, :3] - 0.5) / SH_CONSTANT, np.float32)[..., None],
+    rgba = rows["rgba"].astype(np.float32) / 255
+    return make_valid_cloud(
+        rows["xyz"].astype(np.float32),
+        rows["scale"].astype(np.float32),
+        rows["rotation"].astype(np.float32) / 128 - 1,
+        rgba[:, 3],
+        np.asarray((rgba[:, :3] - 0.5) / SH_CONSTANT, np.float32)[..., None],
     )

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from fourd.baking.splats.cloud import SplatCloud
-from fourd.baking.splats.ply import MIN_SCALE, OPACITY_MARGIN
+from fourd.baking.splats.cloud import SMALLEST_SCALE, SplatCloud
+from fourd.baking.splats.ply import OPACITY_MARGIN
 from fourd.errors import UserError
 from fourd.files import atomic_path
 
@@ -34,7 +34,7 @@ def write_spz(path: Path, cloud: SplatCloud) -> None:
     opacity = np.clip(cloud.opacity.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     data = gsply.GSData(
         means=cloud.xyz,
-        scales=np.log(np.maximum(cloud.scale, MIN_SCALE)),
+        scales=np.log(np.maximum(cloud.scale, SMALLEST_SCALE)),
         quats=cloud.rotation,
         opacities=np.log(opacity / (1 - opacity)).astype(np.float32),
         sh0=np.ascontiguousarray(cloud.sh[..., 0]),

@@ -15,6 +15,7 @@ from fourd.baking.splats.cloud import SplatCloud, rotate_cloud
 from fourd.baking.splats.frames import MAX_PIECES, SPLAT_SH_BASE, SPLAT_SH_RANGE, frame_from_splats
 from fourd.baking.splats.ply import read_splat_ply, write_splat_ply
 from fourd.baking.splats.raw import read_splat, write_splat
+from fourd.baking.splats.reader import SplatReader
 from fourd.errors import UserError
 from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
 from tests.baking.scenes import manifest
@@ -147,3 +148,24 @@ def test_broken_files_are_refused(tmp_path: Path, rng: np.random.Generator) -> N
     (tmp_path / "a.splat").write_bytes(b"x" * 33)
     with pytest.raises(UserError, match=r"a\.splat: expected a multiple of 32 bytes, got 33 bytes"):
         read_splat(tmp_path / "a.splat")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".splat"])
+def test_random_damage_never_escapes(tmp_path: Path, rng: np.random.Generator, suffix: str) -> None:
+    """Catches an exception other than UserError, and values that the renderer does not accept."""
+    path = tmp_path / f"a{suffix}"
+    cloud = random_cloud(rng, 20, terms=4 if suffix == ".ply" else 1)
+    (write_splat_ply if suffix == ".ply" else write_splat)(path, cloud)
+    content = np.frombuffer(path.read_bytes(), np.uint8)
+    for _ in range(200):
+        changed = content.copy()
+        where = rng.integers(0, len(content), rng.integers(1, 40))
+        changed[where] = rng.integers(0, 256, len(where))
+        end = len(content) if rng.random() < 0.8 else int(rng.integers(len(content)))
+        path.write_bytes(changed[:end].tobytes())
+        try:
+            frame = SplatReader(path).read(0)
+        except UserError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+        else:
+            assert frame.find_invalid_array() is None
