@@ -49,12 +49,12 @@ class Arguments:
     pictures: Path | None = None
     """Folder for images: the rendered and the true image of each held-out view at the middle frame, and the error."""
     json: Path | None = None
-    """File for all figures."""
+    """JSON file for all measured values."""
 
 
 @dataclass(frozen=True)
 class ViewQuality:
-    """Figures of one image, inside the matte's bounding box. ``specks`` is a share of the box's pixels."""
+    """Measured values of one image, inside the matte's bounding box. ``specks`` is a share of the box's pixels."""
 
     psnr: float
     ssim: float | None
@@ -70,7 +70,7 @@ class ViewQuality:
 
 @dataclass(frozen=True)
 class RunQuality:
-    """Mean figures of a run. :func:`markdown` names the columns.
+    """Mean values of a run. :func:`markdown` names the columns.
 
     Radii are in spacings, at the measured frames.
     """
@@ -135,7 +135,7 @@ def render(trained: TrainedRun, frame: int, view: int) -> tuple[RenderedView, Im
 
 
 def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
-    """Figures of one image."""
+    """Measure one image."""
     rendered, truth, matte = render(trained, frame, view)
     image, boxed = score_view(rendered.rgb, truth, matte, None)
     scores = boxed or image
@@ -179,7 +179,7 @@ def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float,
 
 
 def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
-    """Mean of each figure. The mean PSNR is the mean of the values in dB."""
+    """Mean of each measured value. The mean PSNR is the mean of the values in dB."""
     fields: dict[str, Any] = {}
     for name in ViewQuality.__dataclass_fields__:
         values = [getattr(view, name) for view in views]

@@ -190,7 +190,7 @@ def _independent(views: Views, grams: Array, before: Array) -> Array:
 
 
 def _mean_squares(views: Views, grams: Array, noise: ViewNoise, weights: Weights) -> Array:
-    """Expected squares (3,) of the shared rotations, shifts and delays, as shares of their variances."""
+    """Expected squares (3,) of the views' rotations, shifts and delays, divided by the variances in ``noise``."""
     std = noise.shared_std
     total, count = np.zeros(SHARED), 0
     pose, last = BOARD_PARAMETERS, BOARD_PARAMETERS + SHARED
