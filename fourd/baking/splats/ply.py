@@ -77,7 +77,7 @@ def read_splat_ply(path: Path) -> SplatCloud:
         _columns(rows, ["x", "y", "z"]),
         np.exp(logarithms),
         _columns(rows, [f"rot_{axis}" for axis in range(4)]),
-        1 / (1 + np.exp(-logits)),
+        np.asarray(1 / (1 + np.exp(-logits)), np.float32),
         np.concatenate([base[..., None], higher], axis=-1),
     )
 

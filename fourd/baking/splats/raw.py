@@ -45,11 +45,11 @@ def read_splat(path: Path) -> SplatCloud:
     """
     count = count_splats(path)
     rows = np.frombuffer(path.read_bytes(), ROW, count=count)
-    rgba = rows["rgba"].astype(np.float32) / 255
+    rgba = np.asarray(rows["rgba"] / 255, np.float32)
     return make_valid_cloud(
         rows["xyz"].astype(np.float32),
         rows["scale"].astype(np.float32),
-        rows["rotation"].astype(np.float32) / 128 - 1,
+        np.asarray(rows["rotation"] / 128 - 1, np.float32),
         rgba[:, 3],
         np.asarray((rgba[:, :3] - 0.5) / SH_CONSTANT, np.float32)[..., None],
     )
