@@ -31,12 +31,12 @@ def edge_gradients(
         gpu = load_gpu(color.device)
         with gpu.activate():
             size = gpu.kernels.edge_gradients_workspace_bytes(tri.shape[0], color.shape[0], instanced)
-            upstream = (gpu.allocate(size), gpu.stream, contiguous(gradient))
-            gpu.kernels.edge_gradients(*map(contiguous, inputs), instanced, *upstream, to_pos)
+            workspace = (gpu.allocate(size), gpu.stream)
+            gpu.kernels.edge_gradients(*map(contiguous, inputs), instanced, *workspace, contiguous(gradient), to_pos)
         return out
     count = thread_count(threads, torch.get_num_threads())
-    upstream = (count, simd_name(), as_array(gradient))
-    load_native().edge_gradients(*map(as_array, inputs), instanced, *upstream, to_pos.numpy())
+    arrays = (as_array(gradient), to_pos.numpy())
+    load_native().edge_gradients(*map(as_array, inputs), instanced, count, simd_name(), *arrays)
     return out
 
 
