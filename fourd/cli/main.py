@@ -22,6 +22,7 @@ COMMANDS = {
     "matte": "captures.matte",
     "carve": "captures.carve",
     "mesh": "captures.mesh",
+    "fit-triangles": "captures.fit_triangles",
     "train": "runs.train",
     "eval": "runs.eval",
     "export": "runs.export",
@@ -64,6 +65,8 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd matte CAPTURE               make mattes and clean plates
   fourd carve CAPTURE               carve initial points of each frame from mattes
   fourd mesh CAPTURE|RUN -o DIR     make one textured mesh for each frame
+  fourd fit-triangles CAPTURE -o FILE
+                                    fit a mesh to one frame by triangle splatting
   fourd train CAPTURE --out RUN     train a model
   fourd eval RUN                    evaluate a run on held-out views
   fourd export RUN -o scene.4dv     bake a scene for real-time rendering

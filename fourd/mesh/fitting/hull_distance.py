@@ -84,7 +84,7 @@ def hull_distance_grid(
     if near.shape[1] == 0:
         raise empty_hull_error(views, float(bounds.extent.max()) / 2, names, label)
     centres = near if removed is None else np.concatenate([near, removed.surface], axis=1)
-    cubes, first = _band(centres.T.astype(np.float64), near.T[0].astype(np.float64), side)
+    cubes, first = surface_band(centres.T.astype(np.float64), near.T[0].astype(np.float64), side)
     grid = cube_grid(cubes, first, side)
     xyz = np.ascontiguousarray(grid.xyz.numpy().T)
     limit = DISTANCE_CELLS * side
@@ -138,7 +138,7 @@ def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) 
     return _RemovedParts(hull, share, hull.centres(np.flatnonzero(is_surface)).T)
 
 
-def _band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np.int64], Array]:
+def surface_band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np.int64], Array]:
     """Cubes (N, 3) of a band around points (P, 3), and the lower corner of the cube (0, 0, 0).
 
     The lattice of the cubes is placed so that ``anchor`` (3,) is the centre of a cube.

@@ -1,0 +1,127 @@
+"""Fit a mesh to one frame of a capture by triangle splatting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from fourd.cameras import estimate_up
+from fourd.capture import open_capture
+from fourd.capture.layout import refuse_symlinks
+from fourd.cli.options import CapturePath, Views, describe, option, split_names
+from fourd.errors import UserError
+from fourd.files import remove_unfinished_file
+from fourd.progress import Tracker
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.triangle_fitting.export import check_format, write_mesh
+from fourd.triangle_fitting.frame import FittedFrame, fit_frame
+from fourd.triangle_fitting.settings import TriangleSettings
+
+DEFAULT_SECONDS = 120.0
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Soft triangles start on the visual hull of the mattes and are fitted to the images. They harden, are connected to
+    a closed mesh, and end as an opaque mesh with colours at the vertices."""
+
+    capture: CapturePath
+    """Capture folder with masks/ or the output of fourd matte."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
+    """Mesh to write. FILE.glb: unlit material, metres, y up. FILE.ply: world coordinates."""
+    frame: int = 0
+    """Index of the frame in the capture, from 0."""
+    views: Views = None
+    test_views: Annotated[str | None, option("NAME,NAME", "none")] = None
+    """Names of held-out cameras, separated by commas. The mesh does not depend on them, and its scores in these views
+    are printed."""
+    scale: float = 1.0
+    """Scale factor of the images. A factor of 0.5 halves width and height."""
+    triangles: int = TriangleSettings.triangles
+    """Maximum number of soft triangles."""
+    cells: int = TriangleSettings.cells
+    """Number of cells along the longest side of the subject, in which triangles are connected. The number of triangles
+    of the mesh grows with the square of this number."""
+    separate: bool = False
+    """Keep the triangles separate instead of connecting them to a closed mesh."""
+    max_seconds: Annotated[float | None, option("SECONDS", "120 without --max-steps, else none")] = None
+    """Stop after this many seconds of fitting."""
+    max_steps: Annotated[int | None, option("INT", "none")] = None
+    """Stop after this many steps. With this limit alone, equal commands write equal files."""
+    agreement: Annotated[
+        float,
+        describe(
+            "Minimum share of mattes that must contain a point of the hull, in (0, 1]. Choose a lower share if mattes",
+            "have holes.",
+        ),
+    ] = TriangleSettings.agreement
+    least_views: Annotated[
+        float,
+        describe(
+            "Minimum share of all views that must see a point of the hull, in (0, 1]. Choose a lower share if each",
+            "camera sees only a part of the scene.",
+        ),
+    ] = TriangleSettings.least_views
+    seed: int = 0
+    """Random seed."""
+
+
+def run(arguments: Arguments) -> None:
+    """Fit the triangles, write the mesh and print the scores of held-out views."""
+    check_format(arguments.out)
+    settings = _settings(arguments)
+    count = open_capture(arguments.capture).frame_count
+    if not 0 <= arguments.frame < count:
+        raise UserError(f"--frame: expected 0 to {count - 1}, the frames of the capture, got {arguments.frame}")
+    selection = DataSelection(
+        split_names(arguments.views),
+        split_names(arguments.test_views) or (),
+        f"{arguments.frame}:{arguments.frame + 1}",
+        arguments.scale,
+    )
+    views = open_run_views(arguments.capture, selection)
+    refuse_symlinks(arguments.capture, arguments.out.parent)
+    console = Console(stderr=True)
+    fitted = fit_frame(views, settings, Tracker(console).track)
+    remove_unfinished_file(arguments.out)
+    write_mesh(arguments.out, fitted.mesh, estimate_up(views.capture.cameras))
+    count = len(fitted.mesh.triangles)
+    console.print(f"{arguments.out}: {count:,} triangles after {fitted.steps:,} steps", soft_wrap=True, markup=False)
+    if fitted.opaque is not None:
+        Console().print(_table(arguments, fitted))
+    if fitted.is_interrupted:
+        raise KeyboardInterrupt
+
+
+def _settings(arguments: Arguments) -> TriangleSettings:
+    has_no_limit = arguments.max_steps is None and arguments.max_seconds is None
+    try:
+        return TriangleSettings(
+            triangles=arguments.triangles,
+            cells=arguments.cells,
+            connect=not arguments.separate,
+            max_steps=arguments.max_steps,
+            max_seconds=DEFAULT_SECONDS if has_no_limit else arguments.max_seconds,
+            agreement=arguments.agreement,
+            least_views=arguments.least_views,
+            seed=arguments.seed,
+        )
+    except ValueError as error:
+        field, _, message = str(error).partition(": ")
+        raise UserError(f"--{field.replace('_', '-')}: {message}") from error
+
+
+def _table(arguments: Arguments, fitted: FittedFrame) -> Table:
+    table = Table(title=f"{arguments.out}: held-out views {arguments.test_views}, inside the matte's box")
+    for column in ("", "PSNR dB", "SSIM"):
+        table.add_column(column, justify="right" if column else "left")
+    for label, evaluation in (("soft triangles", fitted.soft), ("opaque mesh", fitted.opaque)):
+        if evaluation is not None and evaluation.box is not None:
+            ssim = evaluation.box.ssim
+            table.add_row(label, f"{evaluation.box.psnr:.2f}", "null" if ssim is None else f"{ssim:.4f}")
+    return table

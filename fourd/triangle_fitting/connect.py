@@ -1,0 +1,134 @@
+"""Connects separate triangles to a closed mesh: a signed distance from their planes, and its zero surface."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from fourd.cameras import Array, Camera
+from fourd.carving.hull import Silhouettes
+from fourd.mesh.fitting.hull_distance import surface_band
+from fourd.mesh.surface.components import drop_crumbs
+from fourd.mesh.surface.grid import TetrahedralGrid, cube_grid
+from fourd.mesh.surface.marching import marching_tetrahedra
+from fourd.mesh.views import clip_positions
+from fourd.ops.meshes.ids import decode_ids
+from fourd.raster.triangles import rasterize
+from fourd.triangle_fitting.neighbours import unit_normals
+
+NEAREST = 12
+"""Number of triangles from which the distance of a point is computed."""
+SMOOTHING_CELLS = 1.0
+"""Standard deviation in cubes of the Gaussian weights of triangles."""
+LEAST_SHARE = 1e-3
+"""Smallest absolute distance in cubes. A distance of 0 would give triangles without area."""
+
+
+@dataclass(frozen=True, eq=False)
+class OrientedPoints:
+    """Centres of visible triangles.
+
+    Attributes:
+        xyz: (N, 3) float64 centres in world units.
+        normals: (N, 3) float64 unit normals towards the cameras that see the triangle.
+        weights: (N,) float64 number of pixels of all views that show the triangle, above 0.
+    """
+
+    xyz: Array
+    normals: Array
+    weights: Array
+
+
+@torch.no_grad()
+def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints:
+    """Centres and normals of the triangles (T, 3, 3) that are visible in a view if all triangles are opaque."""
+    count = len(corners)
+    xyz, tri = corners.reshape(-1, 3), torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
+    centres, normals = corners.mean(dim=1), unit_normals(corners)
+    pixels, facing = torch.zeros(count), torch.zeros(count)
+    for camera in cameras:
+        clip = clip_positions(xyz, camera)[None].contiguous()
+        rast, _ = rasterize(clip, tri, (camera.height, camera.width), grad_db=False)
+        index = decode_ids(rast[0, ..., 3]).long().flatten()
+        seen = torch.bincount(index[index >= 0], minlength=count).float()
+        towards = torch.from_numpy(camera.centre.astype(np.float32)) - centres
+        pixels += seen
+        facing += seen * torch.sign((towards * normals).sum(dim=1))
+    kept = pixels > 0
+    turned = torch.where(facing < 0, -1.0, 1.0)[:, None] * normals
+    return OrientedPoints(*(value[kept].double().numpy() for value in (centres, turned, pixels)))
+
+
+def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) -> tuple[Tensor, Tensor]:
+    """Make one closed mesh from oriented points.
+
+    The signed distance of a point is the weighted mean of its signed distances to the planes of the nearest triangles
+    (Hoppe et al. 1992, with Gaussian weights), and at most its distance to the visual hull.
+
+    Args:
+        points: at least one point.
+        hull: silhouettes of the visual hull.
+        side: side of the cubes of the grid in world units.
+
+    Returns:
+        vertices (V, 3) float32 and triangles (M, 3) int32, counter-clockwise seen from outside. Without a surface,
+        there are no triangles.
+    """
+    cubes, first = surface_band(points.xyz - hull.origin, (points.xyz - hull.origin)[0], side)
+    placed = cube_grid(cubes, first, side)
+    local = placed.xyz.numpy().astype(np.float64)
+    distance = plane_distance(points, local + hull.origin, side)
+    to_hull = hull.distance(np.ascontiguousarray(local.T.astype(np.float32)))[0]
+    # Outside all views, the distance to the hull is infinite.
+    distance = np.minimum(distance, to_hull.clip(-side, None))
+    least = LEAST_SHARE * side
+    sdf = torch.from_numpy(np.where(np.abs(distance) < least, least, distance).astype(np.float32))
+    grid = TetrahedralGrid(
+        placed.xyz + torch.from_numpy(hull.origin.astype(np.float32)), placed.tetrahedra, placed.is_border, side
+    )
+    surface = marching_tetrahedra(grid.xyz, sdf, grid.tetrahedra)
+    xyz, triangles = drop_crumbs(*close_holes(surface.xyz.numpy(), surface.triangles.numpy()))
+    return torch.from_numpy(np.ascontiguousarray(xyz)), torch.from_numpy(np.ascontiguousarray(triangles)).int()
+
+
+def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[np.float64]:
+    """Signed distance (N,) of ``xyz`` (N, 3) to the planes of the nearest points, positive inside."""
+    tree = cKDTree(points.xyz)
+    away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
+    away, index = np.asarray(away).reshape(len(xyz), -1), np.asarray(index).reshape(len(xyz), -1)
+    # Distances relative to the nearest point keep the weights above 0 far from the surface.
+    weight = np.exp(-(away**2 - away[:, :1] ** 2) / (2 * (SMOOTHING_CELLS * side) ** 2)) * points.weights[index]
+    height = ((points.xyz[index] - xyz[:, None]) * points.normals[index]).sum(axis=2)
+    return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
+
+
+def close_holes(
+    xyz: NDArray[np.float32], triangles: NDArray[np.integer]
+) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Close the holes of an oriented mesh: each edge of a hole forms a triangle with the mean of the hole's vertices.
+
+    A surface has holes where it crosses the border of the grid.
+    """
+    faces = np.asarray(triangles, np.int64)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    count = len(xyz)
+    is_open = ~np.isin(edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0])
+    if not is_open.any():
+        return xyz, faces
+    start, end = edges[is_open].T
+    graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
+    label = connected_components(graph, directed=False)[1][start]
+    hole = np.unique(label, return_inverse=True)[1]
+    # A vertex of a hole starts as many open edges as it ends, so the starts of the edges are the hole's vertices.
+    number = np.bincount(hole)
+    centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
+    caps = np.stack([end, start, count + hole], axis=1)
+    return np.concatenate([xyz, centres.astype(np.float32)]), np.concatenate([faces, caps])

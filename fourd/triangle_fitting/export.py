@@ -1,0 +1,42 @@
+"""Writes coloured meshes as GLB and PLY files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from fourd.cameras import Array
+from fourd.errors import UserError
+from fourd.mesh.files.coloured_glb import write_coloured_glb
+from fourd.mesh.files.ply import write_mesh_ply
+from fourd.mesh.surface.losses import vertex_normals
+from fourd.triangle_fitting.opaque import ColouredMesh
+
+FORMATS = (".glb", ".ply")
+
+
+def check_format(path: Path) -> None:
+    """Raise UserError if ``path`` does not end in .glb or .ply, or is a folder."""
+    if path.suffix.lower() not in FORMATS:
+        got = f"'{path.suffix}'" if path.suffix else "no suffix"
+        raise UserError(f"{path}: expected a file name that ends in .glb or .ply, got {got}; choose another name")
+    if path.is_dir():
+        raise UserError(f"{path}: expected a file, got a folder; choose another name")
+
+
+def write_mesh(path: Path, mesh: ColouredMesh, up: Array) -> None:
+    """Write a mesh with colours at the vertices, atomically.
+
+    Args:
+        path: the file; its suffix, .glb or .ply, chooses the format.
+        mesh: the mesh, with at least one triangle.
+        up: (3,) up direction of the scene in world coordinates, not zero. It becomes +y in GLB files.
+    """
+    normals = vertex_normals(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles).long()).numpy()
+    normals = normals.astype(np.float32)
+    if path.suffix.lower() == ".ply":
+        write_mesh_ply(path, mesh.xyz, normals, mesh.rgb, mesh.triangles)
+    else:
+        write_coloured_glb(path, mesh.xyz, normals, mesh.rgb, mesh.triangles, up)

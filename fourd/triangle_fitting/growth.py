@@ -1,0 +1,91 @@
+"""Pruning and growth of triangles (Held et al. 2025, section 3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.triangle_fitting.soup import Soup
+
+MIN_WEIGHT = 0.022
+"""Triangles whose largest compositing weight since the last round is smaller are removed."""
+MIN_OPACITY = 0.014
+GROWTH = 1.3
+SPLIT_PX = 24.0
+"""Triangles whose longest edge is longer in a training view are split in four. Smaller triangles are cloned."""
+CLONE_OFFSET = 0.2
+"""Standard deviation of the offset of a clone in the plane of its triangle, as a share of the edges."""
+
+
+@torch.no_grad()
+def prune_and_grow(
+    soup: Soup, weights: Tensor, priority: Tensor, cameras: Sequence[Camera], most: int, generator: torch.Generator
+) -> None:
+    """Remove triangles that contribute nothing, then add triangles up to GROWTH times the number, at most ``most``.
+
+    Args:
+        soup: the triangles, which are changed in place.
+        weights: (T,) largest compositing weights since the last round.
+        priority: (T,) positive weights. Triangles are drawn for growth with probabilities proportional to them.
+        cameras: training cameras.
+        most: maximum number of triangles.
+        generator: source of the draws.
+    """
+    opacity = soup.opacity(0.0)
+    kept = torch.nonzero((weights >= MIN_WEIGHT) & (opacity > MIN_OPACITY))[:, 0]
+    if len(kept) == 0:
+        return
+    wanted = min(int(GROWTH * len(kept)), most) - len(kept)
+    is_large = longest_edges_px(soup.corners.value[kept], cameras) > SPLIT_PX
+    # Splitting adds three triangles, and cloning adds one.
+    order = torch.multinomial(priority[kept] + 1e-12, len(kept), generator=generator) if wanted > 0 else kept[:0]
+    added = torch.cumsum(torch.where(is_large[order], 3, 1), 0)
+    chosen = order[added <= wanted]
+    grown = torch.zeros(len(kept), dtype=torch.bool)
+    grown[chosen] = True
+    split, cloned = kept[grown & is_large], kept[grown & ~is_large]
+    corners, colours, logits = soup.corners.value, soup.colours.value, soup.logits.value
+    # With o' = 1 - sqrt(1 - o), two triangles at the same place are as opaque as one before.
+    halved = torch.logit(1 - (1 - opacity[cloned]).sqrt(), eps=1e-6)
+    logits.data[cloned] = halved
+    parts = torch.cat([_in_four(corners[split]), corners[cloned] + _offsets(corners[cloned], generator)])
+    rows = torch.cat([split.repeat_interleave(4), cloned])
+    remaining = kept[~(grown & is_large)]
+    new_logits = torch.cat([logits[split].repeat_interleave(4), halved])
+    soup.corners.replace(remaining, parts)
+    soup.colours.replace(remaining, colours.detach()[rows])
+    soup.logits.replace(remaining, new_logits)
+
+
+def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
+    """Return an upper limit (T,) of the length of each triangle's edges in the images of ``cameras``, in pixels.
+
+    A length is the edge's length in world units, magnified by the focal length and the depth of the triangle's centre.
+    """
+    edge = (corners - corners[:, [1, 2, 0]]).norm(dim=2).amax(dim=1)
+    centre = corners.mean(dim=1)
+    scale = torch.zeros(len(corners))
+    for camera in cameras:
+        forward = torch.tensor(camera.forward.tolist(), dtype=centre.dtype)
+        depth = centre @ forward + float(camera.translation[2])
+        focal = float(max(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
+        scale = torch.maximum(scale, torch.where(depth > 0, focal / depth, 0))
+    return edge * scale
+
+
+def _in_four(corners: Tensor) -> Tensor:
+    """Split triangles (M, 3, 3) at the midpoints of their edges into (4 M, 3, 3)."""
+    a, b, c = corners.unbind(1)
+    ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
+    parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]
+    return torch.stack([torch.stack(part, dim=1) for part in parts], dim=1).reshape(-1, 3, 3)
+
+
+def _offsets(corners: Tensor, generator: torch.Generator) -> Tensor:
+    """Return random offsets (M, 1, 3) in the planes of triangles (M, 3, 3)."""
+    edges = corners[:, 1:] - corners[:, :1]
+    shares = CLONE_OFFSET * torch.randn(len(corners), 2, 1, generator=generator)
+    return (edges * shares).sum(dim=1, keepdim=True)

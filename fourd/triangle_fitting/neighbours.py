@@ -1,0 +1,64 @@
+"""Smoothness of separate triangles: neighbours lie in a common plane and have similar normals."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+from torch.nn import functional
+
+NEIGHBOURS = 8
+"""Number of neighbours of each triangle."""
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Pairs of nearby triangles on the same side of the surface.
+
+    Attributes:
+        first: (P,) int64 triangle indices.
+        second: (P,) int64 indices of their neighbours.
+    """
+
+    first: Tensor
+    second: Tensor
+
+    @staticmethod
+    @torch.no_grad()
+    def of(corners: Tensor) -> Neighbours:
+        """Find the neighbours of triangles (T, 3, 3). Triangles whose normals point apart are no neighbours."""
+        centres, normals = corners.mean(dim=1), unit_normals(corners)
+        count = min(NEIGHBOURS + 1, len(corners))
+        tree = cKDTree(centres.numpy())
+        found = tree.query(centres.numpy(), k=count, workers=1)[1].reshape(len(corners), count)
+        second = torch.from_numpy(np.ascontiguousarray(found[:, 1:], dtype=np.int64)).flatten()
+        first = torch.arange(len(corners)).repeat_interleave(count - 1)
+        same_side = (normals[first] * normals[second]).sum(dim=1) > 0
+        return Neighbours(first[same_side], second[same_side])
+
+
+def unit_normals(corners: Tensor) -> Tensor:
+    """Unit normals (T, 3) of triangles (T, 3, 3), counter-clockwise seen from outside; 0 without area."""
+    a, b, c = corners.unbind(1)
+    return functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-20)
+
+
+def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> tuple[Tensor, Tensor]:
+    """Disagreement of neighbouring triangles (T, 3, 3).
+
+    Returns:
+        the mean Huber loss of the distances of neighbours' centres from the planes of triangles, in spacings, and the
+        mean of 1 - cosine of the angle between their normals. Both are 0 if there are no neighbours.
+    """
+    centres, normals = corners.mean(dim=1), unit_normals(corners)
+    if len(neighbours.first) == 0:
+        return corners.new_zeros(()), corners.new_zeros(())
+    offset = centres.index_select(0, neighbours.second) - centres.index_select(0, neighbours.first)
+    normal = normals.index_select(0, neighbours.first)
+    height = (offset * normal).sum(dim=1) / spacing
+    plane = functional.huber_loss(height, torch.zeros_like(height), delta=1.0)
+    cosine = (normal * normals.index_select(0, neighbours.second)).sum(dim=1)
+    return plane, (1 - cosine).mean()

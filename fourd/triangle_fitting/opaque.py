@@ -1,0 +1,69 @@
+"""Opaque meshes with colours at the vertices, and their differentiable images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.mesh.views import clip_positions
+from fourd.raster.triangles import antialias, antialias_construct_topology, interpolate, rasterize
+from fourd.raster.triangles.antialiasing import Topology
+
+SAMPLES = 2
+"""Samples of a pixel along each axis while fitting."""
+
+
+@dataclass(frozen=True, eq=False)
+class ColouredMesh:
+    """An opaque triangle mesh with a colour at each vertex. Both sides of the triangles are visible.
+
+    Attributes:
+        xyz: (V, 3) float32 vertices in world units.
+        triangles: (M, 3) int32 vertex indices, counter-clockwise seen from outside.
+        rgb: (V, 3) uint8 colours.
+    """
+
+    xyz: NDArray[np.float32]
+    triangles: NDArray[np.int32]
+    rgb: NDArray[np.uint8]
+
+
+def render_opaque(
+    xyz: Tensor, rgb: Tensor, tri: Tensor, camera: Camera, topology: Topology | None = None, samples: int = SAMPLES
+) -> tuple[Tensor, Tensor]:
+    """Render a mesh with a depth buffer and antialiased edges, on black.
+
+    Args:
+        xyz: (V, 3) float32 vertices in world units.
+        rgb: (V, 3) colours of the vertices; colours are linear on a triangle.
+        tri: (M, 3) int32 vertex indices.
+        camera: pinhole camera.
+        topology: the neighbours of the triangles; computed if None.
+        samples: samples of a pixel along each axis.
+
+    Returns:
+        rgb (H, W, 3) and alpha (H, W), differentiable in vertices and colours. The silhouette is differentiable through
+        the antialiased edges.
+    """
+    fine = camera.resize(camera.width * samples, camera.height * samples)
+    clip = clip_positions(xyz, fine)[None].contiguous()
+    rast, _ = rasterize(clip, tri, (fine.height, fine.width), grad_db=False)
+    image, _ = interpolate(torch.nn.functional.pad(rgb, (0, 1), value=1.0)[None], rast, tri)
+    image = antialias(image, rast.detach(), clip, tri, topology)
+    image = image.reshape(camera.height, samples, camera.width, samples, 4).mean(dim=(1, 3))
+    return image[..., :3], image[..., 3]
+
+
+@torch.no_grad()
+def mesh_image(mesh: ColouredMesh, camera: Camera, samples: int = 3) -> NDArray[np.float32]:
+    """Image (H, W, 3) of a mesh on black, in [0, 1]."""
+    rgb = torch.from_numpy(mesh.rgb).float() / 255
+    tri = torch.from_numpy(mesh.triangles)
+    topology = antialias_construct_topology(tri)
+    image, _ = render_opaque(torch.from_numpy(mesh.xyz), rgb, tri, camera, topology, samples)
+    return np.asarray(image.clamp(0, 1).numpy(), np.float32)

@@ -1,0 +1,93 @@
+"""The budget of a fit, and the schedule from soft to opaque triangles.
+
+In the soft phase, the window's exponent sigma is 1.16 and opacities are free. Then sigma falls geometrically to 1e-4,
+and a lower limit of the opacity rises from 0.1 to 0.9999, so that the triangles become opaque up to their edges.
+Sigma at the start is from Held et al. 2025. The ranges of the hardening are those of their method with opaque
+triangles, as functions of the spent budget.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from time import monotonic
+
+from fourd.triangle_fitting.settings import TriangleSettings
+
+SIGMA_RANGE = (1.16, 1e-4)
+FLOOR_RANGE = (0.1, 0.9999)
+SLOWEST_RATE = 0.1
+"""Learning rate at the end, as a share of the rate at the start."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """The state of the schedule.
+
+    Attributes:
+        sigma: exponent of the window.
+        floor: lower limit of the opacity.
+        rate: factor of the learning rate of positions.
+        grows: whether triangles are pruned and grown.
+    """
+
+    sigma: float
+    floor: float
+    rate: float
+    grows: bool
+
+
+def phase_at(share: float, settings: TriangleSettings) -> Phase:
+    """Return the phase of the soft or hardening triangles after ``share`` of the budget, in [0, 1]."""
+    rate = SLOWEST_RATE**share
+    if share < settings.soft_share:
+        return Phase(SIGMA_RANGE[0], 0.0, rate, True)
+    length = settings.hard_share - settings.soft_share
+    hardness = min((share - settings.soft_share) / length, 1.0) if length > 0 else 1.0
+    sigma = SIGMA_RANGE[0] * (SIGMA_RANGE[1] / SIGMA_RANGE[0]) ** hardness
+    floor = FLOOR_RANGE[0] + (FLOOR_RANGE[1] - FLOOR_RANGE[0]) * hardness
+    return Phase(sigma, floor, rate, False)
+
+
+def surface_rate(share: float, settings: TriangleSettings) -> float:
+    """Factor of the learning rates of opaque triangles: 1 at ``hard_share``, and SLOWEST_RATE at the end."""
+    length = 1 - settings.hard_share
+    return float(SLOWEST_RATE ** min(max((share - settings.hard_share) / length, 0.0), 1.0)) if length > 0 else 1.0
+
+
+class Budget:
+    """Measures which share of a budget is spent. The clock starts with the object.
+
+    Attributes:
+        steps: number of finished steps.
+    """
+
+    def __init__(self, max_steps: int | None, max_seconds: float | None) -> None:
+        """Start. None means no limit. With both limits, the one that is reached first ends the fit."""
+        self.steps = 0
+        self._max_steps, self._max_seconds = max_steps, max_seconds
+        self._start = monotonic()
+        self._is_closed = False
+
+    @property
+    def share(self) -> float:
+        """The spent share in [0, 1]."""
+        if self._is_closed:
+            return 1.0
+        steps = 0.0 if self._max_steps is None else self.steps / self._max_steps
+        seconds = 0.0 if self._max_seconds is None else (monotonic() - self._start) / self._max_seconds
+        return min(max(steps, seconds), 1.0)
+
+    def close(self) -> None:
+        """Count the whole budget as spent."""
+        self._is_closed = True
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Stop the clock, for work that is no part of the fit."""
+        before = monotonic()
+        try:
+            yield
+        finally:
+            self._start += monotonic() - before

@@ -1,0 +1,66 @@
+"""Settings of the fit of triangles."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TriangleSettings:
+    """How the triangles of one frame are fitted.
+
+    Attributes:
+        triangles: maximum number of soft triangles, at least 16. Half of them are there at the start.
+        cells: number of cubes along the longest side of the subject, at least 8: the resolution of connected meshes.
+        connect: whether the hardened triangles are connected to a closed mesh. Otherwise they stay separate.
+        max_steps: number of steps; None without a limit.
+        max_seconds: seconds of fitting; None without a limit. At least one limit is set.
+        interval: steps between two rounds of pruning and growth, at least 1.
+        soft_share: share of the budget, in [0, 1], in which triangles stay soft. Then they harden.
+        hard_share: share of the budget, at least ``soft_share``, at which triangles are opaque.
+        plane: weight of the distances of neighbouring triangles from their planes.
+        normal: weight of the angles between neighbouring triangles.
+        laplacian: weight of the squared Laplacian of connected meshes, in squared cubes.
+        crease: weight of the normal consistency of connected meshes.
+        agreement: share in (0, 1]. Of the views that see a point of the hull, this share must have it in their mattes.
+        least_views: share in (0, 1]. At least this share of all views must see a point of the hull.
+        seed: random seed of the order of the views, of the start and of the growth.
+    """
+
+    triangles: int = 60_000
+    cells: int = 96
+    connect: bool = True
+    max_steps: int | None = None
+    max_seconds: float | None = None
+    interval: int = 500
+    soft_share: float = 0.3
+    hard_share: float = 0.45
+    plane: float = 0.3
+    normal: float = 0.1
+    laplacian: float = 0.3
+    crease: float = 0.03
+    agreement: float = 0.95
+    least_views: float = 1 / 2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Raise ValueError for a value that is out of range."""
+        for name, least in (("triangles", 16), ("cells", 8), ("interval", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name}: expected at least {least}, got {getattr(self, name)}")
+        if self.max_steps is None and self.max_seconds is None:
+            raise ValueError("max_steps: expected a limit of steps or seconds, got neither")
+        if self.max_steps is not None and self.max_steps < 1:
+            raise ValueError(f"max_steps: expected at least 1, got {self.max_steps}")
+        if self.max_seconds is not None and not 0 < self.max_seconds < math.inf:
+            raise ValueError(f"max_seconds: expected a number of seconds above 0, got {self.max_seconds:g}")
+        if not 0 <= self.soft_share <= self.hard_share <= 1:
+            got = f"{self.soft_share:g} and {self.hard_share:g}"
+            raise ValueError(f"soft_share, hard_share: expected 0 <= soft_share <= hard_share <= 1, got {got}")
+        for name in ("plane", "normal", "laplacian", "crease"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name}: expected a weight of 0 or more, got {getattr(self, name)}")
+        for name in ("agreement", "least_views"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ValueError(f"{name}: expected a share in (0, 1], got {getattr(self, name):g}")

@@ -1,0 +1,92 @@
+"""Separate triangles of one colour each: their parameters, and how they are rendered."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.raster.triangles import TriangleRender, splat_triangles
+from fourd.triangle_fitting.adam import AdamRows
+from fourd.triangle_fitting.schedule import Phase
+
+START_OPACITY = 0.28
+CIRCUMRADIUS_SPACINGS = 1.5
+"""Circumradius of the triangles at the start, as a multiple of the spacing of their centres."""
+POSITION_RATE_SPACINGS = 0.02
+COLOUR_RATE = 0.01
+OPACITY_RATE = 0.05
+
+
+class Soup:
+    """T triangles without shared vertices.
+
+    Attributes:
+        corners: (T, 3, 3) vertices in world units.
+        colours: (T, 3) RGB; 0 is black and 1 is white.
+        logits: (T,) logits of the opacity above its lower limit.
+        spacing: distance of neighbouring triangles at the start in world units, which scales the learning rate of
+            positions.
+    """
+
+    def __init__(self, corners: Tensor, colours: Tensor, spacing: float) -> None:
+        """Start with corners (T, 3, 3) and colours (T, 3)."""
+        self.spacing = spacing
+        start = torch.full((len(corners),), START_OPACITY)
+        self.corners = AdamRows(corners, POSITION_RATE_SPACINGS * spacing)
+        self.colours = AdamRows(colours, COLOUR_RATE)
+        self.logits = AdamRows(torch.logit(start), OPACITY_RATE)
+
+    def __len__(self) -> int:
+        return len(self.corners.value)
+
+    def opacity(self, floor: float) -> Tensor:
+        """Return the opacities (T,), which are at least ``floor``."""
+        return floor + (1 - floor) * torch.sigmoid(self.logits.value)
+
+    def render(self, camera: Camera, phase: Phase) -> TriangleRender:
+        """Render the triangles on black, differentiable in all parameters."""
+        return splat_triangles(
+            self.corners.value.reshape(-1, 3),
+            triangle_indices(len(self)),
+            self.colours.value,
+            self.opacity(phase.floor),
+            phase.sigma,
+            camera,
+            geometry=False,
+        )
+
+    def step(self, loss: Tensor, phase: Phase) -> Tensor:
+        """Move all parameters by one step. Returns the gradient of the corners (T, 3, 3)."""
+        rows = (self.corners, self.colours, self.logits)
+        gradients = torch.autograd.grad(loss, [each.value for each in rows], materialize_grads=True)
+        for each, gradient, factor in zip(rows, gradients, (phase.rate, 1.0, 1.0), strict=True):
+            each.step(gradient, factor)
+        return gradients[0]
+
+
+def triangle_indices(count: int) -> Tensor:
+    """Vertex indices (T, 3) int32 of triangles without shared vertices."""
+    return torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
+
+
+def start_triangles(
+    xyz: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, generator: torch.Generator
+) -> Tensor:
+    """Return equilateral triangles (N, 3, 3) around surface points, in the tangent planes, randomly rotated.
+
+    Args:
+        xyz: (N, 3) points.
+        normals: (N, 3) outward unit normals. The triangles are counter-clockwise seen from outside.
+        spacing: distance of neighbouring points.
+        generator: source of the rotations.
+    """
+    centres, normal = torch.from_numpy(xyz), torch.from_numpy(normals)
+    random = torch.randn(len(xyz), 3, generator=generator)
+    across = torch.nn.functional.normalize(torch.linalg.cross(random, normal), dim=1)
+    along = torch.linalg.cross(normal, across)
+    angles = torch.tensor([0.0, 2.0, 4.0]) * torch.pi / 3
+    offsets = torch.cos(angles)[:, None] * across[:, None] + torch.sin(angles)[:, None] * along[:, None]
+    return centres[:, None] + CIRCUMRADIUS_SPACINGS * spacing * offsets

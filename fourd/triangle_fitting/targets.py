@@ -1,0 +1,62 @@
+"""Training views and the loss of a rendered view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.mesh.views import MeshView
+from fourd.ops.similarity.op import structural_similarity
+from fourd.ops.similarity.reference import WINDOW_PX
+
+SIMILARITY_WEIGHT = 0.2
+MATTE_WEIGHT = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Target:
+    """A training view, cropped to the subject.
+
+    Attributes:
+        camera: pinhole camera of the crop.
+        rgb: (H, W, 3) float32 image on black, in [0, 1].
+        matte: (H, W) float32 matte in [0, 1].
+    """
+
+    camera: Camera
+    rgb: Tensor
+    matte: Tensor
+
+    @staticmethod
+    def of(view: MeshView) -> Target:
+        """The target of a view."""
+        matte = torch.from_numpy(view.matte)
+        return Target(view.camera, torch.from_numpy(view.rgb) * matte[..., None], matte)
+
+    def loss(self, rgb: Tensor, alpha: Tensor) -> Tensor:
+        """Mean absolute error and structural dissimilarity of an image on black (H, W, 3), and the mean absolute error
+        of its alpha (H, W)."""
+        colours, matte = (rgb - self.rgb).abs().mean(), (alpha - self.matte).abs().mean()
+        loss = (1 - SIMILARITY_WEIGHT) * colours + MATTE_WEIGHT * matte
+        if min(rgb.shape[:2]) < WINDOW_PX:
+            return loss
+        return loss + SIMILARITY_WEIGHT * (1 - structural_similarity(rgb, self.rgb))
+
+
+class TargetOrder:
+    """Draws targets at random: all of them once, then all of them again."""
+
+    def __init__(self, targets: Sequence[Target], generator: torch.Generator) -> None:
+        """Draw from at least one target."""
+        self._targets, self._generator = targets, generator
+        self._order: list[int] = []
+
+    def draw(self) -> Target:
+        """The next target."""
+        if not self._order:
+            self._order = torch.randperm(len(self._targets), generator=self._generator).tolist()
+        return self._targets[self._order.pop()]
