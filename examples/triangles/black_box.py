@@ -46,7 +46,7 @@ void main() {
 
 @dataclass(frozen=True)
 class Arguments:
-    out: Path = Path("black_box.png")
+    picture: Path = Path("black_box.png")
     """Picture with the target, the first and the last image side by side."""
     steps: int = 600
     """Number of steps of the optimiser."""
@@ -129,7 +129,7 @@ def main(arguments: Arguments) -> None:
     last = renderer.draw(params)
     print(f"mean squared error: {loss(first).mean():.4f} before, {loss(last).mean():.4f} after {arguments.steps} steps")
     pictures = (255 * torch.cat((target, first, last), 1).clamp(0, 1)).round().byte()
-    Image.fromarray(pictures.numpy()).save(arguments.out)
+    Image.fromarray(pictures.numpy()).save(arguments.picture)
 
 
 if __name__ == "__main__":

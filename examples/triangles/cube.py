@@ -27,13 +27,13 @@ class Arguments:
 
     size: int = 8
     """Width and height of the images that the cube is fitted to, in pixels."""
-    steps: int = 3000
+    steps: int = 8000
     """Steps of Adam."""
     batch: int = 4
     """Images per step."""
     seed: int = 0
     """Seed of the poses and of the first cube."""
-    out: Path = Path("cube.png")
+    picture: Path = Path("cube.png")
     """Output image: the true cube, the first cube and the fitted cube, in one pose."""
 
 
@@ -62,7 +62,7 @@ def main(arguments: Arguments) -> float:
             print(f"step {step}: mean corner error {error:.5f} of the edge")
     matrix = poses(1, np.random.default_rng(arguments.seed))
     pairs = [(true_xyz, true_colours), (first_xyz, first_colours), (xyz, colours)]
-    save([scene.render(matrix, *pair, 256)[0] for pair in pairs], arguments.out)
+    save([scene.render(matrix, *pair, 256)[0] for pair in pairs], arguments.picture)
     return error
 
 

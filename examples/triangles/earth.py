@@ -37,8 +37,8 @@ class Arguments:
     """Steps of Adam per texture."""
     seed: int = 0
     """Seed of the true texture and of the poses."""
-    out: Path = Path("earth.png")
-    """Output image: the true texture, the texture learnt with mipmaps, and the texture learnt without mipmaps."""
+    picture: Path = Path("earth.png")
+    """Output image: the upper left quarter of the true texture, and of the textures learnt with and without mipmaps."""
 
 
 def main(arguments: Arguments) -> tuple[float, float]:
@@ -48,7 +48,8 @@ def main(arguments: Arguments) -> tuple[float, float]:
     scores = {mode: psnr(texels, true_texture) for mode, texels in learnt.items()}
     for mode, score in scores.items():
         print(f"{mode}: PSNR of the texture {score:.2f} dB")
-    save([true_texture, *learnt.values()], arguments.out, bottom_up=False)
+    quarter = np.s_[: arguments.texture_size // 2, : arguments.texture_size]
+    save([texels[quarter] for texels in (true_texture, *learnt.values())], arguments.picture, bottom_up=False)
     return scores["linear-mipmap-linear"], scores["linear"]
 
 

@@ -38,7 +38,7 @@ class Arguments:
     """Steps of Adam."""
     seed: int = 0
     """Seed of the poses."""
-    out: Path = Path("environment.png")
+    picture: Path = Path("environment.png")
     """Output image: the torus with the true and with the recovered material, then the faces of the recovered map."""
 
 
@@ -64,7 +64,7 @@ def main(arguments: Arguments) -> tuple[float, float]:
     torus = Torus()
     env = torch.full_like(true.map, 0.5).requires_grad_()
     highlight, log_exponent = torch.full((3,), 0.2).requires_grad_(), torch.tensor(1.0).requires_grad_()
-    optimizer = torch.optim.Adam([{"params": [env], "lr": 3e-2}, {"params": [highlight, log_exponent], "lr": 2e-2}])
+    optimizer = torch.optim.Adam([{"params": [env], "lr": 3e-2}, {"params": [highlight, log_exponent], "lr": 6e-2}])
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: 0.05 ** (step / arguments.steps))
     for step in range(arguments.steps):
         R = random_rotations(1, rng)
@@ -79,13 +79,13 @@ def main(arguments: Arguments) -> tuple[float, float]:
         if step % max(arguments.steps // 5, 1) == 0 or step == arguments.steps - 1:
             print(
                 f"step {step}: PSNR of the map {psnr(env.detach(), true.map):.2f} dB, "
-                f"exponent {float(log_exponent.exp()):.2f} (true: 25)"
+                f"exponent {float(log_exponent.detach().exp()):.2f} (true: 25)"
             )
     R = random_rotations(1, np.random.default_rng(arguments.seed))
     found = Material(env.detach(), highlight.detach(), log_exponent.detach().exp())
     rows = [torch.cat(list(found.map[first : first + 3]), dim=1) for first in (0, 3)]
     faces = interpolate_image(torch.cat(rows), (192, 288))
-    save([*(torus.render(R, material, 192)[0] for material in (true, found)), faces], arguments.out)
+    save([*(torus.render(R, material, 192)[0] for material in (true, found)), faces], arguments.picture)
     return psnr(found.map, true.map), float(found.exponent)
 
 

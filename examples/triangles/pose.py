@@ -2,9 +2,9 @@
 
     python examples/triangles/pose.py --starts 20
 
-Each start optimises a quaternion. The image has local minima, so the first half of the steps is a series of trials.
-Each trial starts from the best pose so far plus a random rotation. The random rotations become smaller from trial to
-trial.
+Each start optimises a quaternion. The difference of the images has local minima, so the first half of the steps is a
+series of trials. For each trial, several random rotations are applied to the best pose so far. The trial starts from
+the result with the smallest difference. The random rotations become smaller from trial to trial.
 """
 
 from __future__ import annotations
@@ -28,11 +28,15 @@ from common import (
 )
 from scipy.spatial.transform import Rotation
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from fourd.raster.triangles import antialias, interpolate, rasterize
 
 TRIAL_STEPS = 20
 """In the first half of the steps, a noisy copy of the best pose is optimised for this many steps."""
+
+CANDIDATES = 64
+"""Number of noisy copies of the best pose. They are compared with the target at a quarter of its size."""
 
 
 @dataclass(frozen=True)
@@ -44,10 +48,10 @@ class Arguments:
     steps: int = 500
     """Steps of Adam per start."""
     size: int = 128
-    """Width and height of the image, in pixels."""
+    """Width and height of the image in pixels, a multiple of 4."""
     seed: int = 0
     """Seed of the poses."""
-    out: Path = Path("pose.png")
+    picture: Path = Path("pose.png")
     """Output image of the last start: the true, the first and the found pose."""
 
 
@@ -57,14 +61,14 @@ def main(arguments: Arguments) -> float:
     found = []
     for start in range(arguments.starts):
         R_true, R_first = random_rotations(2, rng)
-        target = render(R_true, arguments.size)
+        target = render(R_true[None], arguments.size)[0]
         R_found = search(target, R_first, arguments, rng)
         error = float(angle_deg(R_true, R_found))
         found.append(error < 2)
         print(f"start {start}: {float(angle_deg(R_true, R_first)):.1f} degrees before, {error:.2f} degrees after")
     share = sum(found) / len(found)
     print(f"{sum(found)} of {len(found)} starts found the pose within 2 degrees")
-    save([render(R, 256) for R in (R_true, R_first, R_found)], arguments.out)
+    save(list(render(torch.stack([R_true, R_first, R_found]), 256)), arguments.picture)
     return share
 
 
@@ -76,15 +80,18 @@ def search(target: Tensor, R_first: Tensor, arguments: Arguments, rng: np.random
     for step in range(arguments.steps):
         remaining = 1 - step / arguments.steps
         if step % TRIAL_STEPS == 0 and remaining > 0.5:
-            noise_rad = np.pi / 2 * (2 * remaining - 1) * rng.normal(size=3)
+            noise_rad = np.pi / 2 * (2 * remaining - 1) * rng.normal(size=(CANDIDATES, 3))
             noise = torch.from_numpy(Rotation.from_rotvec(noise_rad).as_matrix()).float()
+            R = noise @ rotation_of_quaternion(best)
+            small = avg_pool2d(target.permute(2, 0, 1), 4).permute(1, 2, 0)
+            differences = (render(R, small.shape[0]) - small).square().mean(dim=(1, 2, 3))
             with torch.no_grad():
-                quaternion.copy_(quaternion_of_rotation(noise @ rotation_of_quaternion(best)))
+                quaternion.copy_(quaternion_of_rotation(R[differences.argmin()]))
         elif step % TRIAL_STEPS == 0:
             optimizer.param_groups[0]["lr"] = 2e-2 * remaining
-        loss = (render(rotation_of_quaternion(quaternion), arguments.size) - target).square().mean()
-        if float(loss) < best_loss:
-            best_loss, best = float(loss), quaternion.detach().clone()
+        loss = (render(rotation_of_quaternion(quaternion)[None], arguments.size)[0] - target).square().mean()
+        if float(loss.detach()) < best_loss:
+            best_loss, best = float(loss.detach()), quaternion.detach().clone()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
@@ -97,14 +104,14 @@ def quaternion_of_rotation(R: Tensor) -> Tensor:
 
 
 def render(R: Tensor, size: int) -> Tensor:
-    """Render the cube with the rotation ``R`` (3, 3), on black. Returns (size, size, 3)."""
+    """Render the cube with the rotations ``R`` (B, 3, 3), on black. Returns (B, size, size, 3)."""
     xyz, tri = cube()
     colours, colour_tri = face_colours()
-    pos = to_clip((perspective(0.4) @ rigid(R, (0, 0, -5.5)))[None], xyz)
+    pos = to_clip(perspective(0.4) @ rigid(R, (0, 0, -5.5)), xyz)
     rast, _ = rasterize(pos, tri, (size, size))
     colour, _ = interpolate(colours, rast, colour_tri)
     colour = torch.where(rast[..., 3:] > 0, colour, torch.zeros_like(colour))
-    return antialias(colour, rast, pos, tri)[0]
+    return antialias(colour, rast, pos, tri)
 
 
 if __name__ == "__main__":

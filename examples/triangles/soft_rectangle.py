@@ -35,7 +35,7 @@ class Arguments:
     """Width and height of the image, in pixels."""
     steps: int = 300
     """Steps of Adam."""
-    out: Path = Path("soft_rectangle.png")
+    picture: Path = Path("soft_rectangle.png")
     """Output image: the target, the first rectangle and the fitted rectangle."""
 
 
@@ -58,7 +58,7 @@ def main(arguments: Arguments) -> float:
         if step % max(arguments.steps // 5, 1) == 0 or step == arguments.steps - 1:
             print(f"step {step}: sigma {sigma:.1e}, intersection over union {overlap(shape, true):.4f}")
     pictures = [render(rectangle, camera, LAST_SIGMA) for rectangle in (true, first, shape)]
-    save([picture[..., None].expand(-1, -1, 3) for picture in pictures], arguments.out, scale=4, bottom_up=False)
+    save([picture[..., None].expand(-1, -1, 3) for picture in pictures], arguments.picture, scale=4, bottom_up=False)
     return overlap(shape, true)
 
 

@@ -12,7 +12,7 @@ from tests.examples.test_examples import ROOT, run
 def test_fitting_through_opengl_reduces_the_error(tmp_path: Path) -> None:
     """Catches ids that do not belong to the image, and a wrong sign of the gradient: then the error does not fall."""
     out = tmp_path / "pictures.png"
-    printed = run("triangles/black_box.py", "--size", 48, "--triangles", 40, "--steps", 100, "--out", out)
+    printed = run("triangles/black_box.py", "--size", 48, "--triangles", 40, "--steps", 100, "--picture", out)
     words = printed.split()
     before, after = float(words[words.index("before,") - 1]), float(words[words.index("after") - 1])
     assert after < 0.6 * before

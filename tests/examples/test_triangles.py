@@ -8,11 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from PIL import Image
 
 FOLDER = Path(__file__).parents[2] / "examples" / "triangles"
-PROGRAMS = sorted(path.name for path in FOLDER.glob("*.py") if path.name != "common.py")
+SHARED = ("common.py", "shapes.py")
+PROGRAMS = sorted(path.name for path in FOLDER.glob("*.py") if path.name not in SHARED)
+CAPTURE = Path(__file__).parents[3] / "shared" / "captures" / "fox_run"
 
 
 def run(script: str, *arguments: object) -> str:
@@ -38,7 +41,7 @@ def test_readme_lists_every_program() -> None:
 
 def test_the_corners_of_the_cube_are_found(tmp_path: Path) -> None:
     """Catches a wrong sign of the gradient of silhouettes."""
-    printed = run("cube.py", "--size", 16, "--steps", 120, "--out", tmp_path / "cube.png")
+    printed = run("cube.py", "--size", 16, "--steps", 120, "--picture", tmp_path / "cube.png")
     errors = [float(value) for value in re.findall(r"corner error (\S+) of", printed)]
     assert errors[-1] < 0.8 * errors[0]
     with Image.open(tmp_path / "cube.png") as picture:
@@ -47,7 +50,7 @@ def test_the_corners_of_the_cube_are_found(tmp_path: Path) -> None:
 
 def test_mipmaps_help_the_globe(tmp_path: Path) -> None:
     """Catches mip levels that are ignored, or gradients that do not pass through the mip chain."""
-    options = ("--steps", 25, "--texture-size", 64, "--size", 48, "--out", tmp_path / "earth.png")
+    options = ("--steps", 25, "--texture-size", 64, "--size", 48, "--picture", tmp_path / "earth.png")
     printed = run("earth.py", *options)
     scores = dict(re.findall(r"^(\S+): PSNR of the texture (\S+) dB$", printed, flags=re.M))
     assert float(scores["linear-mipmap-linear"]) > float(scores["linear"])
@@ -55,21 +58,61 @@ def test_mipmaps_help_the_globe(tmp_path: Path) -> None:
 
 def test_the_environment_map_is_found(tmp_path: Path) -> None:
     """Catches faces of the cube map that are exchanged or mirrored."""
-    printed = run("environment.py", "--steps", 50, "--size", 64, "--map-size", 8, "--out", tmp_path / "map.png")
+    printed = run("environment.py", "--steps", 50, "--size", 64, "--map-size", 8, "--picture", tmp_path / "map.png")
     scores = [float(value) for value in re.findall(r"PSNR of the map (\S+) dB", printed)]
     assert scores[-1] > scores[0] + 4
 
 
 def test_the_pose_search_reports_its_success(tmp_path: Path) -> None:
     """Catches a search that makes the pose worse than its start."""
-    options = ("--starts", 2, "--steps", 60, "--size", 48, "--out", tmp_path / "pose.png")
+    options = ("--starts", 2, "--steps", 60, "--size", 48, "--picture", tmp_path / "pose.png")
     printed = run("pose.py", *options)
     assert re.search(r"\d of 2 starts found the pose within 2 degrees", printed)
 
 
 def test_the_soft_rectangle_reaches_its_target(tmp_path: Path) -> None:
     """Catches a soft rasterizer without gradients far from the edges."""
-    printed = run("soft_rectangle.py", "--steps", 250, "--size", 32, "--out", tmp_path / "rectangle.png")
+    printed = run("soft_rectangle.py", "--steps", 250, "--size", 32, "--picture", tmp_path / "rectangle.png")
     overlaps = [float(value) for value in re.findall(r"intersection over union (\S+)", printed)]
     assert overlaps[0] == 0
     assert overlaps[-1] > 0.8
+
+
+def test_the_cameras_are_adjusted(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches rotations that turn the wrong way, and an alignment that hides or invents errors."""
+    options = ("--size", 64, "--steps", 150, "--seed", int(rng.integers(1000)))
+    printed = run("bundle_adjustment.py", *options, "--picture", tmp_path / "cameras.png")
+    found = re.search(r"rotation error of the cameras: (\S+) degrees before, (\S+) degrees after", printed)
+    assert found is not None
+    before, after = map(float, found.groups())
+    assert before > 2
+    assert after < 0.7 * before
+
+
+def test_the_sphere_becomes_an_aeroplane(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches a sphere that shrinks or folds instead of growing wings."""
+    options = ("--size", 32, "--views", 16, "--steps", 100, "--batch", 3, "--subdivisions", 2)
+    printed = run(
+        "sphere_to_object.py", *options, "--seed", int(rng.integers(1000)), "--picture", tmp_path / "aeroplane.png"
+    )
+    overlaps = [float(value) for value in re.findall(r"intersection over union (\S+),", printed)]
+    distances = [float(value) for value in re.findall(r"Chamfer distance (\S+) ", printed)]
+    assert overlaps[1] > overlaps[0] + 0.1
+    assert distances[1] < 0.6 * distances[0]
+
+
+def test_the_ellipsoid_becomes_a_torus(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches depths that pull the surface towards the camera, so that the hole of the torus stays closed."""
+    options = ("--cells", 12, "--size", 32, "--views", 16, "--steps", 100, "--seed", int(rng.integers(1000)))
+    printed = run("marching_tetrahedra.py", *options, "--picture", tmp_path / "torus.png")
+    overlaps = [float(value) for value in re.findall(r"intersection over union (\S+),", printed)]
+    assert overlaps[1] > 0.85
+
+
+@pytest.mark.skipif(not CAPTURE.is_dir(), reason=f"needs the capture {CAPTURE}")
+def test_the_ellipsoid_becomes_a_fox(tmp_path: Path) -> None:
+    """Catches mattes and cameras that are cropped differently."""
+    options = ("--capture", CAPTURE, "--cells", 16, "--steps", 80, "--picture", tmp_path / "fox.png")
+    printed = run("marching_tetrahedra.py", *options)
+    overlaps = [float(value) for value in re.findall(r"intersection over union (\S+)", printed)]
+    assert overlaps[1] > 0.8
