@@ -45,7 +45,7 @@ void blend_backward(const Arguments::Colours& colours, const Arguments::Rast& ra
 void bind_antialias(nb::module_& module) {
     module.def("antialias", &blend, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("opposite"), nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               nb::arg("codes"), "See fourd.ops.antialias.op for what it computes.");
+               nb::arg("codes"), "Documented in fourd.ops.antialias.op.");
     module.def("antialias_backward", &blend_backward, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("codes"),
                nb::arg("boost"), nb::arg("out_color").none(), nb::arg("out_pos").none());

@@ -30,7 +30,7 @@ void compute(const Arguments::Colours& colours, const Arguments::Rast& rast, con
 void bind_edge_gradients(nb::module_& module) {
     module.def("edge_gradients", &compute, nb::arg("color"), nb::arg("rast"), nb::arg("pos"), nb::arg("tri"),
                nb::arg("opposite"), nb::arg("instanced"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"),
-               nb::arg("out_pos"), "See fourd.ops.edge_gradients.op for what it computes.");
+               nb::arg("out_pos"), "Documented in fourd.ops.edge_gradients.op.");
 }
 
 }  // namespace fourd

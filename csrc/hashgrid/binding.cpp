@@ -48,7 +48,7 @@ void encode_backward(const PointsIn& coordinates, const RowsIn& table, const std
 void bind_hashgrid(nb::module_& module) {
     module.def("encode_hash_grid", &encode, nb::arg("coordinates"), nb::arg("table"), nb::arg("resolutions"),
                nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               "See fourd.ops.hashgrid.op for what it computes.");
+               "Documented in fourd.ops.hashgrid.op.");
     module.def("encode_hash_grid_backward", &encode_backward, nb::arg("coordinates"), nb::arg("table"),
                nb::arg("resolutions"), nb::arg("log2_entries"), nb::arg("threads"), nb::arg("simd"),
                nb::arg("gradient"), nb::arg("out_table").none(), nb::arg("out_coordinates").none());

@@ -49,7 +49,7 @@ void interpolate_attributes_backward(const AttributesIn& attr, const ImageIn& ra
 void bind_interpolate(nb::module_& module) {
     module.def("interpolate_attributes", &interpolate_attributes, nb::arg("attr"), nb::arg("rast"), nb::arg("tri"),
                nb::arg("rast_db").none(), nb::arg("diff"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"),
-               nb::arg("out_da"), "See fourd.ops.interpolate.op for what it computes.");
+               nb::arg("out_da"), "Documented in fourd.ops.interpolate.op.");
     module.def("interpolate_attributes_backward", &interpolate_attributes_backward, nb::arg("attr"), nb::arg("rast"),
                nb::arg("tri"), nb::arg("rast_db").none(), nb::arg("diff"), nb::arg("threads"), nb::arg("simd"),
                nb::arg("grad_out"), nb::arg("grad_da"), nb::arg("grad_attr").none(), nb::arg("grad_rast").none(),

@@ -43,7 +43,7 @@ void sample_planes_backward(const Arguments::Coordinates& coordinates, const std
 
 void bind_planes(nb::module_& module) {
     module.def("sample_planes", &sample_planes, nb::arg("coordinates"), nb::arg("planes"), nb::arg("axes"),
-               nb::arg("threads"), nb::arg("simd"), nb::arg("out"), "See fourd.ops.planes.op for what it computes.");
+               nb::arg("threads"), nb::arg("simd"), nb::arg("out"), "Documented in fourd.ops.planes.op.");
     module.def("sample_planes_backward", &sample_planes_backward, nb::arg("coordinates"), nb::arg("planes"),
                nb::arg("axes"), nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("out_planes"),
                nb::arg("out_coordinates").none());

@@ -47,7 +47,7 @@ void rasterize_triangles_backward(const PositionsIn& pos, const Arguments::Trian
 void bind_rasterize(nb::module_& module) {
     module.def("rasterize_triangles", &rasterize_triangles, nb::arg("pos"), nb::arg("tri"), nb::arg("ranges").none(),
                nb::arg("previous").none(), nb::arg("threads"), nb::arg("simd"), nb::arg("rast"),
-               nb::arg("rast_db").none(), "See fourd.ops.rasterize.op for what it computes.");
+               nb::arg("rast_db").none(), "Documented in fourd.ops.rasterize.op.");
     module.def("rasterize_triangles_backward", &rasterize_triangles_backward, nb::arg("pos"), nb::arg("tri"),
                nb::arg("ranges").none(), nb::arg("rast"), nb::arg("threads"), nb::arg("simd"), nb::arg("grad_rast"),
                nb::arg("grad_db").none(), nb::arg("grad_pos"));

@@ -36,8 +36,8 @@ void bind_shade(nb::module_& module) {
     module.def("shade", &shade_all, nb::arg("xyz"), nb::arg("sh"), nb::arg("blend_weights"), nb::arg("rgb"),
                nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"), nb::arg("sh_range"), nb::arg("sh_base"),
                nb::arg("threads"), nb::arg("simd"),
-               "Colour (N, 3) of baked points; float16 arrays come as their uint16 bits. "
-               "See fourd.ops.shade.op for what it computes.");
+               "Colour (N, 3) of baked points; float16 arrays are passed as uint16 with the same bits. "
+               "Documented in fourd.ops.shade.op.");
 }
 
 }  // namespace fourd

@@ -55,7 +55,7 @@ void build_mips(const Arguments::Level& texture, int threads, const std::string&
 void bind_texture(nb::module_& module) {
     module.def("sample_texture", &sample_texture, nb::arg("levels"), nb::arg("uv"), nb::arg("uv_da").none(),
                nb::arg("bias").none(), nb::arg("filter"), nb::arg("boundary"), nb::arg("threads"), nb::arg("simd"),
-               nb::arg("out"), "See fourd.ops.texture.op for what it computes.");
+               nb::arg("out"), "Documented in fourd.ops.texture.op.");
     module.def("sample_texture_backward", &sample_texture_backward, nb::arg("levels"), nb::arg("uv"),
                nb::arg("uv_da").none(), nb::arg("bias").none(), nb::arg("filter"), nb::arg("boundary"),
                nb::arg("threads"), nb::arg("simd"), nb::arg("gradient"), nb::arg("is_chain"), nb::arg("out_levels"),

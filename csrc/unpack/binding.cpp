@@ -78,9 +78,9 @@ void unpack_views(const std::vector<Bytes>& contents, const Array<const std::uin
 
 void bind_unpack(nb::module_& module) {
     module.def("unpack_harmonics", &unpack_harmonics, nb::arg("content"), nb::arg("basis"), nb::arg("mean"),
-               nb::arg("simd"), nb::arg("out"), "See fourd.ops.unpack.op for what it computes.");
+               nb::arg("simd"), nb::arg("out"), "Documented in fourd.ops.unpack.op.");
     module.def("unpack_positions", &unpack_positions, nb::arg("content"), nb::arg("lower"), nb::arg("step"),
-               nb::arg("out"), "See fourd.ops.unpack.op for what it computes.");
+               nb::arg("out"), "Documented in fourd.ops.unpack.op.");
     module.def("unpack_views", &unpack_views, nb::arg("contents"), nb::arg("mean"), nb::arg("weights"),
                nb::arg("colour_step"), nb::arg("every_point_has_colours"), nb::arg("simd"), nb::arg("out_weights"),
                nb::arg("out_rgb"));

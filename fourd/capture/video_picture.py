@@ -71,7 +71,7 @@ def to_rgb(frame: av.VideoFrame, turn: int, transfer: str, scale: float) -> Pict
         frame: the decoded frame.
         turn: angle in degrees by which the image is turned counter-clockwise: 0, 90, 180 or 270.
         transfer: HDR transfer function of the frame, see :func:`transfer_of`.
-        scale: factor in (0, 1] on width and height. The size is rounded to whole pixels.
+        scale: factor in (0, 1] that multiplies width and height. The size is rounded to whole pixels.
     """
     if transfer:
         rgb = _tone_map(_hdr_signal(frame), transfer)

@@ -80,7 +80,7 @@ def match_calibrations(
         cameras: the source's cameras.
         indices: indices of the videos by camera name; their frames are already reduced.
         meant: frames that the calibrations belong to.
-        reduce: factor in (0, 1] on the size of the frames.
+        reduce: factor in (0, 1] that multiplies width and height of the frames.
 
     Returns:
         The cameras with the changed calibrations, and notes for the user.

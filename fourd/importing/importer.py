@@ -71,7 +71,7 @@ class ImportOptions:
             :func:`fourd.importing.time_offsets.correct_sound_travel`.
         resize, centres: see :func:`fourd.calibration.ambiguities.resolve_ambiguities`.
         calibrate: calibrate from the images even if the source has a calibration.
-        reduce: factor in (0, 1] by which the frames of videos are reduced.
+        reduce: factor in (0, 1] that multiplies width and height of the frames of videos.
         calibrated_frames: frames of rotated videos that the calibrations belong to; see
             :func:`fourd.importing.frame_geometry.match_calibrations`.
         distance: known distance between two cameras, which sets the unit.

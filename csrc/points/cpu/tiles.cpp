@@ -13,7 +13,7 @@ namespace {
 #include "tiles/lanes.h"
 
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
-#error "pairs of 16 bits are written as words, the first one low"
+#error "expected a little-endian processor, because two 16-bit values are written as one 32-bit word"
 #endif
 
 constexpr int kMaxChannels = 32;
