@@ -74,7 +74,7 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd render RUN|SCENE --out OUT  render images or a video
   fourd view SCENE|RUN              play a scene in a window
   fourd web SCENE -o DIR            write a web page that plays a scene
-  fourd serve SCENE|SITE            show a scene in the web browser
+  fourd serve SCENE|RUN             show a scene in the web browser
   fourd bench                       time kernels and stages on this machine
   fourd info FILE|DIR               describe a file or folder
 

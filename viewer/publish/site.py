@@ -13,10 +13,12 @@ from fourd.baking import SceneReader
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.pack import pack_scene
 from fourd.baking.packing.transcode import transcode_scene
+from fourd.baking.packing.writer import Storage
 from fourd.baking.player import Player
 from fourd.errors import UserError
 from fourd.files import atomic_folder, is_unused
 from fourd.progress import Track, untracked
+from fourd.viewer.navigation.paths import order_by_azimuth
 
 SCENE_NAME, PAGE_NAME, POSTER_NAME, PLAYER_FOLDER = "scene.4dv", "index.html", "poster.jpg", "player"
 _POSTER_SIDE = 960
@@ -59,10 +61,13 @@ def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked) -
     reader.close()
     if manifest.frame_count == 0 or not manifest.cameras:
         raise UserError(f"{source}: expected a scene with frames and cameras, got none; export the run again")
+    # Views that are blended together are neighbours in the file, so that players need fewer requests.
+    order = order_by_azimuth(manifest.source_cameras, manifest.focus) if manifest.source_cameras else []
+    storage = Storage("zlib", tuple(order))
     if is_packed:
-        transcode_scene(source, out, "zlib", track)
+        transcode_scene(source, out, storage, track)
     else:
-        pack_scene(source, out, tier, track, compression="zlib")
+        pack_scene(source, out, tier, track, storage=storage)
 
 
 def write_poster(scene: Path, out: Path) -> None:
@@ -77,11 +82,12 @@ def write_poster(scene: Path, out: Path) -> None:
     Image.fromarray(pixels[..., :3]).save(out, quality=85)
 
 
-def copy_player(folder: Path, title: str) -> None:
-    """Copy the page and the player's modules."""
+def copy_player(folder: Path, title: str, is_live: bool = False) -> None:
+    """Copy the page and the player's modules. With ``is_live``, the page shows later changes of the scene."""
     with as_file(files("fourd.viewer") / "web") as web:
         shutil.copytree(web, folder / PLAYER_FOLDER, ignore=shutil.ignore_patterns(*_NOT_SERVED))
         page = (web / "index.html").read_text(encoding="utf-8")
         page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{scene}}", SCENE_NAME)
+        page = page.replace("{{live}}", " live" if is_live else "")
         (folder / PAGE_NAME).write_text(page, encoding="utf-8")
         shutil.copyfile(web / "page.css", folder / "page.css")

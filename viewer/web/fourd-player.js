@@ -4,7 +4,7 @@ import { estimateUp, poseFromCamera } from "./navigate/pose.js";
 import { fromFragment, toFragment } from "./navigate/share_link.js";
 import { Stage } from "./play/stage.js";
 import { ByteSource } from "./scene/byte_source.js";
-import { SceneError, describeError } from "./scene/errors.js";
+import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
 import { Panel } from "./ui/panel.js";
 import { addShortcuts } from "./ui/shortcuts.js";
@@ -13,13 +13,18 @@ import { STYLE } from "./ui/style.js";
 
 const SPINNER_DELAY_MS = 300;
 const QUIET_MS = 3000;
+/** Time between two questions to the server whether the scene has changed. */
+const LIVE_MS = 2000;
+
+/** What an element keeps when it opens a changed scene. @typedef {{pose: Pose, seconds: number, isPlaying: boolean}} Kept */
 
 /**
  * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
  *
  * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
  * (a colour such as #203040), `mode="reference"` (exact depth peeling), `links` (the page's address holds view and time),
- * `timeout` (seconds without data after which a request is repeated, 15 by default).
+ * `timeout` (seconds without data after which a request is repeated, 15 by default), `live` (the scene is opened again
+ * when it changes on the server).
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
@@ -55,11 +60,13 @@ export class FourdPlayer extends HTMLElement {
     if (poster) Object.assign(this.panel.poster, { src: poster, hidden: false });
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this);
+    if (this.hasAttribute("live")) this.liveTimer = setInterval(() => this.#openIfChanged(), LIVE_MS);
     this.#open();
   }
 
   disconnectedCallback() {
     this.observer?.disconnect();
+    clearInterval(this.liveTimer);
     this.#close();
   }
 
@@ -171,7 +178,20 @@ export class FourdPlayer extends HTMLElement {
     });
   }
 
-  async #open() {
+  async #openIfChanged() {
+    const { stage } = this;
+    if (stage && (await stage.store.file.source.hasChanged()) && stage === this.stage) this.#openAgain();
+  }
+
+  #openAgain() {
+    const { stage } = this;
+    if (!stage) return;
+    const { seconds, isPlaying } = stage.clock;
+    this.#open({ pose: stage.pose, seconds, isPlaying });
+  }
+
+  /** @param {Kept} [kept] */
+  async #open(kept) {
     this.#close();
     const src = this.getAttribute("src");
     if (!src) return;
@@ -186,7 +206,7 @@ export class FourdPlayer extends HTMLElement {
       const source = new ByteSource(new URL(src, document.baseURI).href, 1000 * seconds);
       const file = await SceneFile.open(source);
       if (generation !== this.generation) return pool.release();
-      this.#start(file, pool, started);
+      this.#start(file, pool, started, kept);
     } catch (error) {
       if (generation === this.generation) this.#fail(error);
     }
@@ -196,8 +216,9 @@ export class FourdPlayer extends HTMLElement {
    * @param {SceneFile} file
    * @param {DecodePool} pool
    * @param {number} started
+   * @param {Kept} [kept]
    */
-  #start(file, pool, started) {
+  #start(file, pool, started, kept) {
     const { manifest } = file;
     if (manifest.points.length === 0) throw new SceneError("The scene has no frames; export it again");
     if (manifest.cameras.length === 0) throw new SceneError("The scene has no cameras; export it again");
@@ -214,6 +235,11 @@ export class FourdPlayer extends HTMLElement {
     if (linked.pose) stage.setPose(linked.pose);
     if (linked.seconds !== undefined) stage.clock.seek(Math.round(linked.seconds * manifest.fps));
     stage.clock.isPlaying = this.hasAttribute("autoplay");
+    if (kept) {
+      stage.setPose(kept.pose);
+      stage.clock.seek(Math.round(kept.seconds * manifest.fps));
+      stage.clock.isPlaying = kept.isPlaying;
+    }
     this.#run(stage, started);
   }
 
@@ -255,6 +281,10 @@ export class FourdPlayer extends HTMLElement {
   /** @param {unknown} error */
   #fail(error) {
     if (error instanceof DOMException && error.name === "AbortError") return;
+    if (error instanceof ChangedError && this.hasAttribute("live")) {
+      this.#openAgain();
+      return;
+    }
     this.panel.spinner.hidden = true;
     this.panel.showError(describeError(error));
     if (this.stage) this.stage.clock.isPlaying = false;

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from fourd.baking.container import SceneReader, frame_folder
 from fourd.baking.files.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.baking.packed.members import encode_cloud, morton_sorted, optional_member
-from fourd.baking.packed.streams import Compression, compress
+from fourd.baking.packed.streams import compress
 from fourd.baking.packing.bounds import check_bounds
 from fourd.baking.packing.fit import PRECISIONS, fit_encoding, merge_samples, sample_cloud
 from fourd.baking.packing.light import LIGHT_SH_BASE, LIGHT_SH_RANGE, LightFit
-from fourd.baking.packing.writer import PackedWriter
+from fourd.baking.packing.writer import PackedWriter, Storage
 from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
@@ -46,7 +46,7 @@ def pack_scene(
     track: Track = untracked,
     *,
     coarseness: int = 1,
-    compression: Compression = "zstd",
+    storage: Storage | None = None,
 ) -> PackReport:
     """Write the scene ``source`` as a packed scene of a tier. Frames are read twice, one at a time.
 
@@ -56,7 +56,7 @@ def pack_scene(
         tier: see :data:`fourd.baking.files.encoding.Tier`.
         track: reports progress.
         coarseness: factor by which all steps are larger than those of the tier.
-        compression: compression of the members. Web browsers read "zlib" alone.
+        storage: compression and order of the members.
 
     Raises:
         UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.
@@ -64,7 +64,7 @@ def pack_scene(
     reader = SceneReader(source)
     try:
         packer = _Packer(reader, tier, coarseness, range(reader.manifest.frame_count), track)
-        return packer.write(out, track, compression)
+        return packer.write(out, track, storage)
     finally:
         reader.close()
 
@@ -108,10 +108,10 @@ class _Packer:
         frame = self.convert(self.reader.read_dynamic(index))
         return _members(frame, self.encoding.dynamic, morton_sorted(frame, self.encoding.dynamic))
 
-    def write(self, out: Path, track: Track, compression: Compression) -> PackReport:
+    def write(self, out: Path, track: Track, storage: Storage | None) -> PackReport:
         """Write all frames and the background."""
         frames = range(self.manifest.frame_count)
-        with PackedWriter(out, self.manifest, compression) as writer:
+        with PackedWriter(out, self.manifest, storage) as writer:
             order: NDArray[np.int64] | None = None
             if self.background is not None and self.encoding.background is not None:
                 order = morton_sorted(self.background, self.encoding.background)

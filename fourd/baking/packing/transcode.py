@@ -7,14 +7,14 @@ from pathlib import Path
 from fourd.baking.container import BACKGROUND, SceneReader, frame_folder
 from fourd.baking.files.encoding import SH_NUMBERS, CloudEncoding
 from fourd.baking.packed.members import packed_names
-from fourd.baking.packed.streams import Compression, decompress
-from fourd.baking.packing.writer import PackedWriter
+from fourd.baking.packed.streams import decompress
+from fourd.baking.packing.writer import PackedWriter, Storage
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 
-def transcode_scene(source: Path, out: Path, compression: Compression, track: Track = untracked) -> None:
-    """Write the packed scene ``source`` as ``out`` with a compression. Every frame is checked.
+def transcode_scene(source: Path, out: Path, storage: Storage, track: Track = untracked) -> None:
+    """Write the packed scene ``source`` as ``out`` with another compression and order of members. Frames are checked.
 
     Raises:
         UserError: if ``source`` is damaged or is not a packed scene, or if ``out`` cannot be written.
@@ -24,7 +24,7 @@ def transcode_scene(source: Path, out: Path, compression: Compression, track: Tr
         manifest = reader.manifest
         if manifest.encoding is None:
             raise UserError(f"{source}: expected a packed scene, got version {manifest.version}; use fourd pack first")
-        with PackedWriter(out, manifest, compression) as writer:
+        with PackedWriter(out, manifest, storage) as writer:
             background = reader.read_background()
             if background is not None and manifest.encoding.background is not None:
                 points = background.point_count

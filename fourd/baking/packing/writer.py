@@ -11,14 +11,14 @@ import zipfile
 import zlib
 from collections.abc import Mapping
 from contextlib import ExitStack, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 
 from fourd.baking.container import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder
 from fourd.baking.files.archive import disk_errors, make_member, open_zip
 from fourd.baking.manifest import manifest_to_json
-from fourd.baking.packed.members import packed_names
+from fourd.baking.packed.members import packed_names, view_member
 from fourd.baking.packed.streams import Compression, compress
 from fourd.baking.scene import PACKED_VERSION, SceneManifest
 from fourd.files import atomic_path
@@ -32,6 +32,20 @@ _CRC_OFFSET = 14
 """Position of the checksum in the local header of a member (ZIP appnote 4.3.7)."""
 
 
+@dataclass(frozen=True)
+class Storage:
+    """How a packed scene is stored.
+
+    Attributes:
+        compression: compression of all members. Web browsers read "zlib" alone.
+        view_order: order of the source views inside each cloud's part of the file. Players on a network read views that
+            are neighbours in the file with one request. Empty for the order of the manifest.
+    """
+
+    compression: Compression = "zstd"
+    view_order: tuple[int, ...] = ()
+
+
 class PackedWriter:
     """Writes a packed scene member by member. Memory use does not grow with the number of frames.
 
@@ -41,16 +55,16 @@ class PackedWriter:
     Args:
         path: path of the `.4dv`. A missing folder is created.
         manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``.
-        compression: compression of all members. Web browsers read "zlib" alone.
+        storage: compression and order of the members.
 
     Raises:
         UserError: if the disk is full or the path cannot be written.
     """
 
-    def __init__(self, path: Path | str, manifest: SceneManifest, compression: Compression = "zstd") -> None:
+    def __init__(self, path: Path | str, manifest: SceneManifest, storage: Storage | None = None) -> None:
         self.path = Path(path)
         self.manifest = replace(manifest, version=PACKED_VERSION)
-        self._compression = compression
+        self._storage = storage or Storage()
         self._stack = ExitStack()
         self._zip: zipfile.ZipFile | None = None
         self._temporary = self.path
@@ -97,8 +111,10 @@ class PackedWriter:
     def _add(self, folder: str, members: Mapping[str, bytes]) -> int:
         assert self._zip is not None
         total = 0
-        for name, content in members.items():
-            compressed = compress(content, self._compression)
+        views = [view_member(view) for view in self._storage.view_order]
+        names = [name for name in members if name not in views] + [name for name in views if name in members]
+        for name in names:
+            compressed = compress(members[name], self._storage.compression)
             with disk_errors(self.path):
                 self._zip.writestr(make_member(f"{folder}/{name}"), compressed)
             self._sizes[f"{folder}/{name}"] = len(compressed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from fourd.baking import SceneReader
 from fourd.baking.packed.streams import StreamError, compress, decompress
 from fourd.baking.packing.pack import pack_scene
 from fourd.baking.packing.transcode import transcode_scene
+from fourd.baking.packing.writer import Storage
 from fourd.cli.main import main
 from fourd.errors import UserError
 from fourd.viewer.publish.site import SCENE_NAME, write_site
@@ -34,12 +36,15 @@ def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
     """Catches points that are quantised a second time, and members that stay in Zstandard."""
     write_full_scene(tmp_path / "scene.4dv")
     pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", "full")
-    transcode_scene(tmp_path / "packed.4dv", tmp_path / "web.4dv", "zlib")
+    transcode_scene(tmp_path / "packed.4dv", tmp_path / "web.4dv", Storage("zlib", (2, 0, 1)))
     packed, web = SceneReader(tmp_path / "packed.4dv"), SceneReader(tmp_path / "web.4dv")
     for index in range(packed.manifest.frame_count):
         for name, array in packed.read(index).arrays.items():
             np.testing.assert_array_equal(web.read(index).arrays[name], array)
     assert web.read_member("frames/000000/points")[0] == 0x78
+    with zipfile.ZipFile(tmp_path / "web.4dv") as archive:
+        views = [name[-3:] for name in archive.namelist() if name.startswith("frames/000000/views/")]
+    assert views == ["003", "004", "005", "002", "000", "001"]
     packed.close()
     web.close()
 
@@ -75,7 +80,7 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "next: fourd serve" in capsys.readouterr().err.replace("\n", " ")
     for words, expected in (
         (["web", str(tmp_path / "none.4dv"), "-o", str(tmp_path / "other")], "expected a .4dv file"),
-        (["serve", str(tmp_path)], "expected a .4dv file or a folder of fourd web, got another folder"),
+        (["serve", str(tmp_path)], "expected a .4dv file, a run or a folder of fourd web, got another folder"),
         (["serve", str(tmp_path / "none.4dv"), "--port", "0"], "expected a .4dv file"),
         (["serve", str(tmp_path / "site"), "--port", "70000"], "--port: expected 0 to 65535, got 70000"),
     ):

@@ -7,6 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
 
+from rich.console import Console
+
+from fourd.viewer.publish.live import LiveSite
 from fourd.viewer.publish.server import Part, SiteHandler, SiteServer
 from fourd.viewer.publish.site import SCENE_NAME, write_scene
 from tests.baking.scenes import write_scene as write_random_scene
@@ -103,3 +106,24 @@ def test_a_missing_scene(open_page: Callable[..., PlayerPage], object_site: Path
     with serving(site) as server:
         page = open_page(server.url)
         assert page.error() == f"{server.url}{SCENE_NAME}: expected a scene, got HTTP status 404; check the address"
+
+
+def test_a_live_page_shows_changes(open_page: Callable[..., PlayerPage], tmp_path: Path) -> None:
+    """Catches a page that keeps the old scene, or loses the view or the time when it opens the new one."""
+    scene = tmp_path / "scene.4dv"
+    write_random_scene(scene, frames=3, points=50)
+    live = LiveSite(scene, tmp_path / "site", "light", Console(quiet=True))
+    with serving(tmp_path / "site") as server:
+        page = open_page(server.url)
+        page.pause(2)
+        page.run("player.moveToCamera(3);")
+        pose = page.run("return stage.pose;")
+        assert not live.update()
+        write_random_scene(scene, frames=4, points=70)
+        assert live.update()
+        page.wait("stage && stage.manifest.points[0] === 70 && stage.isSettled")
+        assert page.run("return [stage.pose, stage.clock.frame, stage.clock.isPlaying];") == [pose, 2, False]
+        scene.write_bytes(b"not a scene")
+        assert not live.update()
+        assert page.message() == ""
+    assert page.problems == []

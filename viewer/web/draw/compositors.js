@@ -60,6 +60,8 @@ export class SortedCompositor {
   release() {
     this.target?.release();
     this.target = null;
+    this.pass.sprite.release();
+    this.pass.quad.release();
   }
 }
 
@@ -112,6 +114,12 @@ export class PeelingCompositor {
   }
 
   release() {
+    this.#releaseTargets();
+    for (const program of [this.peel.sprite, this.peel.quad, this.copy]) program.release();
+    this.gl.deleteVertexArray(this.emptyArray);
+  }
+
+  #releaseTargets() {
     for (const target of [...this.layers, this.sum]) target?.release();
     this.layers = [];
     this.sum = null;
@@ -143,7 +151,7 @@ export class PeelingCompositor {
   #resize(width, height) {
     const { gl } = this;
     if (this.sum && this.sum.width === width && this.sum.height === height) return this.sum;
-    this.release();
+    this.#releaseTargets();
     this.layers = [0, 1].map(
       () => new Target(gl, width, height, [gl.RGBA16F, gl.R32F], gl.DEPTH_COMPONENT24, gl.DEPTH_ATTACHMENT),
     );

@@ -116,6 +116,14 @@ export class Discs {
     gl.viewport(0, 0, width, height);
   }
 
+  release() {
+    const { gl } = this;
+    for (const buffer of [this.order, this.discs]) gl.deleteBuffer(buffer);
+    for (const array of [this.shadeArray, this.quadArray, this.spriteArray]) gl.deleteVertexArray(array);
+    gl.deleteTransformFeedback(this.feedback);
+    this.shade.release();
+  }
+
   #makeArrays() {
     const { gl } = this;
     gl.bindVertexArray(this.shadeArray);

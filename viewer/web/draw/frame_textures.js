@@ -84,6 +84,17 @@ export class FrameTextures {
     return layers;
   }
 
+  release() {
+    const { gl } = this;
+    for (const texture of [this.xyz, this.sizes, this.views, this.harmonics, this.shadow, this.factors]) {
+      gl.deleteTexture(texture);
+    }
+    for (const buffer of this.bases) gl.deleteBuffer(buffer);
+    gl.deleteFramebuffer(this.target);
+    gl.deleteVertexArray(this.emptyArray);
+    this.program.release();
+  }
+
   #checkLimits() {
     const { gl } = this;
     const most = gl.getParameter(gl.MAX_TEXTURE_SIZE);

@@ -40,6 +40,10 @@ export class Program {
     this.gl.useProgram(this.program);
   }
 
+  release() {
+    this.gl.deleteProgram(this.program);
+  }
+
   /** @param {string} name */
   location(name) {
     if (!this.locations.has(name)) this.locations.set(name, this.gl.getUniformLocation(this.program, name));

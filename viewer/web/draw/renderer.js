@@ -87,6 +87,15 @@ export class Renderer {
     return flipped;
   }
 
+  /** Deletes all objects of WebGL. The canvas keeps its context. */
+  release() {
+    for (const compositor of Object.values(this.compositors)) compositor.release();
+    this.textures.release();
+    this.discs.release();
+    this.overBackground.release();
+    this.gl.deleteVertexArray(this.emptyArray);
+  }
+
   /** @param {Mode} mode */
   #compositor(mode) {
     this.compositors[mode] ??=

@@ -125,6 +125,8 @@ export class Stage {
   }
 
   release() {
+    this.renderer?.release();
+    this.renderer = null;
     this.sorter.release();
     this.store.release();
   }

@@ -1,4 +1,4 @@
-import { SceneError } from "./errors.js";
+import { ChangedError, SceneError } from "./errors.js";
 
 const ATTEMPTS = 3;
 const WHOLE_FILE_LIMIT = 2 ** 30;
@@ -62,6 +62,16 @@ export class ByteSource {
     return bytes;
   }
 
+  /** Asks the server whether the file has changed. Without an answer, it has not. */
+  async hasChanged() {
+    try {
+      const response = await fetch(this.url, { method: "HEAD", cache: "no-store" });
+      return response.ok && this.version !== null && tagOf(response) !== this.version.tag;
+    } catch {
+      return false;
+    }
+  }
+
   /**
    * @param {number} offset
    * @param {number} size
@@ -76,7 +86,7 @@ export class ByteSource {
       stall.reset();
       if (response.status === 416) {
         const size = response.headers.get("Content-Range")?.split("/")[1];
-        if (this.version && size !== undefined && size !== this.version.size) throw hasChanged();
+        if (this.version && size !== undefined && size !== this.version.size) throw new ChangedError();
         return new Uint8Array(0);
       }
       if (response.status !== 200 && response.status !== 206) {
@@ -98,8 +108,8 @@ export class ByteSource {
   #checkVersion(response) {
     const { headers } = response;
     const size = headers.get("Content-Range")?.split("/")[1] ?? headers.get("Content-Length");
-    const tag = headers.get("ETag") ?? headers.get("Last-Modified");
-    if (this.version && (this.version.tag !== tag || this.version.size !== size)) throw hasChanged();
+    const tag = tagOf(response);
+    if (this.version && (this.version.tag !== tag || this.version.size !== size)) throw new ChangedError();
     this.version = { tag, size };
   }
 
@@ -262,8 +272,9 @@ function within(promise, ms) {
   });
 }
 
-function hasChanged() {
-  return new SceneError("The scene has changed on the server. Reload the page.");
+/** @param {Response} response */
+function tagOf(response) {
+  return response.headers.get("ETag") ?? response.headers.get("Last-Modified");
 }
 
 /** @param {number} ms */

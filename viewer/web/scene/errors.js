@@ -1,6 +1,13 @@
 /** The error that the user can read: one line with what was expected, what was found, and the fix. */
 export class SceneError extends Error {}
 
+/** The scene has another content than when it was opened. */
+export class ChangedError extends SceneError {
+  constructor() {
+    super("The scene has changed on the server. Reload the page.");
+  }
+}
+
 /**
  * Returns the text that the page shows for an error.
  * @param {unknown} error

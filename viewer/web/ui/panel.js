@@ -1,3 +1,5 @@
+import { setIcon } from "./icons.js";
+
 /** Speeds of playback that the player offers. */
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 
@@ -30,18 +32,18 @@ export class Panel {
     this.message = element("div", { className: "message", hidden: true });
     this.message.setAttribute("role", "alert");
     this.help = makeHelp();
-    this.play = button("▶", "Play or pause (Space)");
+    this.play = button("play", "Play or pause (Space)");
     this.scrub = element("input", { type: "range", min: "0", max: "0", step: "1", value: "0", title: "Time" });
     this.scrub.setAttribute("aria-label", "Frame");
     this.time = element("span", { className: "time" });
     this.speed = element("select", { title: "Speed" });
     for (const value of SPEEDS) this.speed.append(new Option(`${value}×`, String(value)));
-    this.loop = button("⟳", "Loop (L)");
+    this.loop = button("loop", "Loop (L)");
     this.camera = element("select", { title: "Cameras of the capture" });
-    this.shoot = button("⤓", "Save the image (I)");
-    this.link = button("🔗", "Copy a link to this view (C)");
-    this.full = button("⛶", "Full screen (F)");
-    this.question = button("?", "Controls");
+    this.shoot = button("save", "Save the image (I)");
+    this.link = button("link", "Copy a link to this view (C)");
+    this.full = button("full", "Full screen (F)");
+    this.question = button("help", "Controls");
     this.bar = element("div", { className: "bar" });
     this.bar.append(this.play, this.scrub, this.time, this.loop, this.speed, this.camera);
     this.bar.append(this.shoot, this.link, this.full, this.question);
@@ -92,7 +94,7 @@ export class Panel {
    */
   showTime(clock) {
     const last = clock.frames - 1;
-    setText(this.play, clock.isPlaying ? "❚❚" : "▶");
+    setIcon(this.play, clock.isPlaying ? "pause" : "play");
     setText(this.time, `${(clock.frame / clock.fps).toFixed(2)} / ${(last / clock.fps).toFixed(2)} s`);
     if (this.scrub.max !== String(last)) this.scrub.max = String(last);
     if (this.scrub.value !== String(clock.frame)) this.scrub.value = String(clock.frame);
@@ -114,11 +116,12 @@ function makeHelp() {
 }
 
 /**
- * @param {string} text
+ * @param {import("./icons.js").IconName} icon
  * @param {string} title
  */
-function button(text, title) {
-  const made = element("button", { type: "button", textContent: text, title });
+function button(icon, title) {
+  const made = element("button", { type: "button", title });
+  setIcon(made, icon);
   made.setAttribute("aria-label", title);
   return made;
 }

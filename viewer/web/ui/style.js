@@ -13,7 +13,8 @@ canvas:active { cursor: grabbing; }
 .bar input[type="range"] { flex: 1 1 120px; min-width: 80px; accent-color: var(--fourd-accent, #4da3ff); }
 button, select { background: rgb(40 40 40 / 80%); color: inherit; border: 1px solid rgb(255 255 255 / 20%);
   border-radius: 6px; font: inherit; height: 30px; padding: 0 8px; cursor: pointer; }
-button { min-width: 32px; }
+button { min-width: 32px; padding: 0; }
+svg { width: 20px; height: 20px; fill: currentColor; vertical-align: middle; }
 button:hover, select:hover { background: rgb(80 80 80 / 90%); }
 button[aria-pressed="true"] { border-color: var(--fourd-accent, #4da3ff); }
 button:focus-visible, select:focus-visible, input:focus-visible { outline: 2px solid var(--fourd-accent, #4da3ff); }

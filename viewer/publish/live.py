@@ -1,0 +1,101 @@
+"""A site that follows its source: a scene that is exported again, or a run while it trains."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from contextlib import suppress
+from pathlib import Path
+
+from rich.console import Console
+
+from fourd.baking.files.encoding import Tier
+from fourd.errors import UserError
+from fourd.progress import Tracker
+from fourd.viewer.publish.site import POSTER_NAME, SCENE_NAME, copy_player, write_poster, write_scene
+
+_POLL_SECONDS = 2.0
+
+
+class LiveSite:
+    """Writes the site of a source, and updates its scene when the source changes.
+
+    Args:
+        source: a `.4dv` file or a run.
+        folder: the folder of the site. It must not exist.
+        tier: tier to which an unpacked scene is packed.
+        console: prints progress and errors of updates.
+
+    Raises:
+        UserError: if the source is not a scene and not a run with a checkpoint.
+    """
+
+    def __init__(self, source: Path, folder: Path, tier: Tier, console: Console) -> None:
+        self._source = source
+        self._folder = folder
+        self._tier = tier
+        self._console = console
+        self._stopped = threading.Event()
+        self._version = self._read_version()
+        folder.mkdir(parents=True)
+        self._write()
+        copy_player(folder, source.stem, is_live=True)
+
+    def update(self) -> bool:
+        """Write the scene again if the source has changed. Returns whether it was written.
+
+        An error keeps the last scene. It is printed once per version of the source.
+        """
+        version = self._read_version()
+        if version in (self._version, ""):
+            return False
+        try:
+            self._write()
+        except FileNotFoundError:
+            return False  # Training has replaced the checkpoint. The next call reads the new one.
+        except (UserError, OSError) as error:
+            self._version = version
+            self._console.print(f"{self._source}: not updated: {error}", soft_wrap=True, markup=False)
+            return False
+        self._version = version
+        return True
+
+    def watch(self) -> None:
+        """Call :meth:`update` every two seconds until :meth:`stop`."""
+        while not self._stopped.wait(_POLL_SECONDS):
+            self.update()
+
+    def stop(self) -> None:
+        """End :meth:`watch`."""
+        self._stopped.set()
+
+    def _read_version(self) -> str:
+        """Return a text that changes with the source, or an empty text if the source is missing for the moment."""
+        with suppress(OSError):
+            if self._source.is_dir():
+                checkpoints = (self._source / "checkpoints").glob("*.safetensors")
+                return max((path.name for path in checkpoints if path.stem.isdecimal()), default="")
+            status = self._source.stat()
+            return f"{status.st_mtime_ns} {status.st_size} {status.st_ino}"
+        return ""
+
+    def _write(self) -> None:
+        track = Tracker(self._console).track
+        with tempfile.TemporaryDirectory(dir=self._folder.parent) as temporary:
+            scene = self._source
+            if scene.is_dir():
+                scene = Path(temporary) / "baked.4dv"
+                _bake(self._source, scene, self._console)
+            written = Path(temporary) / SCENE_NAME
+            write_scene(scene, written, self._tier, track)
+            write_poster(written, Path(temporary) / POSTER_NAME)
+            for name in (POSTER_NAME, SCENE_NAME):
+                (Path(temporary) / name).replace(self._folder / name)
+
+
+def _bake(run: Path, scene: Path, console: Console) -> None:
+    """Bake the newest checkpoint of a run. Imports torch, which scenes do not need."""
+    from fourd.baking.bake import bake_run
+    from fourd.training.run import load_run
+
+    bake_run(load_run(run), scene, console)
