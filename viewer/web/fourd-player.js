@@ -49,6 +49,8 @@ export class FourdPlayer extends HTMLElement {
     /** Milliseconds from the start of loading to the first image. */
     this.firstImageMs = 0;
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
+    /** Follows links that the user opens while the page is shown. */
+    this.followLink = () => this.#follow(location.hash);
     this.#listen();
     addShortcuts(this);
   }
@@ -60,6 +62,7 @@ export class FourdPlayer extends HTMLElement {
     if (poster) Object.assign(this.panel.poster, { src: poster, hidden: false });
     this.observer = new ResizeObserver(() => this.#resize());
     this.observer.observe(this);
+    if (this.hasAttribute("links")) window.addEventListener("hashchange", this.followLink);
     if (this.hasAttribute("live")) this.liveTimer = setInterval(() => this.#openIfChanged(), LIVE_MS);
     this.#open();
   }
@@ -67,6 +70,7 @@ export class FourdPlayer extends HTMLElement {
   disconnectedCallback() {
     this.observer?.disconnect();
     clearInterval(this.liveTimer);
+    window.removeEventListener("hashchange", this.followLink);
     this.#close();
   }
 
@@ -231,9 +235,7 @@ export class FourdPlayer extends HTMLElement {
     if (this.getAttribute("mode") === "reference") stage.mode = "reference";
     stage.background = parseColour(this.getAttribute("background"));
     this.panel.setCameras(manifest.cameras.map((camera) => camera.name));
-    const linked = this.hasAttribute("links") ? fromFragment(location.hash, up) : {};
-    if (linked.pose) stage.setPose(linked.pose);
-    if (linked.seconds !== undefined) stage.clock.seek(Math.round(linked.seconds * manifest.fps));
+    if (this.hasAttribute("links")) this.#follow(location.hash);
     stage.clock.isPlaying = this.hasAttribute("autoplay");
     if (kept) {
       stage.setPose(kept.pose);
@@ -241,6 +243,18 @@ export class FourdPlayer extends HTMLElement {
       stage.clock.isPlaying = kept.isPlaying;
     }
     this.#run(stage, started);
+  }
+
+  /**
+   * Shows the view and the time of a link.
+   * @param {string} fragment
+   */
+  #follow(fragment) {
+    const { stage } = this;
+    if (!stage) return;
+    const { pose, seconds } = fromFragment(fragment, stage.pose.up);
+    if (pose) stage.setPose(pose);
+    if (seconds !== undefined) stage.clock.seek(Math.round(seconds * stage.manifest.fps));
   }
 
   /**

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zipfile
 from pathlib import Path
 
@@ -30,6 +31,9 @@ def test_files_of_a_site(tmp_path: Path) -> None:
     page = (tmp_path / "site" / "index.html").read_text()
     assert "<title>&lt;b&gt;</title>" in page
     assert "{{" not in page
+    preloaded = re.findall(r'"modulepreload" href="([^"]+)"', page)
+    assert len(preloaded) > 20
+    assert set(preloaded) <= names
 
 
 def test_transcoding_keeps_the_points(tmp_path: Path) -> None:

@@ -109,6 +109,8 @@ def test_a_link_holds_view_and_time(play: PlayerPage, open_page: Callable[..., P
     for name in ("pivot", "rotation", "distance", "fieldOfView", "offset"):
         np.testing.assert_allclose(got[name], pose[name], atol=1e-5)
     assert "t=0.167" in link
+    other.page.evaluate("location.hash = 't=0.042'")
+    other.wait("stage.clock.frame === 1")
     damaged = open_page(link.partition("#")[0] + "#t=-1&view=1,2,NaN")
     damaged.ready()
     assert damaged.problems == []

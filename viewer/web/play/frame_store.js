@@ -114,10 +114,18 @@ export class FrameStore {
     return entry;
   }
 
+  /** Whether the frame that is wanted first cannot be drawn yet. */
+  #isUrgent() {
+    const first = this.wanted.find((number) => number !== BACKGROUND);
+    return first !== undefined && !this.isDrawable(first);
+  }
+
   #start() {
     let busy = [...this.entries.values()].filter((entry) => entry.isBusy).length;
+    // The first frame gets the whole network until it can be drawn.
+    const limit = this.#isUrgent() ? (this.manifest.background ? 2 : 1) : CONCURRENT;
     for (const number of this.wanted) {
-      if (busy >= CONCURRENT) return;
+      if (busy >= limit) return;
       const entry = this.#entry(number);
       if (entry.isBusy || entry.hasFailed || this.#isLoaded(number, entry)) continue;
       busy++;
@@ -143,6 +151,7 @@ export class FrameStore {
     entry.abort = new AbortController();
     const { signal } = entry.abort;
     try {
+      if (!entry.base && this.#isUrgent()) await this.#loadBase(number, entry, signal);
       const views = this.views.filter((view) => !entry.views.has(view));
       const reading = this.#readViews(number, views, signal);
       reading.catch(() => {}); // The error is reported where the views are awaited.

@@ -19,7 +19,7 @@ button:hover, select:hover { background: rgb(80 80 80 / 90%); }
 button[aria-pressed="true"] { border-color: var(--fourd-accent, #4da3ff); }
 button:focus-visible, select:focus-visible, input:focus-visible { outline: 2px solid var(--fourd-accent, #4da3ff); }
 .time { min-width: 84px; text-align: right; font-variant-numeric: tabular-nums; }
-.message { position: absolute; top: 12px; left: 12px; right: 12px; padding: 8px 12px; border-radius: 6px;
+.message { position: absolute; bottom: 96px; left: 12px; width: fit-content; max-width: calc(100% - 48px); padding: 8px 12px; border-radius: 6px;
   background: rgb(150 30 30 / 92%); overflow-wrap: anywhere; }
 .message.note { background: rgb(40 40 40 / 92%); }
 .help { position: absolute; top: 12px; left: 12px; padding: 10px 14px; border-radius: 6px; background: rgb(20 20 20 / 88%);
