@@ -27,7 +27,8 @@ MAX_PX = 800
 FEW_PICTURES = 3
 """Number of images that are searched before all images. Searching an image for all dictionaries is slow."""
 MAX_TRIALS = 60
-"""Number of random samples per homography. Most markers are right, and many sizes of boards are tried."""
+"""Number of random samples per homography. A small number is enough, because most markers are detected correctly, and it
+matters because many sizes of boards are tried."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
 """If a larger share of the markers lies at the expected places, no further size of the board is tried."""

@@ -136,7 +136,7 @@ def _read_cloud(file: Path) -> SplatCloud:
 
 
 def _extent(xyz: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Lower corner, upper corner and centre of most of the splats."""
+    """Lower and upper corner of a box that contains most of the splats, and the median position."""
     points = xyz.astype(np.float64)
     lower, middle, upper = np.percentile(points, [OUTLIERS, 50, 100 - OUTLIERS], axis=0)
     return lower, upper, middle

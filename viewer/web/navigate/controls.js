@@ -80,7 +80,7 @@ export class Controls {
    * @param {Pose} pose
    * @param {number} right
    * @param {number} down
-   * @param {number} before Distance of the fingers before the motion.
+   * @param {number} before Distance between the two fingers before the motion.
    */
   #touch(pose, right, down, before) {
     if (this.pointers.size === 1) return orbit(pose, 2 * Math.PI * right, 2 * Math.PI * down);

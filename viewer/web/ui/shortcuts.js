@@ -2,7 +2,8 @@ import { SPEEDS } from "./panel.js";
 /** @typedef {import("../fourd-player.js").FourdPlayer} FourdPlayer */
 
 /**
- * Handles the keys that control playback and the view. Keys are those of the viewer's window where both have them.
+ * Handles the keys that control playback and the view. For actions that the viewer's window also has, the keys are the
+ * same as in that window.
  * @param {FourdPlayer} player
  */
 export function addShortcuts(player) {
