@@ -78,7 +78,7 @@ class TriangleRenderer:
         colours = params[:, None, 6:].clamp(0, 1).expand(-1, 3, -1)
         self._buffer.write(torch.cat((corners, colours), 2).numpy().astype(np.float32).tobytes())
         self._target.use()
-        # clear() sets the ids to 0, which is a triangle, so the ids are then set to -1.
+        # clear() sets the ids to 0, but 0 is the id of a triangle, so the ids are then set to -1.
         self._target.clear()
         self._textures[1].write(np.full((self._size, self._size), -1, np.float32).tobytes())
         self._array.render(moderngl.TRIANGLES)

@@ -2,7 +2,7 @@
 
     python examples/triangles/bundle_adjustment.py
 
-Unknown are the poses of all cameras, and the centres, radii and textures of the spheres. The poses, centres and radii
+The poses of all cameras, and the centres, radii and textures of the spheres are unknown. The poses, centres and radii
 start with errors, and the textures start grey. Adam minimises the difference between the rendered and the given images
 at several scales. The first steps compare only coarse scales, because the difference of sharp images has many local
 minima. A rotation of a camera turns it around the centre of the scene, so that rotations and translations change the
@@ -38,7 +38,7 @@ COARSEST = 4
 """The coarsest scale of the comparison averages 2^4 x 2^4 pixels."""
 
 GRADIENT_BOOST = 3.0
-"""Antialiasing finds about a third of the silhouettes of these spheres, so their gradients count three times."""
+"""Antialiasing finds about a third of the silhouettes of these spheres, so the gradients are multiplied by 3."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def adjust(targets: Tensor, first: Scene, renderer: Renderer, arguments: Argumen
     optimizer = torch.optim.Adam([{"params": [value], "lr": rate} for value, rate in rates], betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: 0.02 ** (step / arguments.steps))
     for step in range(arguments.steps):
-        # The finest scale that counts falls from the coarsest one to single pixels in two thirds of the steps.
+        # In the first two thirds of the steps, the finest compared scale changes from the coarsest scale to pixels.
         finest = max(0, round(COARSEST * (1 - 1.5 * step / arguments.steps)))
         scene = Scene(rotation_matrix(turn) @ first.R_camera_world, translation, centre, log_radius.exp(), texels)
         difference = (renderer.render(scene) - targets).permute(0, 3, 1, 2)

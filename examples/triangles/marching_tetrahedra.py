@@ -7,9 +7,9 @@ The parameters are a signed distance and an offset for each vertex of a tetrahed
 first surface is an ellipsoid that fills the grid. In contrast to a deformed mesh, the surface can change its topology:
 an ellipsoid becomes a torus.
 
-A pixel whose silhouette is empty pushes the surface that it shows away from the camera, as if the true depth were
-behind the grid. Where the surface meets its back side, it vanishes. At the silhouettes, antialiasing gives the
-gradient. With ``--capture``, the silhouettes are the mattes of one frame and there are no depth images.
+At pixels outside the given silhouette, the visible surface is pushed away from the camera, as if the true depth were
+behind the grid. Where the front of the surface meets its back, the surface vanishes. At the silhouettes, the gradient
+comes from antialiasing. With ``--capture``, the silhouettes are the mattes of one frame and there are no depth images.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FIRST_RATE, LAST_RATE = 0.3, 0.01
 """Learning rate of the distances and the offsets at the start and at the end of the fit."""
 
 HELD_OUT = 5
-"""Every fifth camera of a capture is not fitted. The intersection over union is measured there."""
+"""Every fifth camera of a capture is held out. The intersection over union is measured in these cameras."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,8 @@ class View:
     Attributes:
         camera: pinhole camera.
         silhouette: (H, W) share of each pixel that the object covers.
-        depth: (H, W) camera depth of the object; a depth behind the grid where the silhouette is empty; NaN if unknown.
+        depth: (H, W) camera depth of the object. Where the silhouette is empty, it is a depth behind the grid. NaN
+            means unknown.
     """
 
     camera: Camera

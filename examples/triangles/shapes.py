@@ -107,7 +107,7 @@ def shaded(mesh: Mesh, camera: Camera) -> Tensor:
 
 
 def mean_iou(mesh: Mesh, cameras: list[Camera], silhouettes: list[Tensor]) -> float:
-    """Return the mean intersection over union with ``silhouettes``, each (H, W), with the threshold one half."""
+    """Return the mean intersection over union with ``silhouettes``, each (H, W). Values above 0.5 count as covered."""
     ratios, topology = [], antialias_construct_topology(mesh.tri)
     for camera, silhouette in zip(cameras, silhouettes, strict=True):
         a, b = draw(mesh, camera, topology)[0] > 0.5, silhouette > 0.5

@@ -27,8 +27,7 @@ MAX_PX = 800
 FEW_PICTURES = 3
 """Number of images that are searched before all images. Searching an image for all dictionaries is slow."""
 MAX_TRIALS = 60
-"""Number of random samples per homography. A small number is enough, because most markers are detected correctly, and it
-matters because many sizes of boards are tried."""
+"""Number of random samples per homography. A small number is enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
 """If a larger share of the markers lies at the expected places, no further size of the board is tried."""
@@ -227,7 +226,7 @@ def _contains(name: str, other: str, largest: int) -> bool:
 
 
 def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """The numbers of squares of a chessboard in the images, as keys of the board's file."""
+    """Search the images for a chessboard. Returns its numbers of squares, as keys of the board's file."""
     for picture in pictures:
         zoom = min(1.0, MAX_PX / max(picture.shape))
         reduced = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA), np.uint8)

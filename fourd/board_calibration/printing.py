@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 POINTS_PER_MM = 72 / 25.4
 PAGES_MM = {"a4": (210.0, 297.0), "a3": (297.0, 420.0), "a2": (420.0, 594.0), "letter": (215.9, 279.4)}
 MARGIN_MM = 5.0
-"""Smallest margin of the page, which most printers do not print on."""
+"""Smallest margin of the page. Most printers cannot print closer to the edge of the paper."""
 NOTE_MM = 8.0
 """Height below the board for the note and the ruler."""
 RULER_MM = 100.0

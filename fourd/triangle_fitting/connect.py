@@ -127,7 +127,7 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # A vertex of a hole starts as many open edges as it ends, so the starts of the edges are the hole's vertices.
+    # At each vertex of a hole, as many open edges start as end, so the starts of the edges are the hole's vertices.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

@@ -11,11 +11,12 @@ from fourd.cameras import Camera
 from fourd.triangle_fitting.soup import Soup
 
 MIN_WEIGHT = 0.022
-"""Triangles whose largest compositing weight since the last round is smaller are removed."""
+"""Triangles whose largest compositing weight since the last round is below this value are removed."""
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
-"""Triangles whose longest edge is longer in a training view are split in four. Smaller triangles are cloned."""
+"""Triangles whose longest edge exceeds this number of pixels in a training view are split in four. Smaller triangles
+are cloned."""
 CLONE_OFFSET = 0.2
 """Standard deviation of the offset of a clone in the plane of its triangle, as a share of the edges."""
 

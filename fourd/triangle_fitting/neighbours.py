@@ -29,7 +29,8 @@ class Neighbours:
     @staticmethod
     @torch.no_grad()
     def of(corners: Tensor) -> Neighbours:
-        """Find the neighbours of triangles (T, 3, 3). Triangles whose normals point apart are no neighbours."""
+        """Find the neighbours of triangles (T, 3, 3). The normals of neighbours differ by less than 90
+        degrees."""
         centres, normals = corners.mean(dim=1), unit_normals(corners)
         count = min(NEIGHBOURS + 1, len(corners))
         tree = cKDTree(centres.numpy())

@@ -57,7 +57,7 @@ def surface_rate(share: float, settings: TriangleSettings) -> float:
 
 
 class Budget:
-    """Measures which share of a budget is spent. The clock starts with the object.
+    """Measures which share of a budget is spent. The clock starts when the object is created.
 
     Attributes:
         steps: number of finished steps.
@@ -85,7 +85,7 @@ class Budget:
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Stop the clock, for work that is no part of the fit."""
+        """Stop the clock during work that is not part of the fit."""
         before = monotonic()
         try:
             yield

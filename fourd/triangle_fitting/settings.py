@@ -11,7 +11,7 @@ class TriangleSettings:
     """How the triangles of one frame are fitted.
 
     Attributes:
-        triangles: maximum number of soft triangles, at least 16. Half of them are there at the start.
+        triangles: maximum number of soft triangles, at least 16. The fit starts with half of this number.
         cells: number of cubes along the longest side of the subject, at least 8: the resolution of connected meshes.
         connect: whether the hardened triangles are connected to a closed mesh. Otherwise they stay separate.
         max_steps: number of steps; None without a limit.
@@ -19,9 +19,9 @@ class TriangleSettings:
         interval: steps between two rounds of pruning and growth, at least 1.
         soft_share: share of the budget, in [0, 1], in which triangles stay soft. Then they harden.
         hard_share: share of the budget, at least ``soft_share``, at which triangles are opaque.
-        plane: weight of the distances of neighbouring triangles from their planes.
+        plane: weight of the distances of triangles from the planes of their neighbours.
         normal: weight of the angles between neighbouring triangles.
-        laplacian: weight of the squared Laplacian of connected meshes, in squared cubes.
+        laplacian: weight of the squared Laplacian of connected meshes, with lengths in cubes.
         crease: weight of the normal consistency of connected meshes.
         agreement: share in (0, 1]. Of the views that see a point of the hull, this share must have it in their mattes.
         least_views: share in (0, 1]. At least this share of all views must see a point of the hull.

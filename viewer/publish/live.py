@@ -44,7 +44,7 @@ class LiveSite:
     def update(self) -> bool:
         """Write the scene again if the source has changed. Returns whether it was written.
 
-        An error keeps the last scene. It is printed once per version of the source.
+        After an error, the last scene is kept. The error is printed once per version of the source.
         """
         version = self._read_version()
         if version in (self._version, ""):

@@ -1,4 +1,4 @@
-"""A web server for one folder, with range requests. It listens on the loopback interface unless told otherwise."""
+"""A web server for one folder, with range requests. By default, only this machine can connect."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ import { STYLE } from "./ui/style.js";
 
 const SPINNER_DELAY_MS = 300;
 const QUIET_MS = 3000;
-/** Time between two questions to the server whether the scene has changed. */
+/** Time between two requests that check whether the scene has changed. */
 const LIVE_MS = 2000;
 
 /** What an element keeps when it opens a changed scene. @typedef {{pose: Pose, seconds: number, isPlaying: boolean}} Kept */

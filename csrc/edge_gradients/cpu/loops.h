@@ -13,8 +13,8 @@ struct Contribution {
 };
 
 struct Loops {
-    // Writes the codes of some rows, and returns the number of contributions of their pairs. `scratch` has three times
-    // the width.
+    // Writes the codes of some rows, and returns the number of contributions of their pairs. `scratch` has three
+    // floats for each pixel of a row.
     std::size_t (*find)(const Plan&, const Rows&, const float* gradient, float* scratch, std::uint8_t* codes);
 
     void (*contribute)(const Plan&, const Rows&, const float* gradient, const std::uint8_t* codes, Contribution* out);

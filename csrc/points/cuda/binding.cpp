@@ -83,7 +83,7 @@ void visibility(const Arguments::Xyz& xyz, const Arguments::Column& radius, cons
 void bind_points(nb::module_& module) {
     module.def("plan_points", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("channels"), nb::arg("width"),
                nb::arg("height"),
-               "The number of entries to provide for, and the bytes of workspace, of the next picture.");
+               "Returns the number of entries to allocate for the next image, and the size of the workspace in bytes.");
     module.def("render_points", &render, nb::arg("xyz"), nb::arg("features"), nb::arg("radius"), nb::arg("density"),
                nb::arg("camera"), nb::arg("layers"), nb::arg("near"), nb::arg("transmittance_min"),
                nb::arg("estimator"), nb::arg("entries"), nb::arg("workspace"), nb::arg("stream"),

@@ -56,7 +56,10 @@ def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
 
 
 def _derivative_weights(times: Array) -> Array:
-    """Weights of values at ``times`` in the derivative at the time 0 of the polynomial through them."""
+    """Weights of values at ``times``.
+
+    The weighted sum of the values is the derivative at time 0 of the polynomial through the values.
+    """
     powers = times[None] ** np.arange(len(times))[:, None]
     wanted = np.zeros(len(times))
     if len(times) > 1:

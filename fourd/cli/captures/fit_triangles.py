@@ -45,7 +45,7 @@ class Arguments:
     triangles: int = TriangleSettings.triangles
     """Maximum number of soft triangles."""
     cells: int = TriangleSettings.cells
-    """Number of cells along the longest side of the subject, in which triangles are connected. The number of triangles
+    """Resolution of the connected mesh: number of cells along the longest side of the subject. The number of triangles
     of the mesh grows with the square of this number."""
     separate: bool = False
     """Keep the triangles separate instead of connecting them to a closed mesh."""

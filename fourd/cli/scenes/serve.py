@@ -20,7 +20,8 @@ from fourd.errors import UserError
 
 @dataclass(frozen=True)
 class Arguments:
-    """Serves until Ctrl-C. The page follows a scene that is exported again, and a run that trains."""
+    """Serves until Ctrl-C. If the scene is exported again or training writes a checkpoint, the page shows the new
+    scene."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE|RUN|SITE")]]
     """A .4dv file, a run, or a folder of fourd web."""

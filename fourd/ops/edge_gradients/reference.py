@@ -32,8 +32,8 @@ def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: 
 
 
 class _MovingEdges(torch.autograd.Function):
-    """The identity on ``color``. A pair of pixels differs by its edge: if the distance t of the edge from the owner
-    grows by dt, one of the two pixels changes by dt (c_owner - c_other). The gradient is the mean of both cases."""
+    """The identity on ``color``. If the distance of the edge between two pixels from the owner increases by dt, one of
+    the two pixels changes by dt (c_owner - c_other). The gradient is the mean of both cases."""
 
     @staticmethod
     def forward(ctx: Any, color: Tensor, crossing: Tensor, owner: Tensor, other: Tensor) -> Tensor:
@@ -52,7 +52,7 @@ class _MovingEdges(torch.autograd.Function):
 
 
 def _finite(crossing: Tensor) -> Tensor:
-    """Return the crossings, without gradients where they are not finite."""
+    """Return the crossings, with 0 and no gradient instead of values that are not finite."""
     return torch.where(crossing.isfinite(), crossing, 0)
 
 
@@ -63,7 +63,7 @@ class _Planes:
     Attributes:
         contains_pair: (N,) whether the triangle contains the centres of both pixels.
         depth: (N,) z/w at the owner.
-        fall, fall_across: (N,) how much z/w falls per pixel along and across the pair.
+        fall, fall_across: (N,) decrease of z/w per pixel along and across the pair.
     """
 
     contains_pair: Tensor
@@ -109,7 +109,8 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
 
 
 def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return how far from the owner, in pixels, both triangles have the same z/w, which is linear in the image."""
+    """Return the distance in pixels from the owner to the point where both triangles have the same z/w, which is linear
+    in the image."""
     one = _planes_of(pairs, clip, tri, pairs.triangle)
     two = _planes_of(pairs, clip, tri, pairs.other_triangle)
     return (one.depth - two.depth) / (one.fall - two.fall)

@@ -62,7 +62,7 @@ export class ByteSource {
     return bytes;
   }
 
-  /** Asks the server whether the file has changed. Without an answer, it has not. */
+  /** Asks the server whether the file has changed. If the server does not answer, false. */
   async hasChanged() {
     try {
       const response = await fetch(this.url, { method: "HEAD", cache: "no-store" });
