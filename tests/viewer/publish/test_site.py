@@ -16,7 +16,8 @@ from fourd.baking.packing.transcode import transcode_scene
 from fourd.baking.packing.writer import Storage
 from fourd.cli.main import main
 from fourd.errors import UserError
-from fourd.viewer.publish.site import SCENE_NAME, write_site
+from fourd.viewer.publish.server import SiteServer
+from fourd.viewer.publish.site import SCENE_NAME, is_site, write_site
 from tests.baking.scenes import write_full_scene, write_scene
 
 
@@ -93,3 +94,24 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert expected in error
         assert len(error.strip().splitlines()) == 1
     assert not (tmp_path / "other").exists()
+
+
+def test_serving_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a command that serves another folder than the site, and that leaves its temporary files."""
+    write_scene(tmp_path / "scene.4dv")
+    opened, folders = [], []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+
+    def interrupted(server: SiteServer) -> None:
+        folders.append(server.folder)
+        assert is_site(server.folder)
+        assert "links live>" in (server.folder / "index.html").read_text()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SiteServer, "serve_forever", interrupted)
+    assert main(["serve", str(tmp_path / "scene.4dv"), "--port", "0", "--tier", "light"]) == 0
+    assert opened[0].startswith("http://127.0.0.1:")
+    assert opened[0] in capsys.readouterr().err
+    assert not folders[0].exists()
+    assert main(["serve", str(tmp_path / "scene.4dv"), "--port", "0", "--tier", "light", "--no-browser"]) == 0
+    assert len(opened) == 1

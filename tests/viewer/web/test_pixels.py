@@ -64,6 +64,17 @@ def test_both_modes_composite_exactly_k_layers(object_site: Path, open_page: Cal
             assert psnr(got, expected) > 45 > 40 > psnr(other, expected)
 
 
+def test_discs_that_are_too_large_for_sprites(object_site: Path, open_page: Callable[..., PlayerPage]) -> None:
+    """Catches wrong images of nearby points, which are drawn as quads because drivers limit the size of sprites."""
+    with serving(object_site) as server:
+        page = open_page(server.url, (SIZE, SIZE))
+        page.ready()
+        page.run("stage.renderer.discs.maxSprite = 0;")
+        for mode in ("sorted", "reference"):
+            got, expected = images(page, object_site / SCENE_NAME, 0, mode)
+            assert psnr(got, expected) >= MIN_PSNR[mode]
+
+
 @pytest.mark.parametrize("tier", ["stream", "light"])
 def test_tiers(tier: Tier, tmp_path: Path, open_page: Callable[..., PlayerPage]) -> None:
     """Catches a tier that the page cannot read, such as a scene without source views."""

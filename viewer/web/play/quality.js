@@ -4,7 +4,7 @@ const LOWEST = 0.4;
 const STEP = 0.8;
 const IMAGES = 6;
 
-/** Chooses the resolution of images from the time between them, while the view moves or the scene plays. */
+/** Chooses the resolution of images from the time that they take, while the view moves or the scene plays. */
 export class Quality {
   constructor() {
     /** Fraction of the full width and height. */
@@ -14,7 +14,7 @@ export class Quality {
   }
 
   /**
-   * Reports the time between two successive images.
+   * Reports the time from a drawn image to the next possible image.
    * @param {number} ms
    */
   report(ms) {

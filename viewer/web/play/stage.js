@@ -44,7 +44,7 @@ export class Stage {
     this.isDirty = true;
     this.isWaiting = true;
     this.movedAt = 0;
-    this.drawnAt = 0;
+    this.hasDrawn = false;
     this.images = 0;
     this.drawnScale = 0;
     /** The depth order that is drawn. @type {(import("../sort/sorter.js").SortedPoints & {frame: number, camera: Camera}) | null} */
@@ -78,6 +78,10 @@ export class Stage {
   update(now, elapsed) {
     this.#advance(elapsed);
     const isMoving = this.clock.isPlaying || now - this.movedAt < REST_MS;
+    // Browsers delay the next call if the graphics driver has not finished the last image.
+    if (!isMoving) this.quality.rest();
+    else if (this.hasDrawn) this.quality.report(1000 * elapsed);
+    this.hasDrawn = false;
     const scale = isMoving ? this.quality.scale : 1;
     const camera = this.camera(scale);
     const selection = selectSourceViews(camera, this.manifest);
@@ -86,10 +90,8 @@ export class Stage {
     this.#sort(frame, camera);
     if (!this.isDirty && scale === this.drawnScale) return;
     if (!this.order || !this.renderer) return;
-    if (isMoving && this.drawnAt) this.quality.report(now - this.drawnAt);
-    else this.quality.rest();
     this.#draw(camera, selection);
-    this.drawnAt = isMoving ? now : 0;
+    this.hasDrawn = true;
     this.drawnScale = scale;
     this.isDirty = false;
     this.images++;
