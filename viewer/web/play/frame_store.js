@@ -232,10 +232,20 @@ export class FrameStore {
     this.entries.clear();
   }
 
-  /** Drops the frames that were not wanted for the longest time, until the rest fits. */
-  #evict() {
+  #bytes() {
     let total = 0;
     for (const entry of this.entries.values()) total += bytesOf(entry);
+    return total;
+  }
+
+  /** Drops source views that are not blended, then the frames that were not wanted for the longest time. */
+  #evict() {
+    let total = this.#bytes();
+    if (total <= CACHE_BYTES) return;
+    for (const { views } of this.entries.values()) {
+      for (const view of views.keys()) if (!this.views.includes(view)) views.delete(view);
+    }
+    total = this.#bytes();
     const oldest = [...this.entries].filter(([, entry]) => entry.used < this.turn && !entry.isBusy);
     oldest.sort(([, a], [, b]) => a.used - b.used);
     for (const [number, entry] of oldest) {
