@@ -22,9 +22,9 @@ MAX_PLANES = 3
 TOLERANCE_PX = 2.0
 UNDISTORT_ITERATIONS = 20
 MAX_FALSE_ALARMS = 1e-4
-"""Maximum number of false alarms of an accepted model.
+"""Maximum number of false alarms (NFA) of an accepted model.
 
-The number of false alarms is how many models with as many inliers are expected if all matches are random.
+The NFA is the number of models with as many inliers that are expected if all matches are random.
 """
 
 

@@ -28,7 +28,7 @@ STANDARD_TOLERANCE = 2e-4
 
 
 def standard_rate(fps: float | Fraction, tolerance: float = STANDARD_TOLERANCE) -> Fraction:
-    """Return the standard frame rate next to ``fps`` in 1/s, such as 30000/1001 for 29.97.
+    """Return the nearest standard frame rate to ``fps`` in 1/s, such as 30000/1001 for 29.97.
 
     If the relative deviation from the nearest standard rate is above ``tolerance``, the result is ``fps`` as a fraction
     with a denominator of at most 1001.

@@ -216,8 +216,8 @@ class _PlaneWarp:
 
 
 def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
-    """Index (N,) of each cell's window size: the smallest size with texture in every direction, or else the largest
-    size."""
+    """Index (N,) of each cell's window size: the smallest size with texture in every direction, or the largest size if
+    no size has texture in every direction."""
     level = np.full(len(grid.pixels), LEVELS - 1, np.int8)
     for index in reversed(range(LEVELS)):
         grey = np.nan_to_num(view.greys[index])
