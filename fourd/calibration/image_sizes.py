@@ -152,11 +152,12 @@ def choose_size(
 ) -> SizeChoice:
     """Find how images were resized, assuming one method for all resized images.
 
-    Hypotheses are excluded if the black borders that they predict differ from the measured borders. The function
-    chooses the remaining hypothesis with the smallest epipolar residual. The evidence is clear in two cases. In the
-    first case, an image has a black border of at least 2 pixels, and only one hypothesis fits the borders. In the
-    second case, the smallest residual is at most 3 pixels, and the residuals of all other remaining hypotheses are at
-    least 1.5 times as large.
+    Each hypothesis is one method of resizing, see :func:`size_hypotheses`. A hypothesis is excluded if a black border
+    that it predicts differs by more than :data:`MAX_BORDER_ERROR_PX` from the measured border. If this would exclude
+    all hypotheses, none is excluded. The function chooses the remaining hypothesis with the smallest epipolar residual.
+    The evidence is clear in two cases. In the first case, an image has a black border of at least 2 pixels, and only
+    one hypothesis fits the borders. In the second case, the smallest residual is at most 3 pixels, and the residuals of
+    all other remaining hypotheses are at least 1.5 times as large.
 
     Args:
         matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are

@@ -111,8 +111,9 @@ def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float =
     CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan and
     Stival, IJCV 2004).
 
-    Matches on a plane do not determine the fundamental matrix: one matrix can fit all of them and also any two other
-    matches. If a homography was accepted, the test of the fundamental matrix therefore ignores the matches on planes.
+    Matches of points on one plane do not determine the fundamental matrix: for any two other matches, there is a
+    fundamental matrix that fits these two and all matches on the plane. If a homography was accepted, the test of the
+    fundamental matrix therefore ignores the matches on planes.
     The test also does not count two of the inliers outside the planes as evidence.
 
     Args:

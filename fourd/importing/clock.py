@@ -49,11 +49,11 @@ def describe_clock(videos: Mapping[str, Video]) -> list[str]:
         return []
     rate = next(iter(videos.values())).rate
     count = common_frames(videos)
-    notes = [f"{len(videos)} videos at {format_rate(rate)} frames per second"]
+    notes = [f"{len(videos)} videos; the capture has {format_rate(rate)} frames per second"]
     others = {name: video for name, video in videos.items() if video.drifts_from(rate)}
     if others:
         rates = ", ".join(f"{name} {format_rate(video.index.fps)}" for name, video in others.items())
-        notes[0] += f", the lowest rate; frames of the other videos are picked by their times ({rates})"
+        notes.append(f"videos with other rates, whose frames are picked by their times: {rates} frames per second")
     uneven = [name for name, video in videos.items() if video.index.times]
     if uneven:
         notes.append(f"{', '.join(uneven)}: uneven frame times; frames are picked by their times")

@@ -45,10 +45,10 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
             if any((np.abs(grey - greys[0]).max(axis=2) > MIN_DIFFERENCE).mean() > MAX_CHANGED for grey in greys):
                 return False
     if train.scene != "full":
-        what = "one frame" if opened.frame_count == 1 else "images in which nothing moves"
+        what = "only one frame" if opened.frame_count == 1 else "images without motion"
         raise UserError(
-            f"{capture}: expected a moving subject or mattes, got {what} and no masks/; add --scene full to make a "
-            "scene of the static background, or provide masks/CAM/FRAME.png"
+            f"{capture}: expected a moving subject or a folder masks/, got {what} and no masks; add --scene full to "
+            "reconstruct everything in the images as a static scene, or provide masks/CAM/FRAME.png"
         )
     return True
 

@@ -64,7 +64,7 @@ def test_one_frame_without_mattes_needs_a_full_scene(ball_capture: Path, tmp_pat
     """Catches an error about missing motion that does not say how to make a scene of a single frame."""
     photos = write_photos(ball_capture, tmp_path / "photos")
     with pytest.raises(
-        UserError, match=r"expected a moving subject or mattes, got one frame and no masks/; add --scene"
+        UserError, match=r"expected a moving subject or a folder masks/, got only one frame and no masks; add --scene"
     ):
         make_scene(photos, tmp_path / "scene.4dv", with_steps(SMALL, 2), MatteSettings(), Context())
 

@@ -83,7 +83,10 @@ def write_poster(scene: Path, out: Path) -> None:
 
 
 def copy_player(folder: Path, title: str, is_live: bool = False) -> None:
-    """Copy the page and the player's modules. With ``is_live``, the page shows later changes of the scene."""
+    """Copy the page and the player's modules.
+
+    With ``is_live``, the open page loads the scene file again whenever the file changes on the server.
+    """
     with as_file(files("fourd.viewer") / "web") as web:
         shutil.copytree(web, folder / PLAYER_FOLDER, ignore=shutil.ignore_patterns(*_NOT_SERVED))
         page = (web / "index.html").read_text(encoding="utf-8")

@@ -57,7 +57,12 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
     """Read a camera_array.toml. Returns cameras by the names cam_N, and notes. Cameras that Caliscope ignores are left
-    out. Raises UserError as :func:`read` does."""
+    out.
+
+    Raises:
+        UserError: if the TOML does not parse, contains no camera or one camera twice, or if a camera has a missing or
+            invalid value, intrinsics without a pose, or a fisheye lens.
+    """
     data = read_toml(path)
     tables = data.get("cameras")
     cameras: dict[str, Camera] = {}

@@ -18,7 +18,8 @@ class Pairs:
     """Pairs of neighbouring pixels along one axis. The owner of a pair is the pixel whose triangle is nearer.
 
     Attributes:
-        image, owner, other: (N,) image of the batch, and flat indices of the pixels in all images.
+        image: (N,) index of the pair's image in the batch.
+        owner, other: (N,) indices of the two pixels in the flattened (batch, height, width) array.
         triangle: (N,) triangle of the owner.
         other_triangle: (N,) triangle of the other pixel, or -1.
         centre: (N, 2) centre of the owner in normalised device coordinates, along and across the pair.
