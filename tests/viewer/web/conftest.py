@@ -26,11 +26,15 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--ignore-gpu-blocklist",
-    # Mesa's llvmpipe by EGL draws in half the time of SwiftShader.
-    "--use-gl=angle",
-    "--use-angle=gl-egl",
 )
-SWIFTSHADER_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
+DRIVER_FLAGS = (
+    # Mesa's llvmpipe by EGL draws in a third of the time of SwiftShader, but some machines lack its libraries.
+    ("--use-gl=angle", "--use-angle=gl-egl"),
+    ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+)
+DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
+"""Flags of Playwright that would choose another driver."""
+HAS_WEBGL = "() => document.createElement('canvas').getContext('webgl2') !== null"
 
 
 @pytest.fixture(scope="session")
@@ -40,11 +44,19 @@ def browser() -> Iterator[Any]:
     if CHROMIUM is None:
         pytest.skip("no Chromium here")
     with playwright.sync_playwright() as running:
-        browser = running.chromium.launch(
-            executable_path=CHROMIUM, args=FLAGS, ignore_default_args=list(SWIFTSHADER_FLAGS)
-        )
-        yield browser
-        browser.close()
+        for driver in DRIVER_FLAGS:
+            browser = running.chromium.launch(
+                executable_path=CHROMIUM, args=[*FLAGS, *driver], ignore_default_args=list(DEFAULT_FLAGS)
+            )
+            page = browser.new_page()
+            has_webgl = page.evaluate(HAS_WEBGL)
+            page.close()
+            if has_webgl:
+                yield browser
+                browser.close()
+                return
+            browser.close()
+        pytest.skip("Chromium has no WebGL 2 here")
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 
 TIMEOUT_MS = 20_000
+IGNORED = ("ReadPixels", "Failed to load resource", "software WebGL")
+"""Parts of console messages about slow reads, missing files and slow drivers, which are not the player's errors."""
 NAMES = "const player = document.querySelector('fourd-player'), {stage} = player;"
 IS_READY = "player.firstImageMs > 0 || (!player.panel.message.hidden && player.panel.message.textContent)"
 
@@ -26,7 +28,7 @@ class PlayerPage:
         page.goto(url)
 
     def _collect(self, message: Any) -> None:
-        if "ReadPixels" not in message.text and "Failed to load resource" not in message.text:
+        if not any(text in message.text for text in IGNORED):
             self.problems.append(message.text)
 
     def run(self, script: str, argument: Any = None) -> Any:

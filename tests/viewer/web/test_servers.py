@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO
@@ -37,6 +38,17 @@ class StallingHandler(SiteHandler):
         super()._send_content(stream, part)
 
 
+class ViewlessHandler(SiteHandler):
+    """Sends no colours of source views."""
+
+    def _send_content(self, stream: BinaryIO, part: Part) -> None:
+        if part.start in self.server.stalled:  # type: ignore[attr-defined]
+            self.rfile.read(1)
+            self.close_connection = True
+            return
+        super()._send_content(stream, part)
+
+
 class CuttingHandler(SiteHandler):
     """Ends connections after half of the content, except for the start of the scene."""
 
@@ -55,6 +67,16 @@ class StallingServer(SiteServer):
     handler = StallingHandler
 
 
+class ViewlessServer(SiteServer):
+    handler = ViewlessHandler
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        with zipfile.ZipFile(folder / SCENE_NAME) as archive:
+            infos = [info for info in archive.infolist() if "/views/" in info.filename]
+        self.stalled = {info.header_offset + 30 + len(info.filename) for info in infos}
+
+
 class CuttingServer(SiteServer):
     handler = CuttingHandler
 
@@ -67,6 +89,16 @@ def test_a_server_without_ranges(open_page: Callable[..., PlayerPage], object_si
         size = (object_site / SCENE_NAME).stat().st_size
         page.wait(f"stage.store.file.source.bytesReceived === {size}")
     assert page.problems == []
+
+
+def test_the_first_image_needs_no_source_views(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
+    """Catches a player that shows nothing until the colours of all source views have arrived."""
+    with serving(object_site, ViewlessServer) as server:
+        page = open_page(server.url)
+        page.ready()
+        bright = "stage.redraw(); return stage.renderer.readPixels().some((value, i) => i % 4 < 3 && value > 50);"
+        assert page.run(bright)
+        assert page.run("return stage.store.get(0).views.size;") == 0
 
 
 def test_a_server_that_stalls(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
