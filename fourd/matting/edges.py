@@ -28,13 +28,21 @@ SUBJECT_VARIANCE = np.float32(60.0)
 NEARBY_VARIANCE = np.float32(12.0)
 """Variance added to the local colour variance of a background that is estimated from nearby pixels."""
 PLATE_VARIANCE = np.float32(9.0)
-PRIOR_DEVIATION = 0.35
-"""Standard deviation of alpha around the blurred mask."""
+SHADING_DEVIATION = np.float32(0.1)
+"""Standard deviation of the light at the edge of the subject, as a share of the light nearby. Curved surfaces become
+darker towards their contour, so that a pixel of the subject looks like a mixture with a dark background."""
+CHROMA_VARIANCE = np.float32(0.1)
+"""Variance of a pixel's chroma, as a share of the squared difference in chroma between subject and background. JPEG
+images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
+NORMALISER_WEIGHT = np.float32(0.3)
+"""Weight of the logarithm of the likelihood's variance. The variance of the subject's colours is a rough, large
+estimate. With weight 1, the smaller variance of the background's colours therefore moves the edge into the subject."""
+PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
+"""Standard deviation of alpha around the blurred mask in each pass of the estimation of alpha. The first passes correct
+the position of the mask, from which the following passes take the colours of both sides. The last pass reduces
+noise."""
 ALPHAS = 11
 """Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
-PASSES = 2
-"""Number of passes of the estimation of alpha. The second pass takes the colours of both sides from the corrected
-mask."""
 SHARPENING_SIGMA = 0.6
 """Standard deviation of the Gaussian that averages alpha along the edge, in multiples of the radius."""
 SHARPENING_GAIN = np.float32(2.0)
@@ -42,6 +50,8 @@ SHARPENING_GAIN = np.float32(2.0)
 MIN_NEARBY = 0.005
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of a background colour that is used to estimate alpha."""
+LUMA_CHROMA = np.array([[0.45, 0.88, 0.17], [-0.27, -0.53, 0.80], [0.76, -0.64, -0.12]], np.float32)
+"""Unit vectors of Y, Cb and Cr in RGB space, the axes along which JPEG images and videos store colours."""
 
 
 def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = None) -> Picture:
@@ -78,29 +88,36 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
 
     An edge pixel's colour is a mixture of the subject's and the background's colour, which have Gaussian distributions.
     Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al. 2001). The prior is a Gaussian around the
-    blurred mask, so that the mask decides where the colours of both sides are similar.
+    blurred mask, so that the mask decides where the colours of both sides are similar. The likelihood also allows for
+    the shading of the subject and for blurred chroma.
 
     The subject's colour is a local mean inside the mask. The background's colour is a local mean outside the mask, or
     the colour in ``background`` (H, W, 4) where the confidence is high. Only pixels within three times ``radius`` of
     the mask's edge change. Alpha is then averaged over neighbouring pixels and sharpened, because the posterior's mean
-    is softer than the edge. A second pass starts from the mask of the pixels whose alpha is at least 0.5.
+    is softer than the edge. There is one pass per value of PRIOR_DEVIATIONS. Each pass starts from the mask of the
+    pixels whose alpha is at least 0.5 after the pass before.
     """
     alpha = subject.astype(np.float32)
     edge = (cv2.dilate(subject, _disc(3 * radius)) > 0) & (cv2.erode(subject, _disc(3 * radius)) == 0)
-    for _ in range(PASSES):
+    for deviation in PRIOR_DEVIATIONS:
         mask = (alpha >= 0.5).astype(np.uint8)
-        soft = _mean_alpha(rgb, mask, edge, radius, background)
+        soft = _mean_alpha(rgb, mask, edge, radius, background, deviation)
         average = np.asarray(cv2.GaussianBlur(soft, (0, 0), SHARPENING_SIGMA * radius), np.float32)
         alpha = np.where(edge, np.clip(0.5 + SHARPENING_GAIN * (average - 0.5), 0, 1), soft).astype(np.float32)
     return alpha
 
 
-def _mean_alpha(rgb: Picture, mask: Picture, edge: Flags, radius: int, background: Floats | None) -> Floats:
-    """The posterior mean (H, W) of alpha at the ``edge`` (H, W) of a binary mask, and the mask elsewhere."""
+def _mean_alpha(
+    rgb: Picture, mask: Picture, edge: Flags, radius: int, background: Floats | None, deviation: float
+) -> Floats:
+    """The posterior mean (H, W) of alpha at the ``edge`` (H, W) of a binary mask, and the mask elsewhere.
+
+    ``deviation`` is the standard deviation of alpha around the blurred mask.
+    """
     inside = np.asarray(cv2.erode(mask, _disc(radius)), np.float32)
     outside = 1 - np.asarray(cv2.dilate(mask, _disc(radius)), np.float32)
     value = rgb.astype(np.float32)
-    front, front_variance, front_near = _local_colours(value, inside, 1.5 * radius)
+    front, front_variance, front_near = _local_colours(value, inside, float(radius))
     back, back_variance, back_near = _local_colours(value, outside, 2.0 * radius)
     back_variance += NEARBY_VARIANCE
     has_back = back_near > MIN_NEARBY
@@ -116,24 +133,40 @@ def _mean_alpha(rgb: Picture, mask: Picture, edge: Flags, radius: int, backgroun
         (front[chosen], front_variance[chosen] + SUBJECT_VARIANCE),
         (back[chosen], back_variance[chosen]),
         prior[chosen],
+        deviation,
     )
     return alpha
 
 
-def _posterior_alpha(value: Floats, front: tuple[Floats, Floats], back: tuple[Floats, Floats], prior: Floats) -> Floats:
+def _posterior_alpha(
+    value: Floats, front: tuple[Floats, Floats], back: tuple[Floats, Floats], prior: Floats, deviation: float
+) -> Floats:
     """Posterior mean (N,) of alpha for the colours ``value`` (N, 3).
 
     ``front`` and ``back`` are the means and the variances (N, 3) of the colours of subject and background.
+    ``deviation`` is the standard deviation of alpha around ``prior`` (N,).
+
+    The light on the subject has a Gaussian distribution, so that the covariance of a colour is the sum of a diagonal
+    matrix and the outer product of one vector. Its inverse and its determinant follow from the Sherman-Morrison formula
+    and the matrix determinant lemma.
     """
-    total, weighted = np.zeros(len(value), np.float32), np.zeros(len(value), np.float32)
+    value, front_mean, back_mean = value @ LUMA_CHROMA.T, front[0] @ LUMA_CHROMA.T, back[0] @ LUMA_CHROMA.T
+    front_variance, back_variance = front[1] @ np.square(LUMA_CHROMA.T), back[1] @ np.square(LUMA_CHROMA.T)
+    noise = np.full_like(value, NOISE_VARIANCE)
+    noise[:, 1:] += CHROMA_VARIANCE * np.square(front_mean - back_mean)[:, 1:]
     costs = []
     alphas = np.linspace(0, 1, ALPHAS, dtype=np.float32)
     for alpha in alphas:
-        variance = alpha**2 * front[1] + (1 - alpha) ** 2 * back[1] + NOISE_VARIANCE
-        difference = value - alpha * front[0] - (1 - alpha) * back[0]
-        cost = channel_sum(np.square(difference) / variance + np.log(variance))
-        costs.append(cost + np.square((alpha - prior) / np.float32(PRIOR_DEVIATION)))
+        variance = alpha**2 * front_variance + (1 - alpha) ** 2 * back_variance + noise
+        difference = value - alpha * front_mean - (1 - alpha) * back_mean
+        shading = alpha * SHADING_DEVIATION * front_mean
+        scaled = shading / variance
+        growth = 1 + channel_sum(shading * scaled)
+        cost = channel_sum(np.square(difference) / variance) - np.square(channel_sum(difference * scaled)) / growth
+        cost += NORMALISER_WEIGHT * (channel_sum(np.log(variance)) + np.log(growth))
+        costs.append(cost + np.square((alpha - prior) / np.float32(deviation)))
     lowest = np.minimum.reduce(costs)
+    total, weighted = np.zeros(len(value), np.float32), np.zeros(len(value), np.float32)
     for alpha, cost in zip(alphas, costs, strict=True):
         weight = np.exp(0.5 * (lowest - cost))
         total += weight

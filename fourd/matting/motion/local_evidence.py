@@ -28,7 +28,7 @@ SUBJECT_LOG_ODDS = np.float32(2.0)
 GLOBAL_SHARE = 0.15
 """Weight of the subject's colours in the whole recording, for parts whose colours no certain pixel nearby has."""
 MAX_LOG_ODDS = np.float32(8.0)
-WEIGHT = np.float32(0.6)
+WEIGHT = np.float32(1.0)
 
 
 @dataclass(frozen=True, eq=False)
