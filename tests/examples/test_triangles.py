@@ -89,21 +89,19 @@ def test_the_cameras_are_adjusted(tmp_path: Path, rng: np.random.Generator) -> N
     assert after < 0.7 * before
 
 
-def test_the_sphere_becomes_an_aeroplane(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_the_sphere_becomes_an_aeroplane(tmp_path: Path) -> None:
     """Catches a sphere that shrinks or folds instead of growing wings."""
-    options = ("--size", 32, "--views", 16, "--steps", 100, "--batch", 3, "--subdivisions", 2)
-    printed = run(
-        "sphere_to_object.py", *options, "--seed", int(rng.integers(1000)), "--picture", tmp_path / "aeroplane.png"
-    )
+    options = ("--size", 32, "--views", 12, "--steps", 80, "--batch", 2, "--subdivisions", 2)
+    printed = run("sphere_to_object.py", *options, "--picture", tmp_path / "aeroplane.png")
     overlaps = [float(value) for value in re.findall(r"intersection over union (\S+),", printed)]
     distances = [float(value) for value in re.findall(r"Chamfer distance (\S+) ", printed)]
     assert overlaps[1] > overlaps[0] + 0.1
     assert distances[1] < 0.6 * distances[0]
 
 
-def test_the_ellipsoid_becomes_a_torus(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_the_ellipsoid_becomes_a_torus(tmp_path: Path) -> None:
     """Catches depths that pull the surface towards the camera, so that the hole of the torus stays closed."""
-    options = ("--cells", 12, "--size", 32, "--views", 16, "--steps", 100, "--seed", int(rng.integers(1000)))
+    options = ("--cells", 12, "--size", 32, "--views", 16, "--steps", 100)
     printed = run("marching_tetrahedra.py", *options, "--picture", tmp_path / "torus.png")
     overlaps = [float(value) for value in re.findall(r"intersection over union (\S+),", printed)]
     assert overlaps[1] > 0.85
