@@ -1,0 +1,31 @@
+"""Run a command of fourd on one thread, with time limits in CPU seconds of the process.
+
+Other programs on the machine then hardly change the results.
+
+python tools/cpu_seconds.py fit-triangles CAPTURE -o mesh.ply --max-seconds 45
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+
+
+def main() -> int:
+    if len(sys.argv) < 2:
+        print(__doc__, end="")
+        return 2
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "FOURD_THREADS"):
+        os.environ[name] = "1"
+    # fourd imports the clock when a command starts.
+    time.monotonic = time.process_time
+    from fourd.cli.main import main as run
+
+    code = run(sys.argv[1:])
+    print(f"{time.process_time():.1f} CPU seconds", file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
