@@ -116,6 +116,8 @@ class _FrameFit:
             while percent < int(PERCENT * share):
                 percent += 1
                 yield percent
+        if not is_scored:
+            self._score_soft()
         while percent < PERCENT:
             percent += 1
             yield percent

@@ -41,6 +41,13 @@ def test_a_fit_improves_the_unseen_view(ball_capture: Path) -> None:
     assert long[1] > 22
 
 
+def test_a_fit_without_hardening_is_scored(ball_capture: Path) -> None:
+    """Catches soft triangles that are not scored if the soft phase lasts until the end."""
+    soft, opaque = box_psnr(fit(ball_capture, max_steps=4, soft_share=1.0, hard_share=1.0))
+    assert 5 < soft < 40
+    assert 5 < opaque < 40
+
+
 def test_equal_seeds_give_equal_meshes(ball_capture: Path) -> None:
     """Catches random numbers without a seed."""
     first, second, other = (fit(ball_capture, max_steps=12, interval=4, seed=seed).mesh for seed in (1, 1, 2))
