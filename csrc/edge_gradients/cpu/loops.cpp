@@ -16,6 +16,7 @@ std::size_t find(const Plan& plan, const Rows& rows, const float* gradient, floa
     float *ids = scratch, *below = scratch + view.width;
     std::uint8_t* const changes = reinterpret_cast<std::uint8_t*>(scratch + 2 * static_cast<std::size_t>(view.width));
     std::size_t contributions = 0;
+    std::memset(codes + view.pixel(rows.begin, 0), 0, view.pixel(rows.end, 0) - view.pixel(rows.begin, 0));
     copy_ids(view.rast(view.pixel(rows.begin, 0)), view.width, below);
     for (int row = rows.begin; row < rows.end; ++row) {
         float* const swapped = ids;
@@ -24,7 +25,6 @@ std::size_t find(const Plan& plan, const Rows& rows, const float* gradient, floa
         if (has_below) copy_ids(view.rast(view.pixel(row + 1, 0)), view.width, below);
         find_changes(ids, has_below ? below : nullptr, view.width, changes);
         std::uint8_t* const row_codes = codes + view.pixel(row, 0);
-        std::memset(row_codes, 0, view.width);
         for_nonzero(changes, view.width, [&](int column) FOURD_INLINE_LAMBDA {
             Code code = 0;
             for (int axis = 0; axis < 2; ++axis) {
