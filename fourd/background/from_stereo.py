@@ -13,7 +13,7 @@ from fourd.background.stereo.colouring import sample_coloured_points
 from fourd.background.stereo.completion import complete_surfaces
 from fourd.background.stereo.depth_maps import MIN_FEATURES, reconstruct_surfaces
 from fourd.errors import UserError
-from fourd.ply import ColouredPoints
+from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 MIN_SHARE = 0.1

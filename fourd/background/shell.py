@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filte
 
 from fourd.background.directions import CELL_DEG, DirectionGrid, direction_grid, interpolate_harmonic, summarize_cells
 from fourd.cameras import Camera
-from fourd.ply import ColouredPoints
+from fourd.formats.ply import ColouredPoints
 
 Array = NDArray[np.float64]
 

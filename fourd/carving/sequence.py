@@ -24,8 +24,8 @@ from fourd.carving.colour import colour_points
 from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 from fourd.files import remove_unfinished, write_text_atomically
+from fourd.formats.ply import read_ply, write_ply
 from fourd.parallel import run_jobs, split_into_blocks
-from fourd.ply import read_ply, write_ply
 from fourd.progress import Track, untracked
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ from torch import Tensor
 from fourd.background.contraction import Contraction
 from fourd.background.plates import PlateView
 from fourd.cameras import Camera
+from fourd.formats.ply import ColouredPoints
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews
 from fourd.morton import morton_order
-from fourd.ply import ColouredPoints
 from fourd.training.cameras.rig import Rig
 from fourd.training.config import TrainConfig
 from fourd.training.occlusion import SizedPoints, occlusion_depth

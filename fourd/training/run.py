@@ -22,10 +22,10 @@ from fourd.background.plates import PlateView, read_plates
 from fourd.capture import Capture
 from fourd.configs import load_overlay
 from fourd.errors import UserError
+from fourd.formats.ply import read_ply
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
 from fourd.morton import morton_order
-from fourd.ply import read_ply
 from fourd.progress import Log
 from fourd.training.background import StaticBackground, create_background
 from fourd.training.cameras.refinement import Refinement

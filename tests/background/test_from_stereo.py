@@ -12,7 +12,7 @@ from fourd.background.plates import PlateView
 from fourd.background.stereo.sparse import triangulate_sparse
 from fourd.cameras import look_at
 from fourd.errors import UserError
-from fourd.ply import ColouredPoints
+from fourd.formats.ply import ColouredPoints
 from fourd.progress import untracked
 from tests.calibration.rooms import HALF_WIDTH, HEIGHT, Room, room_cameras
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fourd.background.shell import build_shell
-from fourd.ply import ColouredPoints
+from fourd.formats.ply import ColouredPoints
 from tests.captures import ring_cameras, sphere
 
 CENTRE = np.array([0.3, -0.2, 0.1])

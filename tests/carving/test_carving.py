@@ -13,7 +13,7 @@ from fourd.carving import Bounds, carve_capture, carve_frame, colour_points, fin
 from fourd.carving.hull import Silhouettes
 from fourd.carving.surface import surface_cells
 from fourd.errors import UserError
-from fourd.ply import read_ply
+from fourd.formats.ply import read_ply
 from tests.captures import ring_cameras
 from tests.carving.shapes import MemoryCapture, ball, mask, moving_ball
 

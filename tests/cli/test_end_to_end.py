@@ -18,7 +18,7 @@ from fourd.baking import SceneReader, SceneWriter, open_scene
 from fourd.baking.scene import make_frame
 from fourd.capture import open_capture
 from fourd.cli.main import main
-from fourd.ply import write_ply
+from fourd.formats.ply import write_ply
 from tests.captures import sphere
 
 OVERLAY = """\

@@ -14,7 +14,7 @@ import pytest
 import trimesh
 
 from fourd.errors import UserError
-from fourd.glb import up_rotation
+from fourd.formats.glb import up_rotation
 from fourd.mesh.files.animation import write_animation
 from fourd.mesh.files.glb import read_glb, read_mesh, write_glb
 from fourd.mesh.files.ply import write_mesh_ply

@@ -13,12 +13,12 @@ import pytest
 from rich.console import Console
 
 from fourd.errors import UserError
+from fourd.formats.ply import write_ply
 from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import stages_to_capture
 from fourd.pipeline.make import create_run, make_scene
 from fourd.pipeline.stage import Context
-from fourd.ply import write_ply
 from fourd.training.config import RefineConfig, TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.metrics_log import MetricsLog

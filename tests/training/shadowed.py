@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.capture import write_calibration
+from fourd.formats.ply import write_ply
 from fourd.ops.points.arrays import render_points_numpy
-from fourd.ply import write_ply
 from fourd.training.config import TrainConfig
 from tests.captures import ring_cameras, sphere
 from tests.training.small import full_config

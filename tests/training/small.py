@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
+from fourd.formats.ply import write_ply
 from fourd.model.config import ModelConfig, PlanesConfig
 from fourd.pipeline.make import create_run
-from fourd.ply import write_ply
 from fourd.training.config import BackgroundConfig, DensifyConfig, TrainConfig
 from fourd.training.loop import Trainer, TrainSummary
 from fourd.training.run import Run

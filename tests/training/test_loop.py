@@ -18,8 +18,8 @@ import torch
 from safetensors.torch import load_file
 
 from fourd.errors import UserError
+from fourd.formats.ply import read_ply, write_ply
 from fourd.pipeline.make import create_run
-from fourd.ply import read_ply, write_ply
 from fourd.training.loop import Trainer
 from fourd.training.losses.mask import MaskTerm
 from fourd.training.losses.term import RenderedStep

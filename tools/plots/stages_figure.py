@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fourd.baking.rendering import Scene, open_scene
 from fourd.cameras import Camera
 from fourd.capture import open_capture
-from fourd.ply import read_ply
+from fourd.formats.ply import read_ply
 from fourd.viewer.navigation.paths import orbit
 
 Picture = NDArray[np.uint8]

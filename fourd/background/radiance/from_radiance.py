@@ -22,7 +22,7 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.guidance import complete_with_guidance
 from fourd.background.stereo.patches import GreyView
 from fourd.errors import UserError
-from fourd.ply import ColouredPoints
+from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 Array = NDArray[np.float64]

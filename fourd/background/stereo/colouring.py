@@ -12,7 +12,7 @@ from fourd.background.stereo.depth_maps import ReducedPlate
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.surface_sampling import Samples, sample_surfaces
 from fourd.cameras import Camera
-from fourd.ply import ColouredPoints
+from fourd.formats.ply import ColouredPoints
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from fourd.baking.splats.ply import write_splat_ply
 from fourd.baking.splats.raw import write_splat
 from fourd.baking.splats.spz import require_gsply, write_spz
 from fourd.cameras import Camera, estimate_up
-from fourd.ply import write_ply
+from fourd.formats.ply import write_ply
 from fourd.progress import Track, untracked
 
 Item = TypeVar("Item")

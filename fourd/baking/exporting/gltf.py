@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.splats.cloud import SplatCloud
 from fourd.files import atomic_path
-from fourd.glb import ARRAY_BUFFER, FLOAT, pad, write_header
+from fourd.formats.glb import ARRAY_BUFFER, FLOAT, pad, write_header
 
 EXTENSION = "KHR_gaussian_splatting"
 POINTS = 0

@@ -74,7 +74,9 @@ def make_valid_cloud(
     quaternion is 0. Opacities are clamped to [0, 1]. Shapes are those of :class:`SplatCloud`.
     """
     length = np.linalg.norm(rotation.astype(np.float64), axis=1, keepdims=True)
-    values = np.concatenate([xyz, scale, rotation, opacity[:, None], sh.reshape(len(xyz), -1)], axis=1)
+    values = np.concatenate(
+        [xyz, scale, rotation, opacity[:, None], sh.reshape(len(xyz), sh.shape[1] * sh.shape[2])], axis=1
+    )
     kept = (np.abs(values) <= LARGEST).all(axis=1) & (scale >= SMALLEST_SCALE).all(axis=1) & (length[:, 0] > 1e-6)
     return SplatCloud(
         xyz[kept],

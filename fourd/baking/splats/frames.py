@@ -13,8 +13,8 @@ from scipy.spatial import cKDTree
 from fourd.baking.colour_fit import ColourFit
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.splats.cloud import SplatCloud
+from fourd.formats.ply import ColouredPoints
 from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS
-from fourd.ply import ColouredPoints
 
 RADIUS_PER_SCALE = 2.0
 SPLAT_SH_BASE, SPLAT_SH_RANGE = 0.5, 16.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.splats.cloud import SMALLEST_SCALE, TERMS_BY_DEGREE, SplatCloud, make_valid_cloud
 from fourd.errors import UserError
-from fourd.ply import read_header, read_vertices, write_vertices
+from fourd.formats.ply import read_header, read_vertices, write_vertices
 
 OPACITY_MARGIN = 1e-6
 MAX_LOGARITHM = 60.0

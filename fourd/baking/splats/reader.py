@@ -16,7 +16,7 @@ from fourd.baking.splats.ply import is_splat_ply, read_splat_ply
 from fourd.baking.splats.raw import count_splats, read_splat
 from fourd.cameras import Camera, look_at
 from fourd.errors import UserError
-from fourd.ply import read_header, read_ply
+from fourd.formats.ply import read_header, read_ply
 
 SUFFIXES = (".ply", ".splat")
 SPLAT_LAYERS = 48

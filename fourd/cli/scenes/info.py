@@ -146,7 +146,7 @@ def _splats(path: Path) -> Rows:
 
 def _points(path: Path) -> Rows:
     from fourd.baking.splats.ply import is_splat_ply
-    from fourd.ply import read_ply
+    from fourd.formats.ply import read_ply
 
     xyz, rgb = read_ply(path)
     rows = [("points", f"{len(xyz):,}"), ("size", _bytes(path.stat().st_size))]

@@ -15,7 +15,7 @@ from typing import Any
 
 from fourd.cameras import Array
 from fourd.files import atomic_path
-from fourd.glb import FLOAT, pad, up_rotation, write_header
+from fourd.formats.glb import FLOAT, pad, up_rotation, write_header
 from fourd.mesh.files.glb import ASSET, UNLIT, GlbFile, material, read_glb, sampler
 
 HIDDEN, SHOWN = [0.0, 0.0, 0.0], [1.0, 1.0, 1.0]

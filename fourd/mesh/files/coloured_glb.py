@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Array
 from fourd.files import atomic_path
-from fourd.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, FLOAT, UINT32, pad, up_rotation, write_header
+from fourd.formats.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, FLOAT, UINT32, pad, up_rotation, write_header
 from fourd.mesh.files.glb import UNLIT
 
 UINT16 = 5123

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fourd.cameras import Array
 from fourd.errors import UserError
 from fourd.files import atomic_path
-from fourd.glb import (
+from fourd.formats.glb import (
     ARRAY_BUFFER,
     BINARY_CHUNK,
     ELEMENT_ARRAY_BUFFER,

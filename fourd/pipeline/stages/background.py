@@ -16,10 +16,10 @@ from fourd.background.radiance.config import RadianceConfig
 from fourd.background.radiance.from_radiance import seed_from_radiance
 from fourd.background.shell import build_shell, direction_coverage, viewing_centre
 from fourd.errors import UserError
+from fourd.formats.ply import ColouredPoints, read_ply, write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS, PLATE_PATTERNS
-from fourd.ply import ColouredPoints, read_ply, write_ply
 from fourd.progress import Log
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig

@@ -12,8 +12,8 @@ from fourd.carving import Bounds
 from fourd.carving.sequence import BOUNDS_NAME
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.formats.ply import read_ply, write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, Stage
-from fourd.ply import read_ply, write_ply
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 

@@ -19,9 +19,9 @@ from fourd.capture.layout import DERIVED, link_entries
 from fourd.carving import Bounds
 from fourd.carving.sequence import BOUNDS_NAME
 from fourd.files import atomic_path, write_text_atomically
+from fourd.formats.ply import write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
-from fourd.ply import write_ply
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from fourd.background.contraction import contraction_around
 from fourd.carving import read_bounds
 from fourd.configs import save_config
+from fourd.formats.ply import read_ply
 from fourd.pipeline.stage import Context, Leftovers, Stage
-from fourd.ply import read_ply
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer

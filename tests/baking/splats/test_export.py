@@ -19,7 +19,7 @@ from fourd.baking.splats.ply import read_splat_ply, write_splat_ply
 from fourd.baking.splats.reader import SplatReader, is_splats
 from fourd.cameras import estimate_up
 from fourd.errors import UserError
-from fourd.ply import read_ply, write_ply
+from fourd.formats.ply import read_ply, write_ply
 from tests.baking.scenes import write_scene
 
 PACKAGES = {"spz": "gsply", "usd": "pxr"}

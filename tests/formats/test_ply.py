@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from fourd.errors import UserError
-from fourd.ply import read_ply, write_ply
+from fourd.formats.ply import read_ply, write_ply
 
 
 def cloud(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
