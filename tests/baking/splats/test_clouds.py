@@ -148,6 +148,9 @@ def test_broken_files_are_refused(tmp_path: Path, rng: np.random.Generator) -> N
     (tmp_path / "a.splat").write_bytes(b"x" * 33)
     with pytest.raises(UserError, match=r"a\.splat: expected a multiple of 32 bytes, got 33 bytes"):
         read_splat(tmp_path / "a.splat")
+    (tmp_path / "empty.splat").write_bytes(b"")
+    with pytest.raises(UserError, match=r"empty\.splat: expected at least one splat with finite values, got none"):
+        SplatReader(tmp_path / "empty.splat")
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".splat"])
