@@ -25,10 +25,11 @@ def soup(
     return torch.from_numpy(pos), torch.tensor(list(chosen.values()), dtype=torch.int32)
 
 
-def grid(rng: np.random.Generator, cells: int, jitter: float = 0.35) -> tuple[Tensor, Tensor]:
+def grid(rng: np.random.Generator, cells: int, jitter: float = 0.24) -> tuple[Tensor, Tensor]:
     """Return a triangulated square with corners at +-1.2 and with shifted vertices: xy (V, 2) and tri (T, 3).
 
-    The triangles have a random order, a random first vertex and a random orientation.
+    The triangles have a random order, a random first vertex and a random orientation. With a ``jitter`` below 0.25
+    cells, no triangle folds over its neighbours.
     """
     steps = np.arange(cells + 1)
     xy = np.stack(np.meshgrid(steps, steps), -1).astype(np.float64)
