@@ -33,6 +33,7 @@ def option(metavar: str, default: str, text: str | None = None) -> Any:
 
 
 CapturePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE")]]
+ScenePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
 RunPath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN")]]
 Views = Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)]
 Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
@@ -64,6 +65,29 @@ def check_mbps(max_mbps: float | None) -> None:
     """Raise UserError if ``max_mbps`` is given and not a number above 0."""
     if max_mbps is not None and not 0 < max_mbps < 1e9:
         raise UserError(f"--max-mbps: expected a number of megabits per second above 0, got {max_mbps}")
+
+
+HullAgreement = Annotated[
+    float,
+    describe(
+        "Minimum share of mattes that must contain a point of the hull, in (0, 1]. Choose a lower share if mattes have",
+        "holes.",
+    ),
+]
+HullLeastViews = Annotated[
+    float,
+    describe(
+        "Minimum share of all views that must see a point of the hull, in (0, 1]. Choose a lower share if each camera",
+        "sees only a part of the scene.",
+    ),
+]
+
+
+def check_hull_shares(agreement: float, least_views: float) -> None:
+    """Raise UserError if a share is not in (0, 1]."""
+    for name, share in (("agreement", agreement), ("least-views", least_views)):
+        if not 0 < share <= 1:
+            raise UserError(f"--{name}: expected a share in (0, 1], got {share:g}")
 
 
 @dataclass(frozen=True)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fourd.cameras import Array
 from fourd.errors import UserError
+from fourd.files import atomic_path
 
 MAGIC = 0x46546C67
 JSON_CHUNK = 0x4E4F534A
@@ -18,6 +21,7 @@ BINARY_CHUNK = 0x004E4942
 MAX_BYTES = (1 << 32) - 1
 FLOAT, UINT8, UINT32 = 5126, 5121, 5125
 ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
+_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 def up_rotation(up: Array) -> list[float]:
@@ -27,6 +31,47 @@ def up_rotation(up: Array) -> list[float]:
         return [1.0, 0.0, 0.0, 0.0]
     quaternion = np.array([-z, 0.0, x, 1 + y])
     return [float(value) for value in quaternion / np.linalg.norm(quaternion)]
+
+
+def srgb_to_linear(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    """Convert sRGB colours in [0, 1] to linear colours in [0, 1] (IEC 61966-2-1), which glTF demands of vertices."""
+    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
+
+
+def float_accessor(view: int, array: NDArray[np.floating[Any]], *, has_limits: bool = False) -> dict[str, Any]:
+    """The accessor of an array (N, 1 to 4) that the buffer view ``view`` stores as float32.
+
+    With ``has_limits``, it states the smallest and largest values, as glTF demands of positions.
+    """
+    accessor = {"bufferView": view, "componentType": FLOAT, "count": len(array), "type": _TYPES[array.shape[1]]}
+    if has_limits and len(array):
+        accessor |= {"min": [float(v) for v in array.min(axis=0)], "max": [float(v) for v in array.max(axis=0)]}
+    return accessor
+
+
+def write_parts(path: Path, document: Mapping[str, Any], parts: Sequence[bytes], targets: Sequence[int | None]) -> None:
+    """Write a GLB file atomically. Part i becomes the buffer view i of the document.
+
+    Args:
+        path: the file.
+        document: the glTF document without buffers and buffer views.
+        parts: contents of the buffer views.
+        targets: for each part, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, or None for images.
+
+    Raises:
+        UserError: if the file would be larger than 4 GiB.
+    """
+    views: list[dict[str, Any]] = []
+    offset = 0
+    for part, target in zip(parts, targets, strict=True):
+        view = {"buffer": 0, "byteOffset": offset, "byteLength": len(part)}
+        views.append(view if target is None else view | {"target": target})
+        offset += len(part) + -len(part) % 4
+    whole = {**document, "bufferViews": views, "buffers": [{"byteLength": offset}]}
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        write_header(stream, whole, offset, str(path))
+        for part in parts:
+            stream.write(pad(part, b"\0"))
 
 
 def pad(part: bytes, filler: bytes) -> bytes:

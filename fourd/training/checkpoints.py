@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.training.run_layout import checkpoint_files
 
 FORMAT = "fourd-checkpoint-1"
 KEPT = 2
@@ -73,7 +74,7 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
     """
     damaged: list[str] = []
     found = None
-    for path in reversed(_files(folder)):
+    for path in reversed(checkpoint_files(folder)):
         try:
             load_checkpoint(path)
         except UserError as error:
@@ -217,19 +218,13 @@ def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
     return np.random.Generator(bits)
 
 
-def _files(folder: Path) -> list[Path]:
-    """Checkpoint files in the order of their steps. Temporary files, whose names start with a dot, are not included."""
-    named = [path for path in folder.glob("*.safetensors") if path.stem.isdecimal()]
-    return sorted(named, key=lambda path: int(path.stem))
-
-
 def _drop_old(folder: Path, step: int) -> None:
     """Delete all checkpoints up to ``step`` except the two newest. Damaged checkpoints of steps after ``step`` are also
     deleted.
 
     Checkpoints of later steps exist if the run was resumed from an earlier step.
     """
-    files = _files(folder)
+    files = checkpoint_files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:
         path.unlink(missing_ok=True)
     for path in [path for path in files if int(path.stem) > step]:
@@ -242,7 +237,7 @@ def _drop_old(folder: Path, step: int) -> None:
 def _cannot_write(folder: Path, error: Exception) -> UserError:
     # safetensors raises its own exception type, whose text contains the system's error number.
     is_full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
-    before = _files(folder)
+    before = checkpoint_files(folder)
     kept = f"the previous checkpoint, {before[-1].name}, is intact" if before else "there is no previous checkpoint"
     got = "a full disk" if is_full else _one_line(error)
     fix = "free some space" if is_full else "make the folder writable"

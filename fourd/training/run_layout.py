@@ -6,6 +6,8 @@ results of the stages before training. ``checkpoints/`` contains STEP.safetensor
 
 from __future__ import annotations
 
+from pathlib import Path
+
 CONFIG_NAME = "config.yaml"
 HULL = "hull"
 """Folder with bounds.json and, for each frame, the initial points in FRAME.ply."""
@@ -21,3 +23,15 @@ SCRATCH = "scratch"
 PREPARATION = (HULL, BACKGROUND, CALIBRATION)
 """Folders that are written before training. These folders may exist before ``config.yaml``, the file that marks a
 folder as a run."""
+
+
+def checkpoint_files(folder: Path) -> list[Path]:
+    """Checkpoint files in the folder of checkpoints, in the order of their steps. Temporary files, whose names start
+    with a dot, are not included."""
+    named = [path for path in folder.glob("*.safetensors") if path.stem.isdecimal()]
+    return sorted(named, key=lambda path: int(path.stem))
+
+
+def newest_checkpoint(run: Path) -> str:
+    """File name of the newest checkpoint of a run, or an empty text if there is none."""
+    return max((path.name for path in checkpoint_files(run / CHECKPOINTS)), default="")

@@ -1,16 +1,18 @@
-"""Adam (Kingma and Ba 2015) for parameters whose rows are removed and added."""
+"""Parameters with one row per triangle or vertex, which Adam updates. Rows can be removed and added."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-DECAYS = (0.9, 0.999)
-EPSILON = 1e-15
+from fourd.training.points.selective_adam import SelectiveAdam
+
+BETAS = (0.9, 0.999)
+_NAME = "value"
 
 
 class AdamRows:
-    """A parameter with one row per triangle, and its moments.
+    """A parameter with T rows, and the state of its optimizer.
 
     Attributes:
         value: (T, ...) float32 leaf tensor that requires a gradient.
@@ -20,26 +22,21 @@ class AdamRows:
         """Start with ``value`` (T, ...). ``rate`` is the learning rate."""
         self.value = value.detach().clone().requires_grad_()
         self._rate = rate
-        self._mean = torch.zeros_like(value)
-        self._square = torch.zeros_like(value)
-        self._steps = torch.zeros(len(value))
+        self._adam = SelectiveAdam.initial({_NAME: _as_rows(value)}, BETAS)
 
     @torch.no_grad()
     def step(self, gradient: Tensor, factor: float = 1.0) -> None:
         """Move all rows by one step. ``factor`` scales the learning rate."""
-        first, second = DECAYS
-        self._steps += 1
-        self._mean.lerp_(gradient, 1 - first)
-        self._square.mul_(second).addcmul_(gradient, gradient, value=1 - second)
-        shape = (-1, *[1] * (self.value.ndim - 1))
-        bias = ((1 - second**self._steps).sqrt() / (1 - first**self._steps)).reshape(shape)
-        self.value.sub_(self._mean / (self._square.sqrt() + EPSILON) * (bias * (self._rate * factor)))
+        parameters, gradients = {_NAME: _as_rows(self.value.detach())}, {_NAME: _as_rows(gradient)}
+        self._adam.step(parameters, slice(None), gradients, {_NAME: self._rate * factor})
 
     @torch.no_grad()
     def replace(self, kept: Tensor, added: Tensor) -> None:
         """Keep the rows ``kept`` (int64 indices), and append the rows ``added`` with moments of 0."""
         self.value = torch.cat([self.value[kept], added]).requires_grad_()
-        zeros = torch.zeros_like(added)
-        self._mean = torch.cat([self._mean[kept], zeros])
-        self._square = torch.cat([self._square[kept], zeros])
-        self._steps = torch.cat([self._steps[kept], torch.zeros(len(added))])
+        self._adam.keep_rows(kept, len(added))
+
+
+def _as_rows(tensor: Tensor) -> Tensor:
+    """View a tensor (T, ...) as (T, C)."""
+    return tensor.view(len(tensor), tensor[0].numel() if len(tensor) else 1)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from fourd.baking import BakedFrame, SceneManifest, combine_frames
 from fourd.baking.splats.reader import is_splats, open_reader
 from fourd.errors import UserError
+from fourd.training.run_layout import newest_checkpoint
 from fourd.viewer.playback.prefetch import BakedFrameSource
 
 if TYPE_CHECKING:
@@ -38,8 +39,7 @@ class RunSource:
     @property
     def checkpoint(self) -> str:
         """File name of the newest checkpoint on disk, or an empty string when there is no checkpoint."""
-        names = [path.name for path in (self._folder / "checkpoints").glob("*.safetensors") if path.stem.isdecimal()]
-        return max(names, default="")
+        return newest_checkpoint(self._folder)
 
     def read(self, index: int) -> BakedFrame:
         """Bake a frame of the newest checkpoint. Raises UserError if the frame has an invalid value, such as NaN."""

@@ -12,6 +12,7 @@ from rich.console import Console
 from fourd.baking.files.encoding import Tier
 from fourd.errors import UserError
 from fourd.progress import Tracker
+from fourd.training.run_layout import newest_checkpoint
 from fourd.viewer.publish.site import POSTER_NAME, SCENE_NAME, copy_player, write_poster, write_scene
 
 _POLL_SECONDS = 2.0
@@ -73,8 +74,7 @@ class LiveSite:
         """Return a text that changes with the source, or an empty text if the source is missing for the moment."""
         with suppress(OSError):
             if self._source.is_dir():
-                checkpoints = (self._source / "checkpoints").glob("*.safetensors")
-                return max((path.name for path in checkpoints if path.stem.isdecimal()), default="")
+                return newest_checkpoint(self._source)
             status = self._source.stat()
             return f"{status.st_mtime_ns} {status.st_size} {status.st_ino}"
         return ""

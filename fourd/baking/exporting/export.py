@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeVar, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,11 @@ from fourd.baking.splats.frames import SPLAT_SH_BASE, SPLAT_SH_RANGE, SplatFit, 
 from fourd.baking.splats.ply import write_splat_ply
 from fourd.baking.splats.raw import write_splat
 from fourd.baking.splats.spz import require_gsply, write_spz
-from fourd.cameras import Camera, estimate_up
+from fourd.cameras import estimate_up
+from fourd.capture.layout import sample_indices
 from fourd.formats.ply import write_ply
 from fourd.progress import Track, untracked
 
-Item = TypeVar("Item")
 Format = Literal["ply-sequence", "splat", "spz", "glb", "usd", "ply"]
 FORMATS: tuple[Format, ...] = get_args(Format)
 SUFFIXES: dict[Format, str] = {
@@ -168,8 +168,9 @@ class _LossMeter:
             sh_base=SPLAT_SH_BASE,
             sh_range=SPLAT_SH_RANGE,
         )
-        self._cameras: list[Camera] = _spread(viewpoints(manifest), MEASURED_VIEWS)
-        self._frames = set(_spread(frames, MEASURED_FRAMES))
+        cameras = viewpoints(manifest)
+        self._cameras = [cameras[index] for index in sample_indices(len(cameras), MEASURED_VIEWS)]
+        self._frames = {frames[index] for index in sample_indices(len(frames), MEASURED_FRAMES)}
         self._values: list[float] = []
 
     @property
@@ -189,10 +190,3 @@ class _LossMeter:
                 exported = render_frame(frame, camera, self._manifest).rgb
                 error = float(np.square(given.rgb[seen] - exported[seen]).mean())
                 self._values.append(-10 * float(np.log10(max(error, 1e-10))))
-
-
-def _spread(items: Sequence[Item], count: int) -> list[Item]:
-    """At most ``count`` of the items, at equal distances."""
-    if len(items) <= count:
-        return list(items)
-    return [items[index] for index in np.linspace(0, len(items) - 1, count).round().astype(int)]

@@ -12,12 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.splats.cloud import SplatCloud
-from fourd.files import atomic_path
-from fourd.formats.glb import ARRAY_BUFFER, FLOAT, pad, write_header
+from fourd.formats.glb import ARRAY_BUFFER, float_accessor, srgb_to_linear, write_parts
 
 EXTENSION = "KHR_gaussian_splatting"
 POINTS = 0
-TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
 def write_splat_glb(path: Path, cloud: SplatCloud) -> None:
@@ -26,8 +24,6 @@ def write_splat_glb(path: Path, cloud: SplatCloud) -> None:
     Raises UserError if the file would be larger than 4 GiB.
     """
     columns = _columns(cloud)
-    parts = [np.ascontiguousarray(array, "<f4") for array in columns.values()]
-    offsets = np.cumsum([0, *(part.nbytes for part in parts)])
     document = {
         "asset": {"version": "2.0", "generator": "fourd export"},
         "extensionsUsed": [EXTENSION],
@@ -36,24 +32,17 @@ def write_splat_glb(path: Path, cloud: SplatCloud) -> None:
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": [_primitive(list(columns))]}],
         "accessors": [
-            _accessor(index, part, name) for index, (name, part) in enumerate(zip(columns, parts, strict=True))
+            float_accessor(index, array, has_limits=name == "POSITION")
+            for index, (name, array) in enumerate(columns.items())
         ],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": int(offset), "byteLength": part.nbytes, "target": ARRAY_BUFFER}
-            for offset, part in zip(offsets, parts, strict=False)
-        ],
-        "buffers": [{"byteLength": int(offsets[-1])}],
     }
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        write_header(stream, document, int(offsets[-1]), str(path))
-        for part in parts:
-            stream.write(pad(part.tobytes(), b"\0"))
+    parts = [np.ascontiguousarray(array, "<f4").tobytes() for array in columns.values()]
+    write_parts(path, document, parts, [ARRAY_BUFFER] * len(parts))
 
 
 def _columns(cloud: SplatCloud) -> dict[str, NDArray[np.float32]]:
     """The attributes of the primitive by name."""
-    colour = cloud.base_colour
-    linear = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    linear = srgb_to_linear(cloud.base_colour).astype(np.float32)
     columns = {
         "POSITION": cloud.xyz,
         "COLOR_0": np.concatenate([linear, cloud.opacity[:, None]], axis=1),
@@ -76,11 +65,3 @@ def _primitive(names: list[str]) -> dict[str, Any]:
     }
     attributes = {name: index for index, name in enumerate(names)}
     return {"attributes": attributes, "mode": POINTS, "extensions": {EXTENSION: described}}
-
-
-def _accessor(index: int, part: NDArray[np.float32], name: str) -> dict[str, Any]:
-    accessor = {"bufferView": index, "componentType": FLOAT, "count": len(part), "type": TYPES[part.shape[1]]}
-    if name == "POSITION" and len(part):
-        accessor["min"] = [float(value) for value in part.min(axis=0)]
-        accessor["max"] = [float(value) for value in part.max(axis=0)]
-    return accessor

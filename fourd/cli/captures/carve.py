@@ -10,7 +10,7 @@ import tyro
 from rich.console import Console
 
 from fourd.carving import read_bounds
-from fourd.cli.options import CapturePath, SelectionOptions, Workers, describe, option, worker_count
+from fourd.cli.options import CapturePath, SelectionOptions, Workers, check_hull_shares, describe, option, worker_count
 from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
@@ -92,7 +92,4 @@ def _check(arguments: Arguments) -> None:
         raise UserError(f"--points: expected at least 1, got {arguments.points}; the default is 65536")
     if arguments.inset < 0:
         raise UserError(f"--inset: expected 0 or more, got {arguments.inset:g}; the default is 0")
-    for name in ("agreement", "least_views"):
-        share = getattr(arguments, name)
-        if not 0 < share <= 1:
-            raise UserError(f"--{name.replace('_', '-')}: expected a share in (0, 1], got {share:g}")
+    check_hull_shares(arguments.agreement, arguments.least_views)

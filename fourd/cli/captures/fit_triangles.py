@@ -13,7 +13,7 @@ from rich.table import Table
 from fourd.cameras import estimate_up
 from fourd.capture import open_capture
 from fourd.capture.layout import refuse_symlinks
-from fourd.cli.options import CapturePath, Views, describe, option, split_names
+from fourd.cli.options import CapturePath, HullAgreement, HullLeastViews, Views, option, split_names
 from fourd.errors import UserError
 from fourd.files import remove_unfinished_file
 from fourd.progress import Tracker
@@ -53,20 +53,8 @@ class Arguments:
     """Stop after this many seconds of fitting."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
     """Stop after this many steps. With this limit alone, equal commands write equal files."""
-    agreement: Annotated[
-        float,
-        describe(
-            "Minimum share of mattes that must contain a point of the hull, in (0, 1]. Choose a lower share if mattes",
-            "have holes.",
-        ),
-    ] = TriangleSettings.agreement
-    least_views: Annotated[
-        float,
-        describe(
-            "Minimum share of all views that must see a point of the hull, in (0, 1]. Choose a lower share if each",
-            "camera sees only a part of the scene.",
-        ),
-    ] = TriangleSettings.least_views
+    agreement: HullAgreement = TriangleSettings.agreement
+    least_views: HullLeastViews = TriangleSettings.least_views
     seed: int = 0
     """Random seed."""
 

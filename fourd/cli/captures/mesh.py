@@ -10,7 +10,15 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, describe, option, split_names
+from fourd.cli.options import (
+    FRAMES_HELP,
+    VIEWS_HELP,
+    HullAgreement,
+    HullLeastViews,
+    check_hull_shares,
+    option,
+    split_names,
+)
 from fourd.errors import UserError
 from fourd.mesh.fitting.settings import FitSettings
 from fourd.mesh.settings import MeshFormat, MeshSettings
@@ -52,20 +60,8 @@ class Arguments:
     """Width and height of the textures in texels."""
     format: MeshFormat = MeshSettings.format
     """glb: textured meshes with the y axis up. ply: meshes with one colour per vertex, in world coordinates."""
-    agreement: Annotated[
-        float,
-        describe(
-            "Minimum share of mattes that must contain a point of the hull, in (0, 1]. Choose a lower share if mattes",
-            "have holes.",
-        ),
-    ] = MeshSettings.agreement
-    least_views: Annotated[
-        float,
-        describe(
-            "Minimum share of all views that must see a point of the hull, in (0, 1]. Choose a lower share if each",
-            "camera sees only a part of the scene.",
-        ),
-    ] = MeshSettings.least_views
+    agreement: HullAgreement = MeshSettings.agreement
+    least_views: HullLeastViews = MeshSettings.least_views
     seed: int = 0
     """Random seed of the order in which the views are fitted."""
 
@@ -99,10 +95,7 @@ def _settings(arguments: Arguments) -> MeshSettings:
         raise UserError(f"--remesh: expected 0 or more cells, got {arguments.remesh:g}")
     if arguments.remesh > 0 and not remeshing_is_available():
         raise UserError("--remesh: expected the package gpytoolbox, got none; pip install 'fourd[mesh]'")
-    for name in ("agreement", "least_views"):
-        share = getattr(arguments, name)
-        if not 0 < share <= 1:
-            raise UserError(f"--{name.replace('_', '-')}: expected a share in (0, 1], got {share:g}")
+    check_hull_shares(arguments.agreement, arguments.least_views)
     return MeshSettings(
         cells=arguments.cells,
         texture_size=arguments.texture_size,

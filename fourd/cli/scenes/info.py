@@ -19,6 +19,7 @@ from rich.text import Text
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.errors import UserError
+from fourd.training.run_layout import CHECKPOINTS, checkpoint_files
 
 if TYPE_CHECKING:
     from fourd.baking.scene import SceneBackground
@@ -220,7 +221,7 @@ def _run(path: Path) -> Rows:
     config = _parsed((path / "config.yaml").read_bytes(), yaml.safe_load, bad)
     train = config.get("train")
     train = train if isinstance(train, dict) else {}
-    steps = sorted(int(file.stem) for file in path.glob("checkpoints/*.safetensors") if file.stem.isdecimal())
+    steps = [int(file.stem) for file in checkpoint_files(path / CHECKPOINTS)]
     rows = [
         ("capture", str(config.get("capture", "unknown"))),
         ("checkpoints", ", ".join(f"step {step:,}" for step in steps) or "none yet"),

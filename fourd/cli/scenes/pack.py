@@ -11,9 +11,7 @@ from rich.console import Console
 
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings, pack_and_report
-from fourd.cli.options import TIER_HELP, MaxMbps, check_mbps, describe
-
-ScenePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
+from fourd.cli.options import TIER_HELP, MaxMbps, ScenePath, check_mbps, describe
 
 
 @dataclass(frozen=True)

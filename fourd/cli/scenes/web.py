@@ -10,10 +10,8 @@ import tyro
 from rich.console import Console
 
 from fourd.baking.files.encoding import Tier
-from fourd.cli.options import TIER_HELP, describe, option
+from fourd.cli.options import TIER_HELP, ScenePath, describe, option
 from fourd.progress import Tracker
-
-ScenePath = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE")]]
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Array
-from fourd.files import atomic_path
-from fourd.formats.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, FLOAT, UINT32, pad, up_rotation, write_header
+from fourd.formats.glb import (
+    ARRAY_BUFFER,
+    ELEMENT_ARRAY_BUFFER,
+    UINT32,
+    float_accessor,
+    srgb_to_linear,
+    up_rotation,
+    write_parts,
+)
 from fourd.mesh.files.glb import UNLIT
 
 UINT16 = 5123
@@ -43,31 +50,15 @@ def write_coloured_glb(
         colours.tobytes(),
         np.ascontiguousarray(triangles, "<u4").tobytes(),
     ]
-    document = _document(xyz, np.asarray(triangles).size, parts, up)
-    binary = b"".join(pad(part, b"\0") for part in parts)
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        write_header(stream, document, len(binary), str(path))
-        stream.write(binary)
+    document = _document(xyz, normals, np.asarray(triangles).size, up)
+    write_parts(path, document, parts, (ARRAY_BUFFER, ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER))
 
 
-def srgb_to_linear(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Convert sRGB colours in [0, 1] to linear colours in [0, 1] (IEC 61966-2-1)."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-
-
-def _document(xyz: NDArray[np.float32], corners: int, parts: list[bytes], up: Array) -> dict[str, Any]:
-    views: list[dict[str, Any]] = []
-    offset = 0
-    targets = (ARRAY_BUFFER, ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER)
-    for part, target in zip(parts, targets, strict=True):
-        views.append({"buffer": 0, "byteOffset": offset, "byteLength": len(part), "target": target})
-        offset += len(part) + -len(part) % 4
-    count = len(xyz)
-    limits = {"min": [float(v) for v in xyz.min(axis=0)], "max": [float(v) for v in xyz.max(axis=0)]}
-    colour = {"componentType": UINT16, "normalized": True, "count": count, "type": "VEC4"}
+def _document(xyz: NDArray[np.float32], normals: NDArray[np.float32], corners: int, up: Array) -> dict[str, Any]:
+    colour = {"componentType": UINT16, "normalized": True, "count": len(xyz), "type": "VEC4"}
     accessors: list[dict[str, Any]] = [
-        {"bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3"} | limits,
-        {"bufferView": 1, "componentType": FLOAT, "count": count, "type": "VEC3"},
+        float_accessor(0, xyz, has_limits=True),
+        float_accessor(1, normals),
         {"bufferView": 2} | colour,
         {"bufferView": 3, "componentType": UINT32, "count": corners, "type": "SCALAR"},
     ]
@@ -82,6 +73,4 @@ def _document(xyz: NDArray[np.float32], corners: int, parts: list[bytes], up: Ar
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}],
         "materials": [{"pbrMetallicRoughness": surface, "extensions": {UNLIT: {}}, "doubleSided": True}],
         "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
     }

@@ -19,18 +19,16 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Array
 from fourd.errors import UserError
-from fourd.files import atomic_path
 from fourd.formats.glb import (
     ARRAY_BUFFER,
     BINARY_CHUNK,
     ELEMENT_ARRAY_BUFFER,
-    FLOAT,
     JSON_CHUNK,
     MAGIC,
     UINT32,
-    pad,
+    float_accessor,
     up_rotation,
-    write_header,
+    write_parts,
 )
 from fourd.mesh.texturing.texture import TexturedMesh
 
@@ -80,11 +78,8 @@ def write_glb(path: Path, mesh: TexturedMesh, up: Array) -> None:
         np.ascontiguousarray(mesh.triangles, "<u4").tobytes(),
         image,
     ]
-    document = _document(mesh, parts, up)
-    binary = b"".join(pad(part, b"\0") for part in parts)
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        write_header(stream, document, len(binary), str(path))
-        stream.write(binary)
+    targets = (ARRAY_BUFFER, ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, None)
+    write_parts(path, _document(mesh, up), parts, targets)
 
 
 def read_glb(path: Path) -> GlbFile:
@@ -148,21 +143,11 @@ def encode_texture(texture: NDArray[np.uint8]) -> bytes:
     return code.tobytes()
 
 
-def _document(mesh: TexturedMesh, parts: list[bytes], up: Array) -> dict[str, Any]:
-    views: list[dict[str, Any]] = []
-    offset = 0
-    targets = (ARRAY_BUFFER, ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, None)
-    for part, target in zip(parts, targets, strict=True):
-        view = {"buffer": 0, "byteOffset": offset, "byteLength": len(part)}
-        views.append(view if target is None else view | {"target": target})
-        offset += len(part) + -len(part) % 4
-    count = len(mesh.xyz)
-    lower, upper = mesh.xyz.min(axis=0), mesh.xyz.max(axis=0)
+def _document(mesh: TexturedMesh, up: Array) -> dict[str, Any]:
     accessors: list[dict[str, Any]] = [
-        {"bufferView": 0, "componentType": FLOAT, "count": count, "type": "VEC3"}
-        | {"min": [float(v) for v in lower], "max": [float(v) for v in upper]},
-        {"bufferView": 1, "componentType": FLOAT, "count": count, "type": "VEC3"},
-        {"bufferView": 2, "componentType": FLOAT, "count": count, "type": "VEC2"},
+        float_accessor(0, mesh.xyz, has_limits=True),
+        float_accessor(1, mesh.normals),
+        float_accessor(2, mesh.uv),
         {"bufferView": 3, "componentType": UINT32, "count": mesh.triangles.size, "type": "SCALAR"},
     ]
     attributes = {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}
@@ -178,8 +163,6 @@ def _document(mesh: TexturedMesh, parts: list[bytes], up: Array) -> dict[str, An
         "samplers": [sampler()],
         "images": [{"bufferView": 4, "mimeType": "image/jpeg"}],
         "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": offset}],
     }
 
 

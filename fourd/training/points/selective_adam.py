@@ -25,22 +25,24 @@ class SelectiveAdam:
     Attributes:
         moments: parameter name -> first and second moments (2, N, C).
         steps: (N,) float32, number of updates of each row.
+        betas: decay rates of the first and second moments.
     """
 
     moments: dict[str, Tensor]
     steps: Tensor
+    betas: tuple[float, float] = BETAS
 
     @classmethod
-    def initial(cls, parameters: Mapping[str, Tensor]) -> SelectiveAdam:
+    def initial(cls, parameters: Mapping[str, Tensor], betas: tuple[float, float] = BETAS) -> SelectiveAdam:
         """Initial state for parameters (N, C)."""
         count = next(iter(parameters.values())).shape[0]
         moments = {name: torch.zeros(2, *value.shape) for name, value in parameters.items()}
-        return cls(moments, torch.zeros(count))
+        return cls(moments, torch.zeros(count), betas)
 
     def step(
         self,
         parameters: Mapping[str, Tensor],
-        rows: Tensor,
+        rows: Tensor | slice,
         gradients: Mapping[str, Tensor],
         rates: Mapping[str, float | Tensor],
     ) -> None:
@@ -48,7 +50,7 @@ class SelectiveAdam:
 
         Args:
             parameters: name -> parameters (N, C).
-            rows: (M,) indices of the rows to update, without duplicates.
+            rows: (M,) indices of the rows to update, without duplicates, or a slice of the rows.
             gradients: name -> gradients (M, C). Parameters without a gradient keep their values.
             rates: name -> learning rate in the parameter's units, a number or (M, 1).
         """
@@ -56,11 +58,11 @@ class SelectiveAdam:
         steps = self.steps[rows][:, None]
         for name, gradient in gradients.items():
             moments = self.moments[name]
-            first = moments[0, rows].lerp(gradient, 1 - BETAS[0])
-            second = moments[1, rows].lerp(gradient.square(), 1 - BETAS[1])
+            first = moments[0, rows].lerp(gradient, 1 - self.betas[0])
+            second = moments[1, rows].lerp(gradient.square(), 1 - self.betas[1])
             moments[0, rows], moments[1, rows] = first, second
-            scale = (second / (1 - BETAS[1] ** steps)).sqrt() + EPSILONS.get(name, EPSILON)
-            parameters[name][rows] -= rates[name] * first / (1 - BETAS[0] ** steps) / scale
+            scale = (second / (1 - self.betas[1] ** steps)).sqrt() + EPSILONS.get(name, EPSILON)
+            parameters[name][rows] -= rates[name] * first / (1 - self.betas[0] ** steps) / scale
 
     def keep_rows(self, kept: Tensor, new_count: int) -> None:
         """Keep only the state of the rows ``kept`` (K,), and append initial state for ``new_count`` rows."""

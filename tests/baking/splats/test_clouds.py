@@ -18,6 +18,7 @@ from fourd.baking.splats.raw import read_splat, write_splat
 from fourd.baking.splats.reader import SplatReader
 from fourd.errors import UserError
 from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
+from tests.baking.damage import damage
 from tests.baking.scenes import manifest
 
 
@@ -159,13 +160,9 @@ def test_random_damage_never_escapes(tmp_path: Path, rng: np.random.Generator, s
     path = tmp_path / f"a{suffix}"
     cloud = random_cloud(rng, 20, terms=4 if suffix == ".ply" else 1)
     (write_splat_ply if suffix == ".ply" else write_splat)(path, cloud)
-    content = np.frombuffer(path.read_bytes(), np.uint8)
+    content = path.read_bytes()
     for _ in range(200):
-        changed = content.copy()
-        where = rng.integers(0, len(content), rng.integers(1, 40))
-        changed[where] = rng.integers(0, 256, len(where))
-        end = len(content) if rng.random() < 0.8 else int(rng.integers(len(content)))
-        path.write_bytes(changed[:end].tobytes())
+        path.write_bytes(damage(content, rng, 40))
         try:
             frame = SplatReader(path).read(0)
         except UserError as error:

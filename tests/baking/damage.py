@@ -1,0 +1,14 @@
+"""Random damage of files for tests of readers."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def damage(content: bytes, rng: np.random.Generator, most: int) -> bytes:
+    """Return ``content`` with 1 to ``most`` - 1 bytes changed, and cut at a random place in one of five cases."""
+    changed = np.frombuffer(content, np.uint8).copy()
+    where = rng.integers(0, len(changed), rng.integers(1, most))
+    changed[where] = rng.integers(0, 256, len(where))
+    end = len(changed) if rng.random() < 0.8 else int(rng.integers(len(changed)))
+    return changed[:end].tobytes()
