@@ -181,7 +181,7 @@ def select_views(camera: Camera, sources: Sequence[Camera], count: int, focus: A
 def fading_weights(
     camera: Camera, sources: Sequence[Camera], chosen: Sequence[int], focus: Array
 ) -> NDArray[np.float32]:
-    """Return view weights (V,) of the ``chosen`` cameras, which fall with the angle to the viewing camera.
+    """Return view weights (V,) of the ``chosen`` cameras, which decrease with the angle to the viewing camera.
 
     A chosen camera at the angle a has the view weight 1 - a / b, where b is the limit angle. Let A be the largest angle
     of the chosen cameras. Among the cameras that are not chosen and whose angle is at least A, the smallest angle is

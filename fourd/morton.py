@@ -44,7 +44,7 @@ def spread_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 def gather_bits(values: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return the values of :func:`spread_bits`. Other bits of ``values`` are ignored."""
+    """Invert :func:`spread_bits`: collect every third bit of each value, from bit 0 on. The other bits are ignored."""
     values = values & np.uint64(_SPREAD[-1][1])
     masks = [mask for _, mask in _SPREAD[-2::-1]] + [_LOWEST_BITS]
     for (shift, _), mask in zip(reversed(_SPREAD), masks, strict=True):

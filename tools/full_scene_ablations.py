@@ -8,7 +8,7 @@ the variant changes these points. Finished runs are not trained again.
 
 The two variants with a perturbed calibration use the capture OUT/disturbed. In OUT/disturbed, each camera is rotated by
 0.5 degrees and moved by 1 cm. For the two variants with a perturbed calibration, each held-out camera is fitted to its
-own images before evaluation. This fit alone raises the scores slightly.
+own images before evaluation. Even without any other change, this fit raises the scores slightly.
 
 The program prints a Markdown table and writes the image OUT/pictures.png. For the middle frame of each held-out view,
 the image shows the ground truth and the result of every variant.

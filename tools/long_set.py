@@ -48,7 +48,7 @@ def main() -> None:
 
 
 def back_and_forth(count: int, length: int) -> list[int]:
-    """Return ``length`` frame indices that play ``count`` frames forwards and backwards in turn."""
+    """Return ``length`` frame indices that play ``count`` frames alternately forwards and backwards."""
     period = max(1, 2 * (count - 1))
     return [min(place % period, period - place % period) for place in range(length)]
 

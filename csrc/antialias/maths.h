@@ -41,15 +41,15 @@ FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vert
     return {at[0], at[1], at[3]};
 }
 
-// A determinant. Its sign shows on which side of the plane through p, q and the camera the vertex r lies. The
-// determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
+// The determinant of p, q and r. Its sign states on which side of the plane through p, q and the camera the vertex r
+// lies. The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
 FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
     const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
 }
 
 // Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette: it has no neighbour, or the neighbour
-// does not lie on the other side.
+// does not lie on the other side of the edge.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
@@ -93,7 +93,7 @@ FOURD_HD static inline Code code_of(int edge_number, bool neighbour, int axis) {
 // nearer. The axis `along` points to the other pixel of the pair, and the axis `across` is perpendicular to it.
 struct Sight {
     float along, across;            // The centre of the owner in normalised device coordinates.
-    float step_along, step_across;  // From one pixel centre to the next. step_along leads to the other pixel of the pair.
+    float step_along, step_across;  // Between pixel centres. step_along is signed: it leads to the other pixel.
     int axis;
 
     FOURD_HD FOURD_INLINE Sight(const Pair& pair, bool neighbour, int height, int width) : axis(pair.axis) {

@@ -8,7 +8,7 @@ namespace fourd::cuda {
 void bind_module(nb::module_& module) {
     nb::set_leak_warnings(false);  // Entry estimators stay allocated until the process ends.
     nb::class_<device::EntryEstimator>(module, "EntryEstimator",
-                                       "Predicts how many entries a picture needs from earlier pictures.")
+                                       "Predicts the number of entries of an image from earlier images.")
         .def(nb::init<>());
     bind_kernels(module);
 }

@@ -27,7 +27,8 @@ static_assert(sizeof(void*) == 2 * sizeof(unsigned), "expected a 64-bit machine"
 
 }  // namespace
 
-// 32 lanes as coroutines. Each lane is resumed in turn until it returns or waits in a call of a Lane function.
+// 32 lanes as coroutines. The lanes are resumed one after another. A resumed lane runs until it returns or waits in a
+// call of a Lane function.
 class Warp {
   public:
     explicit Warp(const std::function<void(const Lane&)>& body)

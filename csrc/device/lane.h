@@ -70,7 +70,7 @@ FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #endif
 }
 
-// Adds 1 and returns the value before.
+// Adds 1 and returns the previous value.
 FOURD_DEVICE static inline std::uint32_t atomic_increment(std::uint32_t* target) {
 #ifdef __CUDA_ARCH__
     return atomicAdd(target, 1u);

@@ -24,7 +24,8 @@ FOURD_HD static inline int vertices_of(Code code, int axis) {
 }
 
 // The derivative of the loss with respect to the distance of the edge from the pixel `owner`. If the distance increases
-// by dt, one of the two pixels changes by dt (c_owner - c_other). The derivative is the mean over both cases.
+// by dt, either the owner or the other pixel changes by dt (c_owner - c_other). The derivative is the mean over both
+// cases.
 FOURD_HD static inline float change(const View& view, std::size_t owner, std::size_t other, const float* gradient) {
     const std::size_t one = owner * view.channels, two = other * view.channels;
     const float* colours = view.plan.images.colours;

@@ -66,8 +66,8 @@ FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const
     return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
 }
 
-// The pixel that the planes of a triangle refer to: the first pixel of its bounding box, or, for a clipped triangle,
-// the centre of the image.
+// Sets the reference pixel of a triangle's Planes (maths.h). The reference pixel is the first pixel of the bounding
+// box, or the centre of the image if the triangle is clipped.
 FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
     piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);
     piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);

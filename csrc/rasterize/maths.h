@@ -58,7 +58,7 @@ FOURD_HD static inline bool is_finite(float value) { return value >= -kLargestFl
 
 FOURD_HD static inline float magnitude(float value) { return value < 0.0f ? -value : value; }
 
-// Rounds to the nearest integer, and halves up. |value| is below 2^31.
+// Rounds to the nearest integer. Halves are rounded up. |value| is below 2^31.
 FOURD_HD static inline std::int32_t round_half_up(float value) {
     const std::int32_t whole = static_cast<std::int32_t>(value);
     const float rest = value - static_cast<float>(whole);
@@ -85,7 +85,7 @@ FOURD_HD static inline Snapped snap(const Screen& screen, const float* pos) {
 struct Piece {
     std::int32_t x[3], y[3];
     std::int32_t triangle;
-    std::uint16_t reference_x, reference_y;  // The pixel that the triangle's planes refer to.
+    std::uint16_t reference_x, reference_y;  // Reference pixel of the triangle's Planes.
 };
 
 // An inclusive range of pixels. It is empty if left > right or top > bottom.

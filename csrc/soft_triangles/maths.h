@@ -119,7 +119,7 @@ struct Coverage {
     Number depth;              // Camera depth, or kNoHit where the triangle does not hit the pixel.
     Number total;              // Sum of the barycentric coordinates above 0.
     Number inverse_depth;
-    Number along, off_x, off_y;  // The nearest point of the edges: its place on the edge, and the vector from it to p.
+    Number along, off_x, off_y;  // Nearest point q on the edges: position along the edge, and p - q.
     Condition nearest[3];      // Whether edge k is the nearest, or has the smallest barycentric coordinate.
     Condition inside;
 };

@@ -143,8 +143,8 @@ FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
     return x < high ? x : high;
 }
 
-// A finite coordinate as the axes below expect it: with Boundary::wrap, its fraction in [0, 1]. Coordinates from 2^23
-// on are integers.
+// Converts a finite coordinate for the functions that compute axes below. With Boundary::wrap, the result is the
+// fraction in [0, 1]; the fraction is 0 from 2^23 on, because such floats are integers.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE float wrapped(float u) {
     if (boundary != Boundary::wrap) return u;

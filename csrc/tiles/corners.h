@@ -95,14 +95,14 @@ FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<N
     return out;
 }
 
-// The range of tiles along one axis that has the pixel centres between low and high. The range is
-// larger by `margin` pixels on both sides. Returns false where there are no such tiles.
+// The range of tiles along one axis that contains the pixel centres between low - margin and high + margin. Returns
+// false where there are no such tiles.
 template <typename Number>
 FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number margin, Number* first, Number* last) {
     const Number* const tag = nullptr;
     const Number zero = constant(0.0f, tag), half = constant(0.5f, tag);
     const Number end = constant(static_cast<float>(size - 1), tag);
-    // Hits have a rounding error. The rest of the margin makes sure that the range contains them.
+    // The margin is enlarged, because rounding errors could otherwise exclude pixels that the triangle hits.
     margin = margin + constant(1e-3f, tag) + (high - low) * constant(1e-5f, tag);
     const Number from = maximum(low - margin - half, zero), to = minimum(high + margin - half, end);
     *first = floor_of(from * constant(1.0f / kTile, tag));

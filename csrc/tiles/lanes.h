@@ -1,6 +1,6 @@
 // The type Lanes: 16 floats, one per pixel of a 4 x 4 block. The vector type of Lanes depends on the instruction set
-// that this file is compiled for. A dispatched file includes this file inside its namespace. Additions have the same order for
-// all instruction sets, so results have the same bits.
+// that this file is compiled for. A dispatched file (common/dispatch.h) includes this file inside its namespace.
+// Additions have the same order for all instruction sets, so results have the same bits.
 //
 // exponent_of and mantissa_of take positive normal numbers a = m 2^e with m in [1, 2), and return e and m. The function
 // times_power_of_two(a, power) returns a 2^power for whole numbers `power`. The result must be a normal number.
@@ -356,5 +356,5 @@ inline float max_lane(Lanes a) {
     return v[0];
 }
 
-// The overload of a function that code for both floats and Lanes calls. The pointer only selects the overload.
+// An overload for Lanes, for code that is written for both floats and Lanes. The pointer only selects the overload.
 inline Lanes constant(float value, const Lanes*) { return broadcast(value); }

@@ -43,7 +43,7 @@ FOURD_INLINE void read_factors(const Harmonics& from, std::size_t first, std::si
     }
 }
 
-// `count` is a multiple of 8. The instruction rounds as to_half does.
+// `count` is a multiple of 8. The F16C instruction rounds in the same way as to_half.
 FOURD_INLINE void to_halves(const float* from, std::size_t count, std::uint16_t* to) {
 #if defined(__F16C__)
     const __m256 largest = _mm256_set1_ps(65504.0f), smallest = _mm256_set1_ps(-65504.0f);

@@ -41,7 +41,7 @@ def make_textured_plane(side: int) -> dict[str, Tensor]:
 
 
 def trilinear_texture(side: int, backward: bool) -> Work:
-    """Return a function that samples a texture with mip levels that it builds, or only computes all gradients."""
+    """Return a function that builds the mip levels of a texture and samples it, or only computes all gradients."""
     arguments = make_textured_plane(side)
     if not backward:
         return lambda: texture(**arguments)  # type: ignore[arg-type]

@@ -56,8 +56,8 @@ class CalibrationSettings:
         board_file: the board's file, for error messages.
         intrinsics: folder or file with known lenses, or None to estimate all lenses.
         frames: range A:B[:S] of the frames to search, or None for all frames, at most 400.
-        floor_frame: number of a frame in which the board lies on the floor, or None. The world's origin is the board's
-            corner, z points up. Without a floor frame, the world has the axes of the first camera.
+        floor_frame: number of a frame in which the board lies on the floor, or None. The world's origin is then a
+            corner of the board, and z points up. Without a floor frame, the world has the axes of the first camera.
         offsets: delays of the videos in frames, by camera name.
     """
 
@@ -73,15 +73,16 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
     """Calibrate the cameras of ``source`` and write intri.yml, extri.yml, report.json and rig.png into ``out``.
 
     Args:
-        source: folder with a video or a folder of images per camera, each image with the same moving board.
-        out: folder that is new, empty, or an earlier calibration. It is replaced as a whole.
+        source: folder with a video or a folder of images per camera. All cameras record the same moving board.
+        out: folder that is new, empty, or an earlier calibration. An earlier calibration is replaced completely.
         settings: the user's settings.
         log: called with one line per result or choice.
         warn: called with one line for each value that is badly determined.
         track: progress callback.
 
     Raises:
-        UserError: if an input is invalid, or the views of the board do not determine the rig. Nothing is written.
+        UserError: if an input is invalid, or the views of the board do not determine the rig. In this case, nothing is
+            written.
     """
     check_out(out)
     if not source.is_dir():
@@ -171,7 +172,7 @@ def _known_lenses(
     lenses = match_lenses(settings.intrinsics, read_lenses(settings.intrinsics), names, sizes)
     unknown = [name for name, lens in zip(names, lenses, strict=True) if lens is None]
     if unknown:
-        log(f"{settings.intrinsics}: no lens for {', '.join(unknown)}; estimated from the board")
+        log(f"{settings.intrinsics}: no lens for {', '.join(unknown)}; these lenses are estimated from the board")
     return lenses
 
 
@@ -181,7 +182,7 @@ def _detect(
     """Find the board in all frames.
 
     Raises:
-        UserError: if a camera never sees the board. The message tells which other board is found, if any.
+        UserError: if a camera never sees the board. If another board is found, the message describes it.
     """
     detector = BoardDetector(settings.board)
     views: list[BoardView] = []
@@ -209,7 +210,7 @@ def _detect(
     if views and len(frames.names) - len(blind) == 1:
         seen = next(name for camera, name in enumerate(frames.names) if camera not in blind)
         raise UserError(
-            f"{source}: expected two cameras that see the board, got {seen} alone; hold the board where several "
+            f"{source}: expected two cameras that see the board, got only {seen}; hold the board where several "
             "cameras see it"
         )
     raise UserError(

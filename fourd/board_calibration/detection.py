@@ -25,8 +25,10 @@ MARKER_CLEARANCE = 0.95
 CHESSBOARD_PATCH = 0.2
 """Half the side length of the patch around a corner of a chessboard, in squares."""
 MAX_CHESSBOARD_PX = 1000
-"""Longer side of the reduced image in which a chessboard is searched first. Images without a chessboard are the slowest
-to search."""
+"""Longer side of the reduced image in which a chessboard is searched first.
+
+This saves time, because the search takes longest in images without a chessboard.
+"""
 
 
 @dataclass(frozen=True, eq=False)

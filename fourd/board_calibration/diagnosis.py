@@ -25,7 +25,10 @@ INLIER_SQUARES = 0.25
 MAX_PX = 800
 """Longer side of the reduced images in which other chessboards are searched."""
 FEW_PICTURES = 3
-"""Number of images that are searched before all images. Searching an image for all dictionaries is slow."""
+"""Number of images that are searched first.
+
+Only if no board is found in them, all images are searched, because searching an image for all dictionaries is slow.
+"""
 MAX_TRIALS = 60
 """Number of random samples per homography. A small number is enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
@@ -239,7 +242,7 @@ def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> st
 
 
 def _chessboard_sizes() -> Iterator[tuple[int, int]]:
-    """Numbers of columns and rows that are tried, larger boards first, as a part of a board is a smaller board."""
+    """Numbers of columns and rows to try, larger boards first, because part of a board looks like a smaller board."""
     tried = range(4, MAX_TRIED_SQUARES + 1)
     sizes = [(columns, rows) for columns in tried for rows in tried if columns > rows]
     yield from sorted(sizes, key=lambda size: -size[0] * size[1])

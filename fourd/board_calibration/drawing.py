@@ -60,7 +60,8 @@ def draw_rig(
         cameras: cameras in metres.
         board: the board.
         boards: poses from board to world.
-        floor: whether the world's z axis points up. Otherwise, the world is that of the first camera, with y down.
+        floor: whether the world's z axis points up. Otherwise, the world has the axes of the first camera, and y points
+            down.
     """
     width, height = board.size_m
     outline = np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])
@@ -107,7 +108,7 @@ def _fit_panel(view: _View, xyz: Array, extent: float) -> _ToPixels:
 
 
 def _draw_grid(panel: Picture, view: _View, to_pixels: _ToPixels, extent: float) -> None:
-    """Draw lines at a round distance, and write the distance."""
+    """Draw grid lines with a spacing of 1, 2 or 5 times a power of ten in metres, and write the spacing below."""
     power = 10.0 ** np.floor(np.log10(max(extent, 1e-6) / 4))
     spacing = next(power * factor for factor in (1, 2, 5, 10) if power * factor >= extent / 6)
     half = PANEL / 2 / to_pixels.scale
@@ -124,7 +125,7 @@ def _draw_grid(panel: Picture, view: _View, to_pixels: _ToPixels, extent: float)
 
 
 def _draw_camera(panel: Picture, name: str, camera: Camera, to_pixels: _ToPixels, length: float) -> None:
-    """Draw a camera as its image's pyramid, with its name."""
+    """Draw a camera as a pyramid over its image, with the camera's name."""
     corners = np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]], np.float64)
     rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(camera.intrinsics).T
     # Rays are scaled to equal lengths, because cameras with wide lenses would otherwise be drawn larger than others.

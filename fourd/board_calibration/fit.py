@@ -47,7 +47,7 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 HELD_OUT_EVERY = 5
-"""One of this many frames is held out."""
+"""One in this number of frames is held out."""
 MIN_LENS_VIEWS = 5
 """Minimum number of views of a camera whose lens is estimated."""
 MIN_POSE_VIEWS = 3
@@ -59,7 +59,7 @@ MIN_FITTED_PAIRS = 4
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales of the Huber loss in the successive adjustments, in pixels."""
 MEDIAN_PER_STD = 1.177
-"""Median length of a two-dimensional normal vector, in standard deviations."""
+"""Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
 """Where corners are weighed against the prior, their standard deviation is multiplied by this factor. The reason is
 that the errors of the corners in one image are correlated, because of motion blur, because the board is not exactly
@@ -220,7 +220,7 @@ def _check_views(rig: RigInput) -> None:
     if len(count) == 1 and len(rig.names) > 1:
         name = rig.names[next(iter(count))]
         raise UserError(
-            f"{rig.where}: expected two cameras that see the board, got {name} alone; hold the board where several "
+            f"{rig.where}: expected two cameras that see the board, got only {name}; hold the board where several "
             "cameras see it, or correct the board's file"
         )
     for index, name in enumerate(rig.names):
@@ -243,7 +243,7 @@ def _not_joined(rig: RigInput, groups: Sequence[Sequence[int]]) -> UserError:
 def _adjust(
     rig: RigInput, cameras: tuple[Camera, ...], located: Sequence[LocatedView], frames: Sequence[int], track: Track
 ) -> _Rough:
-    """Adjust poses alone, then poses and lenses, with independent errors of the corners."""
+    """Adjust the poses, and then poses and lenses together. The errors of the corners are treated as independent."""
     corners = collect_corners(rig.board, [each.view for each in located], frames)
     state = RigState(cameras, initial_boards(rig.board, cameras, located, frames))
     free = np.zeros((len(cameras), PARAMETERS), bool)
@@ -308,7 +308,7 @@ def _choose_timing(
 
 
 def _start(rig: RigInput, rough: _Rough, timed: bool) -> tuple[RigState, Corners, tuple[int, ...], Free]:
-    """The start of the last adjustment."""
+    """The initial values of the last adjustment."""
     count, corners = len(rig.names), rough.corners
     mask, timing = rough.free.copy(), None
     if timed:

@@ -19,7 +19,10 @@ from fourd.capture.layout import sample_indices
 Array = NDArray[np.float64]
 
 MAX_LENS_VIEWS = 40
-"""Maximum number of views for the initial lens. More views cost time and are used in the bundle adjustment."""
+"""Maximum number of views for the initial lens.
+
+More views would take more time here. The bundle adjustment uses all views.
+"""
 MAX_PAIR_FRAMES = 60
 """Maximum number of frames from which the relative pose of two cameras is chosen."""
 FOCAL_GUESSES = (0.6, 1.0, 1.6)
@@ -38,7 +41,8 @@ class LocatedView:
 
     Attributes:
         view: the view.
-        poses: one or two poses from board to camera, the better one first. A small planar board often has two.
+        poses: one or two poses from board to camera, the better one first. A small planar board often has two such
+            poses.
     """
 
     view: BoardView

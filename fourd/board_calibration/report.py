@@ -26,8 +26,10 @@ separate the focal length from the distance."""
 MAX_FOCAL_STD = 0.005
 """A standard deviation of the focal length above this value is reported. It is a share of the focal length."""
 MAX_CENTRE_STD_DEGREES = 0.3
-"""A standard deviation of the viewing direction above this value, which follows from the principal point, is
-reported."""
+"""A standard deviation of the viewing direction above this value is reported.
+
+It follows from the standard deviation of the principal point.
+"""
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10
 HELD_OUT_RATIO = 1.5
@@ -53,7 +55,7 @@ class CameraReport:
         rotation_std_degrees: standard deviation of the orientation relative to the first camera.
         position_std_m: standard deviation of the position relative to the first camera.
         estimated: whether the lens was estimated.
-        warnings: what is badly determined, one line each.
+        warnings: one line for each value that is badly determined.
     """
 
     name: str
@@ -112,7 +114,7 @@ def report_content(
 
 
 def time_lines(fit: RigFit, names: Sequence[str], fps: float | None) -> list[str]:
-    """What was found about the cameras' times and the board's thickness, one line each."""
+    """Estimated delays and readouts of the cameras, and estimated thickness of the board, one line each."""
     lines = []
     if fit.timing is not None:
         unit, factor = ("frames", 1.0) if fps is None else ("ms", 1000 / fps)

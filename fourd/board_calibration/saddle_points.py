@@ -32,7 +32,7 @@ def refine_corners(grey: Grey, flat: Array, pixels: Array, half: float) -> tuple
     Args:
         grey: image (H, W) uint8.
         flat: (N, 2) corners on the board, in squares; at least four, not on one line.
-        pixels: (N, 2) corners in OpenCV's pixel coordinates, up to about 2 pixels wrong.
+        pixels: (N, 2) corners in OpenCV's pixel coordinates, with errors of up to about 2 pixels.
         half: distance from the centre of the patch to its edge, in squares.
 
     Returns:

@@ -81,8 +81,10 @@ class VideoIndex:
         return self.times[frame] * self.tick if self.times else frame / self.fps
 
     def nearest(self, seconds: Fraction) -> int:
-        """Number of the frame whose time after frame 0 is nearest to ``seconds``. If two frames are equally near, the
-        later one."""
+        """Number of the frame whose time after frame 0 is nearest to ``seconds``.
+
+        If two frames are equally near, the number of the later frame is returned.
+        """
         if not self.times:
             return min(max(floor(seconds * self.fps + Fraction(1, 2)), 0), self.frames - 1)
         ticks = seconds / self.tick

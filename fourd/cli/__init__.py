@@ -1,1 +1,4 @@
-"""The command line. Each command is one module that parses the options, calls the library and prints the result."""
+"""The command-line interface.
+
+Each command is one module that parses the options, calls the library and prints the result.
+"""

@@ -80,13 +80,15 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
 
 fourd COMMAND --help lists the command's options and their units.
 Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be read or written;
-130 interrupted by Ctrl-C (finished results are kept); 141 the reader of the output ended first.
+130 interrupted by Ctrl-C (finished results are kept); 141 the program that reads the output ended first.
 """
 
 
 BROKEN_PIPE = 141
-"""Exit code if the reader of the output ends first, as in ``fourd info FILE | head``: that of a process that SIGPIPE
-ends."""
+"""Exit code if the program that reads the output ends first, as in ``fourd info FILE | head``.
+
+A process that the signal SIGPIPE ends has the same exit code.
+"""
 
 SPIN_COUNT = "20000"
 """Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
@@ -111,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _reader_is_gone() -> bool:
-    """Whether the reader of the standard output has ended. Further output is then discarded."""
+    """Return whether the program that reads the standard output has ended. If so, all further output is discarded."""
     try:
         output = sys.stdout.fileno()
     except OSError:
@@ -121,14 +123,14 @@ def _reader_is_gone() -> bool:
         poll.register(output, 0)
         if not any(event & select.POLLERR for _, event in poll.poll(0)):
             return False
-    # Python flushes the output again when it exits, which must not fail.
+    # Python flushes the output again when it exits. The null device makes sure that this flush does not fail.
     os.dup2(os.open(os.devnull, os.O_WRONLY), output)
     return True
 
 
 def _report_errors(words: list[str]) -> int:
     """Run a command, and report an error as one line."""
-    # GNU OpenMP reads GOMP_SPINCOUNT when a command imports torch.
+    # GNU OpenMP reads GOMP_SPINCOUNT when a command imports torch, so the variable is set here.
     os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     if not words or words[0] in ("-h", "--help"):
         print(HELP, end="")
@@ -189,7 +191,7 @@ def _run(command: str, words: list[str]) -> int:
 def _wrap(text: str) -> str:
     """Wrap a description to the width of the terminal.
 
-    Every wrapped line starts with a space, because tyro would join the lines otherwise.
+    Every wrapped line starts with a space, because tyro joins lines that do not start with a space.
     """
     import shutil
     import textwrap

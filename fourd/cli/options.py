@@ -52,7 +52,7 @@ LpipsWeights = Annotated[
 
 TIER_HELP = (
     "full: looks like the unpacked scene.",
-    "stream: coarser steps; a player fetches only the source views that it needs.",
+    "stream: coarser quantisation steps; a player fetches only the source views that it needs.",
     "light: no source views; all colour is in spherical harmonics.",
 )
 MaxMbps = Annotated[

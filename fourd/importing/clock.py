@@ -25,8 +25,8 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
     for turn in (90, 180, 270):
         names = [name for name, video in videos.items() if video.index.turn == turn]
         if names:
-            # The display matrix is usually named by the clockwise angle.
-            notes.append(f"{', '.join(names)}: frames are turned {360 - turn} degrees clockwise, as its metadata says")
+            # The note states the clockwise angle, because other programs also describe rotation metadata by this angle.
+            notes.append(f"{', '.join(names)}: frames are turned {360 - turn} degrees clockwise, as the metadata require")
     hdr = {name: video.index.transfer for name, video in videos.items() if video.index.transfer}
     if hdr:
         kinds = " and ".join(sorted(set(hdr.values())))

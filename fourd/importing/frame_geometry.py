@@ -15,8 +15,8 @@ from fourd.errors import UserError
 from fourd.importing.imported import ImportedCamera
 
 CalibratedFrames = Literal["auto", "turned", "stored"]
-"""Frames that a calibration belongs to: frames that are turned upright as the video's metadata says, or frames as
-stored in the file."""
+"""Frames that a calibration belongs to: frames that are turned upright by the rotation in the video's metadata, or
+frames as stored in the file."""
 
 
 def turn_camera(camera: Camera, degrees: int) -> Camera:
@@ -64,7 +64,7 @@ def _turn_distortion(distortion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[str, VideoIndex]:
-    """Return the indices of the videos with frames that are reduced by the factor ``reduce`` in (0, 1]."""
+    """Return the index of each video for frames whose size is multiplied by ``reduce``, in (0, 1]."""
     return {name: index if reduce == 1 else index.reduce(reduce) for name, index in indices.items()}
 
 

@@ -227,7 +227,7 @@ def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Impo
 
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
-    """Indices of the videos, with frames that are reduced as the option --scale says."""
+    """The index of each video, with a frame size that is reduced by the factor of the option --scale."""
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 

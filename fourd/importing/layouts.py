@@ -206,7 +206,7 @@ def _files_beside(folder: Path) -> Iterator[Path]:
     """Files in ``folder`` and in its folders of calibrations."""
     yield from _files(folder)
     for child in _children(folder):
-        # Other recordings are beside the source too, for example test_calibrated/.
+        # Only folders of calibrations are searched, because other recordings may also be in ``folder``.
         if CALIBRATION_FOLDER.match(child.name):
             yield from _files_below(child, 1)
 
@@ -236,7 +236,7 @@ def _recognise(path: Path, formats: Sequence[CalibrationFormat]) -> CalibrationF
 
 def _is_suspect(path: Path) -> bool:
     if path.name == EXTRINSICS_NAME:
-        # If there is an intri.yml too, its message also covers this file.
+        # If there is also an intri.yml, the message about intri.yml mentions this file too.
         return not (path.parent / INTRINSICS_NAME).is_file()
     return CALIBRATION_NAME.search(path.name) is not None
 

@@ -2,7 +2,7 @@
 
 The mean image gradient along a matte's contour is compared with the gradient along the same contour shifted in eight
 directions. A matte of the image has the largest gradient without a shift. For a matte of another image, all nine
-positions are about equally likely.
+positions are about equally likely to have the largest gradient.
 """
 
 from __future__ import annotations

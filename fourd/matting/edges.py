@@ -35,8 +35,9 @@ CHROMA_VARIANCE = np.float32(0.1)
 """Variance of a pixel's chroma, as a share of the squared difference in chroma between subject and background. JPEG
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
 NORMALISER_WEIGHT = np.float32(0.3)
-"""Weight of the logarithm of the likelihood's variance. The variance of the subject's colours is a rough, large
-estimate. With weight 1, the smaller variance of the background's colours therefore moves the edge into the subject."""
+"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The variance of the subject's
+colours is a rough, large estimate. With weight 1, the smaller variance of the background's colours therefore moves the
+edge into the subject."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
 """Standard deviation of alpha around the blurred mask in each pass of the estimation of alpha. The first passes correct
 the position of the mask, from which the following passes take the colours of both sides. The last pass reduces
@@ -46,7 +47,7 @@ ALPHAS = 11
 SHARPENING_SIGMA = 0.6
 """Standard deviation of the Gaussian that averages alpha along the edge, in multiples of the radius."""
 SHARPENING_GAIN = np.float32(2.0)
-"""Factor on the contrast of the averaged alpha. The mean of a posterior is an edge that is too soft."""
+"""Factor on the contrast of the averaged alpha, because the mean of the posterior gives too soft an edge."""
 MIN_NEARBY = 0.005
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of a background colour that is used to estimate alpha."""

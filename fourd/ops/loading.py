@@ -31,8 +31,8 @@ def as_array(tensor: Any) -> Any:
 def thread_count(threads: int, default: int | None = None) -> int:
     """Return the number of threads that a kernel uses.
 
-    A positive ``threads`` comes first, then the environment variable FOURD_THREADS, then ``default``. If none of these
-    is set, a kernel uses all available cores.
+    A positive ``threads`` has priority, then the environment variable FOURD_THREADS, then ``default``. If none of the
+    three is set, a kernel uses all available cores.
 
     Raises:
         ValueError: for a negative ``threads`` or an invalid FOURD_THREADS.

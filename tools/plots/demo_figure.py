@@ -64,13 +64,13 @@ def main() -> None:
 
 
 def cut_out(capture: Capture, camera: int, frame: int) -> Picture:
-    """The subject of a camera's image (H, W, 3) over the background."""
+    """The subject in a camera's image, composited over the background colour, (H, W, 3)."""
     matte = capture.mask(camera, frame)[..., None] / 255
     return np.rint(capture.image(camera, frame) * matte + BACKGROUND * (1 - matte)).astype(np.uint8)
 
 
 def draw(reader: SceneReader, frame: int, camera: Camera) -> Picture:
-    """The scene (H, W, 3) over the background."""
+    """The scene, rendered over the background colour, (H, W, 3)."""
     grey = BACKGROUND / 255
     return Player().draw(reader.read(frame), camera, reader.manifest, background=(grey, grey, grey))[..., :3]
 

@@ -1,4 +1,5 @@
-// How kernels that visit the pairs of pixels of an image divide the work. Dispatched files do not include this header.
+// Division of the work in kernels that visit the pairs of neighbouring pixels of an image. Dispatched files
+// (common/dispatch.h) do not include this header.
 #pragma once
 
 #include <algorithm>

@@ -1,4 +1,5 @@
-// Most pairs of pixels show the same triangle, or triangles without silhouettes. The loops find the other pairs fast.
+// Most pairs of pixels show the same triangle, or triangles without silhouettes. The loops quickly find the other
+// pairs.
 #include "antialias/cpu/loops.h"
 
 #include <cstdint>

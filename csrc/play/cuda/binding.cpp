@@ -60,7 +60,7 @@ void shade(const Arguments::Xyz& xyz, const Arguments::Harmonics& sh, const Argu
 
 void bind_play(nb::module_& module) {
     module.def("plan_draw", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("width"), nb::arg("height"),
-               "The number of entries to provide for, and the bytes of workspace, of the next picture.");
+               "The number of entries to allocate, and the bytes of workspace, for the next image.");
     module.def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
                nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"),
                nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),

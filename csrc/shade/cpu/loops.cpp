@@ -136,7 +136,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
 #endif
 }
 
-// Computes the sum of the colours of the chosen views, weighted by the view weights alone. Returns the sum of the view
+// Computes the sum of the colours of the chosen views, weighted only by the view weights. Returns the sum of the view
 // weights. The result is used if all chosen views have blend weight 0 at the point.
 FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
     float total = 0;

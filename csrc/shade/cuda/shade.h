@@ -39,7 +39,7 @@ class ShadePoint {
 
   private:
     // Blends the colours of the chosen views with normalised weights. If all chosen views have blend weight 0 at the
-    // point, the view weights alone are used.
+    // point, only the view weights are used.
     FOURD_DEVICE void blend(std::size_t point, float* out) const {
         float total = 0.0f, plain_total = 0.0f, plain[3] = {};
         for (int v = 0; v < count_; ++v) {

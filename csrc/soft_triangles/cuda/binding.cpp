@@ -64,7 +64,7 @@ void render_backward(const Arguments::Xyz& xyz, const Arguments::Triangles& tri,
 void bind_soft_triangles(nb::module_& module) {
     module.def("plan_soft_triangles", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("channels"),
                nb::arg("width"), nb::arg("height"),
-               "The number of entries to provide for, and the bytes of workspace, of the next picture.");
+               "The number of entries to allocate, and the bytes of workspace, for the next image.");
     module.def("rasterize_soft", &render, nb::arg("xyz"), nb::arg("tri"), nb::arg("features"), nb::arg("camera"),
                nb::arg("softness"), nb::arg("layers"), nb::arg("estimator"), nb::arg("entries"), nb::arg("workspace"),
                nb::arg("stream"), nb::arg("out_features"), nb::arg("out_alpha"));

@@ -93,8 +93,8 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
 }
 
 // If a pixel has at most `layers` hits, it takes all of them. Otherwise, a binary search finds the depth of the last
-// triangle that it takes. The search runs over the bits of the depths, which as integers have the same order as the
-// depths, because depths are positive.
+// triangle that it takes. The search runs over the bits of the depths, read as integers. These integers have the same
+// order as the depths, because depths are positive.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {
     Nearest out{view.softness.background_depth, kNoHit, 0};
     int hits = 0;

@@ -81,7 +81,7 @@ void render_backward(const Arguments::Xyz& xyz, const Arguments::Triangles& tri,
 void bind_splat_triangles(nb::module_& module) {
     module.def("plan_splats", &plan, nb::arg("estimator"), nb::arg("count"), nb::arg("channels"), nb::arg("width"),
                nb::arg("height"),
-               "The number of entries to provide for, and the bytes of workspace, of the next picture.");
+               "The number of entries to allocate, and the bytes of workspace, for the next image.");
     module.def("splat_triangles", &render, nb::arg("xyz"), nb::arg("tri"), nb::arg("features"), nb::arg("opacity"),
                nb::arg("sigma"), nb::arg("geometry"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
                nb::arg("estimator"), nb::arg("entries"), nb::arg("workspace"), nb::arg("stream"),

@@ -54,7 +54,8 @@ class EntryTable {
         for (std::size_t band = 0; band < bands_; ++band) start[band + 1] += start[band];
         entries_[task] = Buffer<Entry>(list.count);
         for (std::size_t i = 0; i < list.count; ++i) entries_[task][start[list.bands[i]]++] = list.entries[i];
-        // Each start has become the end of its band, which is the start of the next band.
+        // The loop has advanced each start to the end of its band, which is the start of the next band. The starts are
+        // therefore shifted by one band.
         std::memmove(start + 1, start, bands_ * sizeof *start);
         start[0] = 0;
     }
@@ -206,7 +207,7 @@ class Scatter {
     Buffer<float> sums_;
 };
 
-// The arrays of pixel gradients are larger than the gradient of the texture.
+// Uses huge pages for the gradients of uv and uv_da, because these arrays are larger than the gradient of the texture.
 void prefer_huge_pages_for(const Query& query, const Gradients& out) {
     const std::size_t bytes = query.pictures * query.pixels * sizeof(float);
     const std::size_t coordinates = static_cast<std::size_t>(query.coordinates());

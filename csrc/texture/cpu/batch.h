@@ -1,5 +1,5 @@
 // Batches of pixels: their positions, mip levels and texels, in loops that compilers vectorise over pixels. Only
-// dispatched files include this file.
+// dispatched files (common/dispatch.h) include this file.
 #pragma once
 
 #include "common/inline.h"
@@ -121,7 +121,7 @@ FOURD_INLINE void find_texels_of(const Query& query, Batch& b, int slot) {
     }
 }
 
-// Finds the texels of one of the two levels. `with_slopes` says whether the derivatives of the weights are needed.
+// Finds the texels of one of the two levels. `with_slopes` states whether the derivatives of the weights are needed.
 template <Boundary boundary, bool with_slopes>
 FOURD_INLINE void find_texels(const Query& query, Batch& b, int slot) {
     if (query.filter == Filter::nearest) {

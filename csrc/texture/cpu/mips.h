@@ -1,4 +1,5 @@
-// Loops that compute a mip level from the finer level, and their gradient. Only dispatched files include this file.
+// Loops that compute a mip level from the finer level, and their gradient. Only dispatched files (common/dispatch.h)
+// include this file.
 #pragma once
 
 #include <cstddef>

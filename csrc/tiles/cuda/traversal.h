@@ -28,7 +28,7 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
 // The primitives that the pixels of a tile process, nearest first. The list contains the entries of the tile, or all
 // visible primitives if the entries do not fit into the workspace.
 struct EntryList {
-    const std::uint32_t* ranks;  // Ranks of the primitives. If `ranks` is null, the one at position i has rank i.
+    const std::uint32_t* ranks;  // Ranks of the primitives. If `ranks` is null, the primitive at position i has rank i.
     std::size_t count;
 
     FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }

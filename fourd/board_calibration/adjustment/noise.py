@@ -38,7 +38,7 @@ class ViewNoise:
     Attributes:
         corner_px: (C,) standard deviation of the independent errors in each camera, along each axis.
         turn: standard deviation of the shared rotation about each axis through the middle of the board, in radians.
-        shift_m: standard deviation of the shared shift along each axis.
+        shift_m: standard deviation of the shared shift along each axis, in metres.
         jitter: standard deviation of the shared delay, in frames.
     """
 
@@ -105,7 +105,8 @@ def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> 
     middle = (corners.xyz.min(axis=0) + corners.xyz.max(axis=0)) / 2
     arm = state.boards.rotation[corners.board] @ middle
     by_turn, by_shift = found.by_board[..., :3], found.by_board[..., 3:]
-    # A rotation about the middle m of the board is a rotation about its origin and the shift m - exp([w]x) m.
+    # A rotation about the middle m of the board equals a rotation about the board's origin plus the shift m - exp([w]x)
+    # m.
     return np.concatenate([by_turn + by_shift @ cross_matrices(arm), by_shift, found.by_time[..., None]], axis=2)
 
 
@@ -153,8 +154,8 @@ def estimate_noise(
 ) -> ViewNoise:
     """Estimate the standard deviations again for the current state of the rig.
 
-    The independent errors are what remains if each view has its own pose of the board. The shared errors are estimated
-    in frames that two or more cameras see, together with the pose of the board.
+    The independent errors are the residuals after fitting a separate pose of the board to each view. The shared errors
+    are estimated in frames that two or more cameras see, together with the pose of the board.
     """
     residual = corners.pixels - found.pixels
     shared = shared_derivatives(state, corners, found)

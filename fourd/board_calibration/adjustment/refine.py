@@ -37,8 +37,8 @@ class Solution:
 
     Attributes:
         state: the adjusted rig.
-        std: (C, 17) standard deviations of the cameras' parameters, in radians, metres, pixels, 1 and frames. They are
-            0 for fixed parameters.
+        std: (C, 17) standard deviations of the cameras' parameters, in radians, metres, pixels, frames or without unit.
+            They are 0 for fixed parameters.
     """
 
     state: RigState

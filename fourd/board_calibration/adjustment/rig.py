@@ -107,7 +107,7 @@ class Timing:
     motion: Array
 
     def offsets(self, corners: Corners) -> Array:
-        """Times (N,) at which corners are seen, in frames after the corner's frame."""
+        """Times (N,) at which corners are seen, in frames relative to the time of the corner's frame."""
         return self.delay[corners.camera] + self.readout[corners.camera] * self.phases(corners)
 
     def phases(self, corners: Corners) -> Array:

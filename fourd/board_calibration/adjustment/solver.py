@@ -149,7 +149,7 @@ def _cost(
 
 
 def _with_prior(system: System, state: RigState, free: Free) -> System:
-    """Add the prior, and ones on the diagonal of fixed parameters."""
+    """Add the prior to the normal equations, and 1 to the diagonal elements of fixed parameters."""
     precision, offset = _prior(state, free)
     fixed = np.concatenate([~free.cameras.ravel(), np.zeros(free.shape_unknowns, bool)])
     shared = system.shared + precision + np.diag(fixed.astype(float))
@@ -190,7 +190,7 @@ def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
 
 
 def standard_deviations(state: RigState, corners: Corners, free: Free, errors: Errors) -> Array:
-    """Standard deviations (C, 17) of the cameras' parameters, in radians, metres, pixels, 1 and frames.
+    """Standard deviations (C, 17) of the cameras' parameters, in radians, metres, pixels, frames or without unit.
 
     They are 0 for fixed parameters.
 
@@ -208,7 +208,7 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
-    # The mean of the prior is uncertain, too. Its variance is added to the variance of the gradients.
+    # The mean of the prior is also uncertain, so its variance is added to the variance of the gradients.
     precision, _ = _prior(state, free)
     covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
     variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)

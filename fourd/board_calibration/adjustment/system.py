@@ -169,7 +169,7 @@ def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: 
         system.shared[tail, tail] += total[shape, shape]
         system.rhs_shared[place] += total[own, last]
         system.rhs_shared[tail] += total[shape, last]
-        # A camera sees a position of the board once, so that no index occurs twice.
+        # A camera sees each position of the board at most once, so no index occurs twice.
         system.coupling[some, place] += grams[rows, own, pose]
         system.coupling[some, tail] += grams[rows, shape, pose]
         system.boards[some] += grams[rows, pose, pose]

@@ -27,8 +27,11 @@ DEFAULT_SECONDS = 120.0
 
 @dataclass(frozen=True)
 class Arguments:
-    """Soft triangles start on the visual hull of the mattes and are fitted to the images. They harden, are connected to
-    a closed mesh, and end as an opaque mesh with colours at the vertices."""
+    """Soft triangles start on the visual hull of the mattes and are fitted to the images.
+
+    During fitting, the triangles become opaque and sharp-edged. They are then connected to a closed mesh with one
+    colour per vertex.
+    """
 
     capture: CapturePath
     """Capture folder with masks/ or the output of fourd matte."""
@@ -52,7 +55,7 @@ class Arguments:
     max_seconds: Annotated[float | None, option("SECONDS", "120 without --max-steps, else none")] = None
     """Stop after this many seconds of fitting."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
-    """Stop after this many steps. With this limit alone, equal commands write equal files."""
+    """Stop after this many steps. If this is the only limit, repeated commands write identical files."""
     agreement: HullAgreement = TriangleSettings.agreement
     least_views: HullLeastViews = TriangleSettings.least_views
     seed: int = 0

@@ -43,7 +43,7 @@ CALIBRATION_HELP = (
     "SRC is then read in the format videos."
 )
 SOUND_HELP = (
-    "Position of the source of the sound in metres. Offsets from sound are corrected by the travel time from this "
+    "Position of the sound source in the world, in metres. Offsets from sound are corrected by the travel time from this "
     "position to the cameras. centre: the point that the cameras face. none: no correction. "
     "auto: centre if the calibration is in metres, otherwise none."
 )

@@ -43,16 +43,16 @@ class Arguments:
     """Folder to write the meshes to."""
     views: Annotated[str | None, option("NAME,NAME", "all", VIEWS_HELP)] = None
     frames: Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)] = None
-    test_views: Annotated[str | None, option("NAME,NAME", "none, or the run's")] = None
+    test_views: Annotated[str | None, option("NAME,NAME", "none, or the held-out views of the run")] = None
     """Names of held-out cameras, separated by commas. The meshes do not depend on held-out cameras. The meshes are
     compared with the images of these cameras, and the scores are written to scores.json."""
     scale: Annotated[float | None, option("FLOAT", "1, or the run's")] = None
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     cells: int = MeshSettings.cells
     """Number of grid cells along the longest side of the subject. The number of triangles is proportional to the square
-    of this number. The time grows at least as fast."""
+    of this number. The computing time grows at least as fast as the number of triangles."""
     steps: int = FitSettings.steps
-    """Number of gradient steps of each frame. With 0, the meshes are the visual hulls."""
+    """Number of gradient-descent steps per frame. With 0, the meshes are the visual hulls."""
     remesh: float = MeshSettings.remesh
     """Replaces the triangles by fewer and nearly equilateral triangles with edges of this length, in grid cells. 0
     keeps the triangles of the grid. Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""

@@ -118,7 +118,7 @@ def _fit_cameras(
     """
     if arguments.refine_test_colours and not arguments.refine_test:
         raise UserError(
-            "--refine-test-colours: expected also --refine-test, got --refine-test-colours alone; add --refine-test"
+            "--refine-test-colours: expected also --refine-test, got only --refine-test-colours; add --refine-test"
         )
     if arguments.refine_test_colours and arguments.scene is not None:
         raise UserError("--refine-test-colours: expected no --scene, got both options; leave one of them out")

@@ -32,7 +32,7 @@ class Arguments:
     """The .4dv file to write. With --to, a folder, or a file if one frame is exported."""
     layers: int = BAKED_LAYERS
     """Number of points composited per pixel (K), 1 to 64."""
-    fps: Annotated[float | None, option("FLOAT", "the recording's, or 30 if it is not known")] = None
+    fps: Annotated[float | None, option("FLOAT", "the recording's frame rate, or 30 if it is not known")] = None
     """Playback rate in frames per second."""
     tier: Annotated[
         Tier | None,
@@ -94,7 +94,7 @@ def _bake(arguments: Arguments, out: Path, console: Console) -> None:
 
 def _export(arguments: Arguments, kind: Format, console: Console) -> None:
     if arguments.tier is not None or arguments.max_mbps is not None:
-        raise UserError("--to: expected no --tier and no --max-mbps, got both; they belong to .4dv files")
+        raise UserError("--to: expected no --tier and no --max-mbps, got at least one; they are for .4dv files")
     if not 0 <= arguments.degree <= 3:
         raise UserError(f"--degree: expected 0 to 3, got {arguments.degree}")
     if not arguments.source.is_dir() or not (arguments.source / "config.yaml").exists():

@@ -58,7 +58,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
-    # Scene files start with the bytes PK. This also detects a truncated scene file.
+    # Scene files start with the bytes PK. A truncated scene file is also recognised by these bytes.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if path.suffix.lower() == ".splat":

@@ -16,7 +16,7 @@ from fourd.cli.options import TIER_HELP, MaxMbps, ScenePath, check_mbps, describ
 
 @dataclass(frozen=True)
 class Arguments:
-    """Frames are quantised and compressed. Every frame can be read alone, also over a network."""
+    """Frames are quantised and compressed. Every frame can be read separately, also over a network."""
 
     scene: ScenePath
     """The .4dv file to convert, of any version."""

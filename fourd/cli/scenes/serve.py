@@ -24,7 +24,7 @@ class Arguments:
     scene."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE|RUN|SITE")]]
-    """A .4dv file, a run, or a folder of fourd web."""
+    """A .4dv file, a run, or a folder that fourd web has written."""
     port: int = 8000
     """Port to listen on. 0 selects a free port."""
     host: str = "127.0.0.1"

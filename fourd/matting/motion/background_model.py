@@ -16,7 +16,10 @@ Picture = NDArray[np.uint8]
 SHADOW_DARKEST = 0.55
 SHADOW_BRIGHTEST = 1.1
 MIN_SHARE = 0.002
-"""Minimum share of deviations. Some deviations do not occur in the frames from which the share is learned."""
+"""Lower limit of the learned shares of pixels that deviate from the background.
+
+It is above 0, because some deviations do not occur in the frames from which the shares are learned.
+"""
 PRIOR_PIXELS = 500.0
 """Weight of the default shares in learned shares, as a number of pixels."""
 SHARE_ITERATIONS = 3
@@ -28,7 +31,7 @@ LOG_TWO_PI = float(np.log(2 * np.pi))
 
 @dataclass(frozen=True)
 class Deviations:
-    """How often the background differs from its colour.
+    """How often the pixels of the background differ from their colour in the background model.
 
     Attributes:
         shaded: share in (0, 1) of background pixels in shadow or in reflected light.

@@ -131,8 +131,9 @@ def combine_views(
         motions: length (h, w) of the optical flow in pixels in each camera, or None for a capture of one frame.
         grid: voxels of the hull, or None for a single camera or parallel cameras. Without a grid, each camera is
             processed independently.
-        local: local colours of the background. With local colours, the result is corrected in a second pass: the result
-            of the first pass gives the local colours of the subject, and both give a second hull.
+        local: local colours of the background. With local colours, there is a second pass. The result of the first pass
+            gives the local colours of the subject, and the local colours of subject and background give the evidence
+            for a second hull.
         painted: log-odds (h, w) that the user painted, by camera; 0 where nothing is painted.
     """
     strokes = [None] * len(pictures) if painted is None else painted

@@ -42,7 +42,7 @@ the other views. Closer pixels may show parts of the subject that the hull misse
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
-"""If a low probability alone confirms the background, it must be below the inverse of this value."""
+"""Inverse of the probability of the subject below which a pixel counts as background without further evidence."""
 
 
 @dataclass(eq=False)
@@ -102,7 +102,8 @@ class Learner:
             alpha: (T, h, w) probabilities that a pixel shows the subject.
             off_hull: (T, h, w) bool, True outside the other views' visual hull.
             rng: random generator for subsampling colours.
-            is_trusted: whether a low probability alone confirms the background inside the other views' hull.
+            is_trusted: whether a low probability confirms the background without further evidence inside the other
+                views' hull.
         """
         rgb = self.sample.rgb
         dilated = np.stack([cv2.dilate(frame, np.ones((3, 3), np.uint8)) for frame in alpha])

@@ -1,7 +1,8 @@
 """Log-odds from local colours, at pixels whose background is unknown.
 
-The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image. A colour that occurs on the
-subject and on the floor is ambiguous there, but seldom next to the part of the subject that has this colour.
+The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image. In them, a colour that
+occurs both on the subject and on the floor is ambiguous. Locally it is seldom ambiguous, because the floor next to the
+part of the subject with this colour usually has another colour.
 """
 
 from __future__ import annotations

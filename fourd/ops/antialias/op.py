@@ -18,10 +18,10 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def antialias(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, boost: float, threads: int
 ) -> tuple[Tensor, Tensor]:
-    """Return the blended colours (B, H, W, C), and a code (B, H, W) uint8 for the crossings of each pixel's pairs.
+    """Return the blended colours (B, H, W, C), and a code (B, H, W) uint8 per pixel.
 
-    ``pos`` is (B, V, 4), or (V, 4) for all images. ``csrc/antialias/maths.h`` describes the codes, which the backward
-    pass reads.
+    ``pos`` is (B, V, 4), or (V, 4) for all images. The code states which silhouette edges cross the pixel's pairs;
+    ``csrc/antialias/maths.h`` describes its bits. The backward pass reads the codes.
     """
     out, codes = _empty_outputs(color)
     inputs = (color, rast, pos if pos.ndim == 3 else pos[None], tri, opposite)

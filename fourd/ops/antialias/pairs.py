@@ -24,7 +24,7 @@ class Pairs:
         other_triangle: (N,) triangle of the other pixel, or -1.
         centre: (N, 2) centre of the owner in normalised device coordinates, along and across the pair.
         step: (N, 2) distances between neighbouring pixel centres in normalised device coordinates, along and across the
-            pair. The sign of the first distance leads from the owner to the other pixel.
+            pair. The sign of the first distance is the direction from the owner to the other pixel.
         axis: 0 for right neighbours, 1 for lower neighbours.
     """
 
@@ -91,7 +91,7 @@ def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 
 def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
-    """Return the silhouette edge 0 to 2 of the owner's triangle that crosses each pair, or -1."""
+    """Return the number (0 to 2) of the owner's silhouette edge that crosses each pair, or -1 if there is none."""
     seen = see(pairs, clip, tri.long()[pairs.triangle])
     lines = [line_of(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
     value, along, across = (torch.stack(parts, 1) for parts in zip(*lines, strict=True))
@@ -111,7 +111,7 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
 
 
 def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, edge: Tensor) -> Tensor:
-    """Return whether the edge has no neighbour, or one that does not lie on the other side of the edge."""
+    """Return whether each edge has no neighbouring triangle, or one that is not on the other side of the edge."""
     neighbour = opposite.long()[pairs.triangle, edge]
     corners = tri.long()[pairs.triangle]
     ends = corners.gather(1, torch.tensor(EDGES, device=tri.device)[edge])

@@ -1,4 +1,4 @@
-"""Gradients of moving visibility edges, without a change of the image, in plain torch."""
+"""Gradients of moving visibility edges, computed without changing the image, in plain torch."""
 
 from __future__ import annotations
 
@@ -32,8 +32,12 @@ def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: 
 
 
 class _MovingEdges(torch.autograd.Function):
-    """The identity on ``color``. If the distance of the edge between two pixels from the owner increases by dt, one of
-    the two pixels changes by dt (c_owner - c_other). The gradient is the mean of both cases."""
+    """The identity on ``color``.
+
+    Its backward pass treats each crossing as an edge that moves between two pixel centres. If the edge moves away from
+    the owner by dt, either the owner or the other pixel changes by dt (c_owner - c_other). The gradient is the mean of
+    both cases.
+    """
 
     @staticmethod
     def forward(ctx: Any, color: Tensor, crossing: Tensor, owner: Tensor, other: Tensor) -> Tensor:
@@ -85,7 +89,7 @@ def _planes_of(pairs: Pairs, clip: Tensor, tri: Tensor, triangle: Tensor) -> _Pl
 
 
 def _dot(one: Tensor, two: Tensor) -> Tensor:
-    """Return the dot products (N,) of rows (N, 3), summed in the order of the kernel."""
+    """Return the dot products (N,) of rows (N, 3), whose terms are added in the same order as in the kernel."""
     return one[:, 0] * two[:, 0] + one[:, 1] * two[:, 1] + one[:, 2] * two[:, 2]
 
 
@@ -93,8 +97,8 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
     """Return whether the triangles of each pair intersect between the pixel centres.
 
     Both triangles must contain both pixel centres, and the nearer triangle must change between the centres. As for
-    silhouettes, lines whose angle to the segment between the centres is below 45 degrees are ignored. Triangles that
-    share an edge intersect only along this edge, so they are not tested.
+    silhouettes, intersection lines whose angle to the segment between the centres is below 45 degrees are ignored.
+    Triangles that share an edge intersect only along this edge, so they are not tested.
     """
     corners = tri.long()
     own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]

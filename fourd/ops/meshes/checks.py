@@ -11,7 +11,7 @@ MAX_SIDE_PX = 2**15
 """Maximum width or height of an image. Subpixel positions of this range fit into the kernels' integers."""
 
 ALL_LAYERS = 2**20
-"""Number of composited triangles per pixel that stands for all triangles."""
+"""Maximum number of composited triangles per pixel. This value means that all triangles are composited."""
 
 Axis = int | str
 """The size of an axis, or the letter of an axis of any size."""
@@ -30,10 +30,11 @@ def check_tensor(
     Args:
         name: name of the argument, for the error message.
         value: the argument. Its values are not checked.
-        shape: expected shape. Letters are axes of any size of at least 0; equal letters need not have equal sizes.
-        like: name and value of another argument that must have the same dtype and device.
-        dtypes: accepted dtypes, if ``like`` is None. With ``like``, only the device and, for floats, the dtype of
-            ``like`` are accepted.
+        shape: expected shape. A letter is an axis of any size, also 0. Axes with the same letter may have different
+            sizes.
+        like: name and value of another argument. ``value`` must have its device, and its dtype if that is a
+            floating-point dtype.
+        dtypes: accepted dtypes. They are ignored if ``like`` has a floating-point dtype.
 
     Raises:
         TypeError: for a wrong type or dtype.

@@ -1,7 +1,7 @@
 """Coverage of the reference rasterizer: clipping, rounding to 1/256 pixel and exact edge functions.
 
 ``csrc/rasterize/maths.h`` and ``csrc/rasterize/clipping.h`` have the same functions for the kernels. All functions of
-this module compute the same numbers as the kernels, and nothing here is differentiable.
+this module compute the same numbers as the kernels. None of the functions is differentiable.
 """
 
 from __future__ import annotations
@@ -27,7 +27,8 @@ class Pieces:
     Attributes:
         corners: (P, 3, 2) int64 x and y of the vertices, in units of 1/256 pixel.
         triangle: (P,) int64 triangle of each piece, in ascending order.
-        reference: (P, 2) int64 column and row of the pixel that the planes of the triangle refer to.
+        reference: (P, 2) int64 column and row of the pixel at which the linear functions of the triangle have their
+            origin.
     """
 
     corners: Tensor
@@ -95,7 +96,10 @@ def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list
 
 
 def _guard(side: int) -> int:
-    """Return the largest power of two that keeps pixels of ``guard`` half images within 2^16 of the centre."""
+    """Return the ratio, a power of two, of the guard band to the image of ``side`` pixels.
+
+    The guard band ends within 2^16 pixels of the image's centre.
+    """
     guard = 4
     while 2 * guard * side <= _MAX_EXTENT_PX:
         guard *= 2

@@ -28,8 +28,11 @@ def rasterize_triangles(
     grad_db: bool,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Rasterize pos (B, V, 4), or (1, V, 4) with ranges (B, 2) on the CPU. ``previous`` is the ``rast`` of the layer
-    before. Returns rast (B, H, W, 4) and rast_db, which has the same shape, or (B, H, W, 0) without ``output_db``."""
+    """Rasterize pos (B, V, 4), or (1, V, 4) with ranges (B, 2) on the CPU.
+
+    ``previous`` is the ``rast`` of the previous depth layer. Returns rast (B, H, W, 4) and rast_db, which has the same
+    shape, or (B, H, W, 0) without ``output_db``.
+    """
     rast, rast_db = _empty_images(pos, ranges, height, width, output_db)
     inputs = (pos, tri, ranges, previous)
     if uses_gpu_kernels(pos):

@@ -92,7 +92,7 @@ def _rasterize_image(
 
 
 def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int, int]) -> Planes:
-    """Compute the planes of triangles in float64, and round them to the dtype of ``pos``.
+    """Compute the linear functions of triangles in float64, and round them to the dtype of ``pos``.
 
     With the matrix M of the columns (x, y, w) of the vertices and the pixel centre f in normalised device coordinates,
     b = M^-1 (f_x, f_y, 1) has the elements b_k = weight of vertex k / w (Olano and Greer 1997).
@@ -126,7 +126,7 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
 
 
 def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Return the nearest piece of each pixel, (H, W), or -1, and its depth."""
+    """Return the index (H, W) of the nearest piece at each pixel, or -1 without a piece, and the depths (H, W)."""
     height, width = size
     best = torch.full(size, -1, dtype=torch.int64)
     best_depth = torch.full(size, torch.inf, dtype=planes.depth.dtype)
@@ -148,7 +148,10 @@ def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tupl
 
 
 def _is_behind(depth: Tensor, triangle: int, previous: Tensor) -> Tensor:
-    """Return where (depth, triangle) comes after the previous layer's pixel. Nothing comes after the background."""
+    """Return where a triangle comes after the triangle of the previous layer, by depth and then by index.
+
+    No triangle comes after the background.
+    """
     before, before_id = previous[..., 2], decode_ids(previous[..., 3])
     is_after = (depth > before) | ((depth == before) & (triangle > before_id))
     return is_after & (before_id >= 0)

@@ -43,9 +43,9 @@ def sample_sources(
     Returns:
         The pair (channels, visibility). The channels (V, C + 3, N) are the features followed by RGB, differentiable in
         ``xyz`` and ``features``. The visibility weights (V, N) are in [0, 1] and not differentiable. A visibility
-        weight is the squared matte times the occlusion factor. Points behind the camera have weight 0. The matte is
-        squared because pixels on the silhouette contain background colour, so that a visibility weight must be lower
-        than the pixel's coverage.
+        weight is the squared matte times the occlusion factor. Points behind the camera have weight 0. Pixels on the
+        silhouette contain background colour, so their visibility weight must be lower than their coverage. The matte is
+        therefore squared.
 
     Raises:
         ValueError: if shapes do not match.

@@ -132,7 +132,8 @@ def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: i
     dx = pixels[:, :1] - projected.x
     dy = pixels[:, 1:] - projected.y
     a = [1 + projected.slope_x[:, k] * dx + projected.slope_y[:, k] * dy for k in range(3)]
-    # torch.where gives the whole gradient to the first of several equal values, but torch.minimum divides it.
+    # torch.where gives the whole gradient to the first of several equal values. torch.minimum would divide the gradient
+    # between them.
     rest = torch.where(a[1] <= a[2], a[1], a[2])
     window = torch.where(a[0] <= rest, a[0], rest)
     hit = window >= projected.smallest

@@ -57,7 +57,7 @@ def sample_texture(
     Args:
         mips: levels 1 and up.
         is_chain: whether ``mips`` are the results of :func:`build_mips`. If so, their gradients are added to the
-            gradient of ``tex``. Otherwise, ``mips`` get gradients of their own.
+            gradient of ``tex``. Otherwise, ``mips`` have separate gradients.
     """
     out = _empty_picture(tex, uv)
     modes = (filter_mode, boundary_mode)
@@ -101,7 +101,7 @@ def _sample_backward(
     gradient: Tensor,
     needs: Sequence[bool],
 ) -> list[Tensor]:
-    """Compute the gradients of uv, uv_da, bias, tex and the mips. ``needs`` says which of the gradients of uv, uv_da,
+    """Compute the gradients of uv, uv_da, bias, tex and the mips. ``needs`` states which of the gradients of uv, uv_da,
     bias and the texture are needed. The others are empty tensors. If ``is_chain`` is true, the result has no gradients
     of the mips."""
     out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
