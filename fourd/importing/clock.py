@@ -26,7 +26,7 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
         names = [name for name, video in videos.items() if video.index.turn == turn]
         if names:
             # The note states the clockwise angle, because other programs also describe rotation metadata by this angle.
-            notes.append(f"{', '.join(names)}: frames are turned {360 - turn} degrees clockwise, as the metadata require")
+            notes.append(f"{', '.join(names)}: frames are turned {360 - turn} degrees clockwise (rotation metadata)")
     hdr = {name: video.index.transfer for name, video in videos.items() if video.index.transfer}
     if hdr:
         kinds = " and ".join(sorted(set(hdr.values())))

@@ -149,7 +149,7 @@ def test_too_few_views_are_refused() -> None:
     with pytest.raises(UserError, match=r"videos: b: expected the board in at least 5 frames, got [12];"):
         fit_rig(rig_input(SETTINGS, views), untracked)
     _, views = seen_views(SETTINGS, range(40), {1: (), 2: ()})
-    with pytest.raises(UserError, match=r"expected two cameras that see the board, got a alone"):
+    with pytest.raises(UserError, match=r"expected two cameras that see the board, got only a"):
         fit_rig(rig_input(SETTINGS, views), untracked)
 
 

@@ -160,7 +160,7 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
 ) -> None:
     """Catches a flag that is silently ignored."""
     line = error_line(capsys, "eval", trained.folder, "--refine-test-colours")
-    assert "--refine-test-colours: expected also --refine-test, got --refine-test-colours alone" in line
+    assert "--refine-test-colours: expected also --refine-test, got only --refine-test-colours" in line
     line = error_line(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
     assert "--refine-test-colours: expected no --scene, got both options; leave one of them out" in line
 

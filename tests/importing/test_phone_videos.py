@@ -67,7 +67,7 @@ def test_turned_videos_give_the_same_pictures(unpack: bool, plain: list[float], 
     assert [(camera.width, camera.height) for camera in capture.cameras] == [(64, 48)] * 3
     assert min(mean_psnr(capture)) > plain[0] - 0.3
     for name, angle in zip(NAMES, (90, 180, 270), strict=True):
-        assert f"{name}: frames are turned {angle} degrees clockwise, as its metadata says" in lines
+        assert f"{name}: frames are turned {angle} degrees clockwise (rotation metadata)" in lines
     assert "a, c: the calibration belongs to the turned frames (its images are 64 x 48)" in lines
     text = "b: the calibration belongs to the turned frames (both have its orientation; change this with "
     assert text + "--calibrated-frames stored)" in lines

@@ -31,8 +31,8 @@ WORDS_HELP = (
 )
 
 OFFSET_HELP = (
-    "Number of frames by which the video of camera CAM is late. Fractions are allowed. Example for two cameras: "
-    "cam02=3,cam05=-1.5."
+    "Number of frames by which events appear later in the video of camera CAM. Fractions are allowed. Example for two "
+    "cameras: cam02=3,cam05=-1.5."
 )
 SCALE_HELP = (
     "CAM,CAM=METRES: distance between the optical centres of two cameras. One world unit becomes one metre. "
@@ -43,8 +43,8 @@ CALIBRATION_HELP = (
     "SRC is then read in the format videos."
 )
 SOUND_HELP = (
-    "Position of the sound source in the world, in metres. Offsets from sound are corrected by the travel time from this "
-    "position to the cameras. centre: the point that the cameras face. none: no correction. "
+    "Position of the sound source in the world, in metres. Time offsets that are estimated from sound are corrected by "
+    "the travel time from this position to the cameras. centre: the point that the cameras face. none: no correction. "
     "auto: centre if the calibration is in metres, otherwise none."
 )
 BOARD_HELP = (
