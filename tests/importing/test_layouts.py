@@ -146,9 +146,7 @@ def test_intrinsics_alone_are_refused(tmp_path: Path) -> None:
     """Catches an unfinished calibration of Caliscope that is read with zero poses."""
     write_videos(tmp_path / "videos", ("cam_0", "cam_1", "cam_2"))
     write_toml(tmp_path / "camera_array.toml", re.sub("(?m)^translation.*$", "", caliscope_toml()))
-    with pytest.raises(
-        UserError, match=r"expected rotation and translation, got intrinsics alone; calibrate the poses"
-    ):
+    with pytest.raises(UserError, match=r"expected rotation and translation, got only intrinsics; calibrate the poses"):
         read(tmp_path)
 
 

@@ -149,7 +149,7 @@ def test_small_workspaces_and_wrong_shapes_are_rejected(gpu: torch.device, rng: 
         memory = (found.estimator, 1000, workspace, found.stream)
         found.kernels.render_points(*inputs, pack_camera(camera), 15, NEAR, 0.0, *memory, *images)
 
-    with pytest.raises(ValueError, match="workspace: expected as many bytes as the plan requires"):
+    with pytest.raises(ValueError, match="workspace: expected the bytes that the plan names"):
         draw(1000, out)
     with pytest.raises(ValueError, match="out_depth: unexpected shape"):
         draw(1 << 24, [*out[:2], out[2][:5].contiguous()])

@@ -16,7 +16,7 @@ struct EntryBufferArguments {
     // Throws std::invalid_argument if the workspace has fewer than needed_bytes bytes.
     points::cuda::EntryBuffer checked(std::size_t needed_bytes) const {
         require(entries <= 0x7fffffff, "entries: expected at most 2^31 - 1");
-        require(workspace.size() >= needed_bytes, "workspace: expected as many bytes as the plan requires");
+        require(workspace.size() >= needed_bytes, "workspace: expected the bytes that the plan names");
         return {workspace.data(), entries, estimator.needed()};
     }
 };

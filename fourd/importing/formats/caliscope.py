@@ -90,7 +90,7 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
 
 def _make_camera(where: str, table: dict[str, object]) -> Camera:
     if any(table.get(key) is None for key in POSE_KEYS):
-        raise UserError(f"{where}: expected rotation and translation, got intrinsics alone; calibrate the poses")
+        raise UserError(f"{where}: expected rotation and translation, got only intrinsics; calibrate the poses")
     missing = [key for key in INTRINSIC_KEYS if table.get(key) is None]
     if missing:
         raise UserError(f"{where}: expected {', '.join(INTRINSIC_KEYS)}, got no {missing[0]}; calibrate again")
