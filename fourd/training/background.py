@@ -25,7 +25,8 @@ from fourd.training.points.spacing import point_spacings
 SIZE_STEP_PX = 32
 """Multiple, in pixels, to which the sides of padded plates are rounded up."""
 CACHED_STEPS = 100
-"""Number of steps for which the depth and features of a plate are reused. The depth and the features change slowly."""
+"""Number of training steps for which the cached depth and image features of a plate are reused. Both change only slowly
+during training."""
 MAX_DEPTH_BEHIND = 9.0
 """Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if its distance
 behind the plate's occlusion depth exceeds this tolerance."""
@@ -36,10 +37,10 @@ MIN_RADIUS = 0.6
 def create_background(
     points: ColouredPoints, plates: Mapping[int, PlateView], config: TrainConfig, contraction: Contraction
 ) -> StaticBackground:
-    """An untrained background.
+    """Create an untrained background.
 
     Args:
-        points: initial points. A point's own colour is used if no source view sees the point.
+        points: initial points. The colour of such a point is used where no source view sees the point.
         plates: camera index -> clean plate.
         config: the run's training config.
         contraction: function that maps unbounded space into the volume of the K-Planes.
@@ -65,8 +66,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # A sample of the K-Planes that no plate observes gets no gradient, so a random initial value would remain as
-        # noise.
+        # Cells of the K-Planes that no plate observes get no gradient. Random initial values in these cells would
+        # remain as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -75,9 +76,9 @@ def create_background(
 
 
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """(N,) bool, whether each of the points (N, 3) lies outside every camera's image.
+    """(N,) bool, true for the points of ``xyz`` (N, 3) that lie outside the images of all ``cameras``.
 
-    Training never renders points outside all images, so densification must not remove these points as unobserved.
+    Training never renders these points. Densification must not remove them, although no camera observes them.
     """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
@@ -104,7 +105,7 @@ class StaticBackground:
         model: point model without time planes, in contracted space.
         points: the background's points.
         plates: camera index in the capture -> clean plate, for training cameras only.
-        rig: the current cameras; if None, each plate's own camera is used.
+        rig: the current cameras; if None, the cameras stored in ``plates`` are used.
     """
 
     model: PointModel
@@ -131,8 +132,8 @@ class StaticBackground:
         self._cache.clear()
 
     def hidden_points(self) -> Tensor:
-        """(N,) bool, whether each point is hidden in every plate. A hidden point is outside the plate's image or
-        occluded in the plate."""
+        """(N,) bool, true for the points that are hidden in all plates. A point is hidden in a plate if the point lies
+        outside the plate's image or is occluded in the plate."""
         xyz, spacing = self.points.xyz.double().numpy(), self.points.spacing.numpy()
         hidden = np.ones(len(xyz), np.bool_)
         for index in self.plates:
@@ -153,8 +154,8 @@ class StaticBackground:
             cameras: indices of the cameras.
             train_encoder: whether the image encoder runs and gets a gradient. If ``train_encoder`` is true, the
                 returned views have no cached features.
-            points: points whose occlusion depths are computed for this call, together with the plates' features; if
-                None, cached depths and features are used.
+            points: points from which occlusion depths are computed anew in this call, together with the plates'
+                features. If ``points`` is None, cached depths and features are used.
         """
         images, mattes, padded = self._padded_plates(cameras)
         if points is not None:
@@ -172,7 +173,7 @@ class StaticBackground:
         )
 
     def _padded_plates(self, cameras: Sequence[int]) -> tuple[Tensor, Tensor, tuple[Camera, ...]]:
-        """Images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates with the indices ``cameras``.
+        """Images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates with camera indices ``cameras``.
 
         All plates are padded to the size of the largest plate, so that cached depths and features can be stacked.
         """

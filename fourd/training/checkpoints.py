@@ -38,14 +38,14 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         folder: the folder of checkpoints; created if missing.
         step: number of completed optimizer steps, 0 or more. The checkpoint file is named after the step number.
         tensors: name -> dense tensor, stored bit for bit.
-        state: JSON data, stored in the file's header. Floats are stored exactly.
+        state: data for JSON, which is stored in the file's header. Floats are stored exactly.
 
     Returns:
         The file's path.
 
     Raises:
         UserError: the folder is not writable, for instance because the disk is full. If writing fails, older
-            checkpoints are unchanged, and no part of the new checkpoint remains.
+            checkpoints are unchanged, and no file of the new checkpoint remains.
         ValueError: the argument ``state`` is not JSON data, for example because it contains NaN.
     """
     plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
@@ -66,7 +66,7 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
 
 def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
-    """The newest intact checkpoint in ``folder``. The function loads each candidate checkpoint to verify it.
+    """The newest intact checkpoint in ``folder``. Each candidate checkpoint is loaded to verify it.
 
     Returns:
         (path, note). path is None if the folder is missing or contains no intact checkpoint. note is one line about
@@ -96,7 +96,7 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
     try:
         with safe_open(path, framework="pt") as stream:
             header = stream.metadata() or {}
-            # The object from safe_open cannot be iterated over directly.
+            # The object that safe_open returns cannot be iterated over directly.
             tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise UserError(
@@ -158,10 +158,10 @@ def pack_optimizer(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, T
 def unpack_optimizer(
     optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor], prefix: str, source: Path | str = "checkpoint"
 ) -> None:
-    """Restore an optimizer's state bit for bit from tensors of :func:`pack_optimizer`. The optimizer's settings are
-    unchanged.
+    """Restore an optimizer's state bit for bit from the tensors that :func:`pack_optimizer` returned. Learning rates
+    and other settings of the optimizer are unchanged.
 
-    Raises UserError if the tensors belong to other parameters. The error message names ``source``.
+    Raises UserError if the tensors do not belong to this optimizer's parameters. The error message names ``source``.
     """
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     state: dict[int, dict[str, Tensor]] = {}
@@ -197,7 +197,7 @@ def pack_numpy_rng(generator: np.random.Generator) -> dict[str, Any]:
 
 
 def unpack_numpy_rng(state: Mapping[str, Any]) -> np.random.Generator:
-    """A NumPy generator with a state from :func:`pack_numpy_rng`.
+    """Create a NumPy generator with a state from :func:`pack_numpy_rng`.
 
     Raises ValueError if the kind of generator is unknown.
     """
@@ -222,7 +222,7 @@ def _drop_old(folder: Path, step: int) -> None:
     """Delete all checkpoints up to ``step`` except the two newest. Damaged checkpoints of steps after ``step`` are also
     deleted.
 
-    Checkpoints of later steps exist if the run was resumed from an earlier step.
+    Checkpoints of later steps exist if the run was resumed from an older checkpoint.
     """
     files = checkpoint_files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:

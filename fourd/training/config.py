@@ -23,12 +23,12 @@ class LossConfig:
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement by the residual field. The unit of the displacement is the
-    point spacing."""
+    """Weight of the mean squared displacement by the residual field. The displacement is measured in point spacings."""
     shadow: float = 1e-2
-    """Weight of the mean of (f - 1)^2 over the shadow factors f of the background points."""
+    """Weight of the mean of (f - 1)^2 over the shadow factors f of the background points. A factor of 1 means no
+    shadow."""
     closed: float = 2e-2
-    """Weight of the mean squared transmittance of the background, rendered from viewpoints between the training
+    """Weight of the background's mean squared transmittance in images rendered from viewpoints between the training
     cameras."""
 
     def __post_init__(self) -> None:
@@ -46,11 +46,12 @@ class RateConfig:
     mlps: float = 1e-3
     """Learning rate of the MLPs and the image encoder."""
     xyz_spacings: float = 0.6
-    """Learning rate of point positions before the first update of a point, as a share of the point spacing."""
+    """Initial learning rate of point positions, as a share of the point spacing."""
     xyz_halving_updates: int = 60
-    """Number H of updates after which the learning rate of a point's position is halved, in addition to the exponential
-    decay. After n updates of the point, the rate is multiplied by 1 / (1 + n / H). With 0, there is no such factor.
-    Without this factor, long training moves points that no image constrains at random, which makes new views worse."""
+    """Number H of updates after which the learning rate of a point's position is halved. This decay is additional to
+    the exponential decay. After n updates of the point, the rate has been multiplied by 1 / (1 + n / H). With H = 0,
+    this decay is switched off. Without this decay, long training moves points at random where no image constrains them,
+    which makes novel views worse."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
@@ -74,36 +75,36 @@ class BackgroundConfig:
     """The static background of a full scene."""
 
     points: int = 200_000
-    """Maximum number of background points. The coarse shell of points in directions that no plate shows is not
+    """Maximum number of background points. The shell, which has coarse points in directions that no plate shows, is not
     counted."""
     seeding: Literal["ngp", "sfm"] = "ngp"
     """Source of the background points. With `ngp`, the points come from a radiance field that is fitted to the plates
     and to stereo depths. With `sfm`, the points come from stereo alone."""
     seeds: Path | None = None
-    """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
+    """PLY file with background points in world units. If this file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
-    """Settings of the radiance field that seeding ngp uses."""
+    """Settings of the radiance field that is used with `seeding: ngp`."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """Render foreground and background together. If false, steps on frames train the foreground alone on black. Steps
-    on plates train the background."""
+    """Render foreground and background together. If false, steps on frames render and train only the foreground, on
+    black. The background is then trained only in steps on plates."""
     share: float = 0.35
-    """Share of the training steps that compare the background with a clean plate instead of using a frame."""
+    """Share of the training steps that use a clean plate as ground truth. The other steps use a frame."""
     window_px: int = 256
     """Side length in pixels of the square image window that is rendered in a step on a clean plate."""
     margin_px: int = 64
-    """Maximum margin in pixels around the matte's bounding box in steps that render a frame."""
+    """Maximum margin in pixels by which the matte's bounding box is extended in steps that render a frame."""
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a share of the point spacing."""
     least_layers: int = 12
-    """Minimum of the number K of points that are composited at each pixel of a full scene. Each step samples K between
-    this minimum and `layers` of the training config. If K is too small, the farthest points of a floor viewed at a
-    grazing angle are not composited. The gradient then enlarges the discs, and even more points are left out. The
-    image becomes blurred."""
+    """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between this
+    minimum and `layers` of the training config. If K is too small, a floor viewed at a grazing angle lacks its farthest
+    points. The gradient then enlarges the discs, so that even more points exceed K. As a result, the image becomes
+    blurred."""
     encoder_every: int = 8
-    """The background's image encoder is updated only in steps on a clean plate whose step number is divisible by this
-    value."""
+    """The background's image encoder is updated only in steps on a clean plate whose step number is divisible by
+    `encoder_every`."""
     shadow: bool = False
     """Learn the shadows and the reflected light that the foreground casts on the background in each frame. This option
     needs a model with image-based colour."""
@@ -120,10 +121,10 @@ class BackgroundConfig:
 
 @dataclass(frozen=True)
 class DensifyConfig:
-    """Densification splits and removes points in full scenes."""
+    """Splitting and removal of points in full scenes."""
 
     on: bool = True
-    """Split and remove points while training."""
+    """Split and remove points during training."""
     frame_every: int = 40
     """Number of training steps on a frame between two densifications of the frame's points. Each
     densification removes the points that are at least `frame_every` steps old and have never received a gradient."""
@@ -166,7 +167,7 @@ class RefineConfig:
     """Assumed standard deviation of each entry of a camera's colour correction."""
     band: float = 0.03
     """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The epipolar
-    line is computed with the given cameras, before bundle adjustment."""
+    line is computed with the given cameras, before bundle adjustment. Matches at larger distances are not used."""
     weight: float = 1e-5
     """Loss weight of the sum of (correction / standard deviation)^2 over the corrections of a camera."""
     pose_rate: float = 1e-4
@@ -199,8 +200,8 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
     scene: Literal["object", "full"] = "object"
-    """Part of the images to reconstruct. With `object`, only the foreground in the mattes is reconstructed, on black.
-    With `full`, the whole image is reconstructed, with a static background."""
+    """Part of the images to reconstruct. With `object`, only the foreground that the mattes cover is reconstructed, on
+    black. With `full`, the whole image is reconstructed, with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Settings of the background of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
@@ -213,38 +214,38 @@ class TrainConfig:
     """Remove protruding parts of the visual hull before the initial points are placed. The remaining hull still covers
     all mattes."""
     hull_inset: float = 0.9
-    """Distance by which the initial points are moved into the visual hull, as a multiple of the point spacing. Discs
-    extend beyond their points. Without an inset, the initial silhouettes are too large, and training must first shrink
-    them."""
+    """Distance by which the initial points are moved into the visual hull, as a multiple of the point spacing. The
+    inset is needed because discs extend beyond their centres. Without inset, the initial silhouettes are too large, and
+    training must first shrink them."""
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
     """Minimum number K of points that are composited at each pixel while training. Each step samples K between this
-    minimum and `layers`. An exported scene composites fewer layers than training, so its surfaces must be opaque in few
-    layers. Training with a small K produces surfaces that are opaque in few layers. Full scenes use
-    `background.least_layers` instead of this key."""
+    minimum and `layers`. An exported scene composites fewer layers than training does. Its surfaces must therefore be
+    opaque after few layers. Training with a small K produces such surfaces. Full scenes use `background.least_layers`
+    instead of this key."""
     crop: Literal["mask", "full"] = "mask"
     """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
     selects the whole image."""
     random_background: bool = True
     """Composite prediction and ground truth on a random colour in each step. On a black background, holes in dark
-    surfaces would cause no loss."""
+    surfaces would not increase the loss."""
     encoder_every: int = 2
     """Number of steps between two updates of the image encoder. The encoder's backward pass is expensive, and the
     encoder's weights change slowly."""
     hidden_weight: float = 3e-2
-    """A step skips each point whose largest compositing weight in the target view is below this threshold. With
-    threshold 0, all points are used."""
+    """In each step, the points whose largest compositing weight in the target view is below this threshold are skipped.
+    With threshold 0, no points are skipped."""
     keep_in_hull: bool = True
     """Move a point back if a step moves the point out of the silhouette in the target view or in a source view. This
     option prevents stray points."""
     smoothing: float = 0.5
-    """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Distances of up to
-    a quarter of the point spacing from this plane remain. With 0, there is no smoothing."""
+    """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Points within a
+    quarter of the point spacing from their plane are not moved. With 0, smoothing is switched off."""
     neighbour_pool: int = 5
-    """Number of views in the pool from which each step samples its source views. The pool contains the views nearest to
-    the target view. A larger pool includes wider baselines, which also occur between a novel view and its source
-    views."""
+    """Size of the pool of views from which each step samples its source views. The pool contains the views nearest to
+    the target view. A larger pool includes views with wider baselines. Such baselines also occur between a novel view
+    and its source views."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None
@@ -268,7 +269,7 @@ class TrainConfig:
     """Seconds between validations. Validations use held-out views, or training views if no view is held out."""
     memory_mb: int = 96
     """Size of the cache of decoded images in MiB. The cache of points has half the size of the image cache. Images and
-    points outside the caches are read again when they are needed."""
+    points that do not fit into the caches are read again when they are needed."""
 
     def __post_init__(self) -> None:
         require(self.points >= 1, f"points: expected at least 1, got {self.points}")

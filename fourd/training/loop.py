@@ -47,7 +47,7 @@ MAX_VALIDATION_VIEWS = 4
 
 @dataclass(frozen=True)
 class TrainSummary:
-    """Result of training: the total number of steps, the total time in seconds, and the smoothed PSNR in dB."""
+    """Result of a training: the total number of steps, the total time in seconds, and the smoothed PSNR in dB."""
 
     steps: int
     seconds: float
@@ -55,7 +55,7 @@ class TrainSummary:
 
 
 class Trainer:
-    """Trains a run from its newest checkpoint, or from the start, until its budget is spent."""
+    """Trains a run until its budget is spent, starting from its newest checkpoint if there is one."""
 
     def __init__(self, run: Run, lpips: LPIPS | None, console: Console, budget: TrainConfig) -> None:
         """Load the run's newest checkpoint, if there is one.
@@ -64,8 +64,8 @@ class Trainer:
             run: the run folder.
             lpips: the network of the perceptual loss; with None, SSIM replaces the perceptual loss.
             console: console that shows the progress of training.
-            budget: the run's config with the limits max_steps and max_seconds. A resumed run may have larger limits
-                than before.
+            budget: the run's config with max_steps and max_seconds of this call. In a resumed run, these limits may be
+                larger than the limits in config.yaml.
         """
         if budget.max_steps is None and budget.max_seconds is None:
             raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a limit")
@@ -144,7 +144,7 @@ class Trainer:
             )
 
     def _validate(self, log: MetricsLog) -> None:
-        """Log the mean PSNR of the held-out views at the middle frame, inside each matte's bounding box.
+        """Log the mean PSNR of the held-out views at the middle frame, inside the bounding boxes of the mattes.
 
         Training views are used if no view is held out.
         """

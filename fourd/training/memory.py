@@ -1,9 +1,10 @@
-"""Settings of the C library's heap, so that freed memory is reused fast and the resident size stays bounded. Only glibc
+"""Settings of the C library's heap that make freed memory fast to reuse and keep the resident size bounded. Only glibc
 is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
 
-Images differ in size, so freed memory does not always fit the next allocation. The heap's address space therefore grows
-for hours during training. A page of the heap occupies memory only if the page was written since the last trim. Data
-that is kept for many steps would fragment the heap, so it is stored outside the heap, in separate pages.
+Images differ in size, so freed blocks do not always fit the next allocation. Therefore, the heap's address space grows
+for hours during training. However, a page of the heap occupies physical memory only if the page was written since the
+last trim. Data that is kept for many steps would fragment the heap. Such data is therefore stored outside the heap, in
+separate pages.
 """
 
 from __future__ import annotations
@@ -25,21 +26,21 @@ RESIDENT_BYTES = 1000 * 2**20
 returned to the system."""
 
 FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
-"""Target for the resident size when training a full scene, in bytes. A step on a full scene uses more memory than a
-step on an object scene. With the target for object scenes, the heap would be trimmed at every step."""
+"""Target for the resident size of the process while a full scene is trained, in bytes. A step on a full scene uses more
+memory than a step on an object scene. With the target for object scenes, the heap would be trimmed in every step."""
 
 MIN_GROWTH_BYTES = 128 * 2**20
-"""Minimum growth of the resident size between two trims of the heap, in bytes. With more frequent trims, page faults
-would dominate the time of every step."""
+"""Minimum growth of the resident size between two trims of the heap, in bytes. If the heap were trimmed more often,
+page faults would take most of the time of a step."""
 
 _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 
 
 def retain_freed_memory() -> None:
-    """Keep freed memory in the process until a :class:`HeapTrimmer` returns it to the system.
+    """Make the C library keep freed memory in the process until a :class:`HeapTrimmer` returns it to the system.
 
     By default, the C library returns the memory of a large array to the system as soon as the array is freed. Without
-    this function, each training step would spend time on page faults when it allocates large arrays.
+    this function, each training step would therefore spend time on page faults when it allocates large arrays.
     """
     mallopt = _libc_function("mallopt")
     if mallopt is not None:
@@ -65,8 +66,8 @@ class HeapTrimmer:
     """Returns free pages of the heap to the system when the resident size is too large."""
 
     def __init__(self, resident: int = RESIDENT_BYTES, min_growth: int = MIN_GROWTH_BYTES) -> None:
-        """Set the target for the resident size to ``resident`` bytes. After a trim, the next trim follows only when the
-        resident size has grown by more than ``min_growth`` bytes."""
+        """Set the target for the resident size to ``resident`` bytes. A heap that was trimmed is trimmed again only
+        after the resident size has grown by more than ``min_growth`` bytes."""
         self._malloc_trim = _libc_function("malloc_trim")
         self._resident = resident
         self._min_growth = min_growth

@@ -22,17 +22,18 @@ class MetricsLog:
     """A context manager that appends to ``metrics.jsonl`` and to TensorBoard events in a run folder."""
 
     def __init__(self, folder: Path, resume_step: int = 0) -> None:
-        """Open the log of a run and remove records after the step from which the run resumes.
+        """Open the log of a run and remove the records that were written after the step from which the run resumes.
 
         Args:
             folder: the run's folder; created if missing.
-            resume_step: number of completed steps. Records after step ``resume_step`` and incomplete lines of a killed
-                run are removed. TensorBoard hides its events after step ``resume_step``.
+            resume_step: number of completed steps of the checkpoint from which the run resumes. Records after step
+                ``resume_step`` and incomplete lines, which a killed run leaves, are removed. TensorBoard hides older
+                events after step ``resume_step``.
 
         Raises:
             UserError: the folder is not writable.
         """
-        # The import of TensorBoard takes a second, so it is delayed until a log is opened.
+        # Importing TensorBoard takes about a second. The import is therefore delayed until a log is opened.
         from torch.utils.tensorboard import SummaryWriter
 
         self._folder = folder
@@ -103,7 +104,7 @@ def _truncate(path: Path, last_step: int) -> None:
 
 
 def _step_of(line: bytes) -> float:
-    """The step of a record, or infinity for a line that is not a record."""
+    """The step of the record in a line, or infinity if the line is not a record."""
     try:
         record = json.loads(line)
     except ValueError:

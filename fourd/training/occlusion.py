@@ -1,4 +1,4 @@
-"""Depth maps of points, used to test in which source views a point is occluded."""
+"""Depth maps of points, used to test whether a point is occluded in a source view."""
 
 from __future__ import annotations
 
@@ -47,11 +47,12 @@ def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
 
 
 def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
-    """Depth (H, W) behind which points count as occluded: the surface depth, dilated by the size of a point.
+    """Depth (H, W) behind which points count as occluded: the surface depth, dilated by the typical size of a point.
 
-    Points are rendered as discs that face the camera. On a floor viewed at a grazing angle, each disc covers the discs
-    behind it. Without dilation of the depth, half of the visible points on a floor at a grazing angle would count as
-    occluded. The dilation assigns to each pixel the farthest depth within the median disc radius.
+    For the surface depth, points are rendered as discs that face the camera. On a floor viewed at a grazing angle, such
+    a disc covers the discs behind it. Without dilation, half of the visible points of such a floor would therefore
+    count as occluded. The dilation assigns to each pixel the farthest surface depth within the median disc radius
+    around the pixel.
     """
     pixels, depth = camera.project(points.xyz.double().numpy())
     inside = camera.is_in_image(pixels, depth) & (depth > NEAR)

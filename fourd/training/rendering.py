@@ -16,8 +16,8 @@ from fourd.training.points.frame_points import FramePoints
 NEAR = 0.01
 """Depth of the near plane in world units."""
 COUNT_STEP = 1024
-"""Multiple to which the number of visible points is rounded up. With rounding, tensors have few different sizes and fit
-into memory that was freed by earlier steps."""
+"""Multiple to which the number of visible points is rounded up. Because of the rounding, tensors have few different
+sizes and fit into memory that earlier steps have freed."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class RenderablePoints:
 
     @classmethod
     def of(cls, points: EvaluatedPoints, colour: Tensor) -> RenderablePoints:
-        """Combine evaluated points with their colours (N, 3)."""
+        """Evaluated points with the colours (N, 3)."""
         return cls(points.xyz, points.radius, points.density, colour)
 
 
@@ -47,8 +47,8 @@ def composite(
 ) -> PointRender:
     """Render all clouds together, so that they occlude each other.
 
-    The result has features (H, W, 4): the first three channels are the colour, and the last channel is the contribution
-    of the first cloud to alpha.
+    The result has features (H, W, 4): the first three channels are the colour, and the last channel is the part of
+    alpha that comes from the first cloud.
     """
     ones, zeros = torch.ones_like, torch.zeros_like
     is_first = [ones(cloud.radius) if k == 0 else zeros(cloud.radius) for k, cloud in enumerate(clouds)]
@@ -66,7 +66,8 @@ def composite(
 
 
 def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, min_weight: float) -> list[Tensor]:
-    """For each cloud, indices of the points whose largest compositing weight in the view exceeds ``min_weight``.
+    """For each cloud, indices of the points whose largest compositing weight over the pixels of the view exceeds
+    ``min_weight``.
 
     Occlusion between the clouds is taken into account. With ``min_weight`` 0, all points count as visible.
     """
@@ -85,9 +86,9 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
 
 
 def select_heaviest(weight: Tensor, min_weight: float) -> Tensor:
-    """Ascending indices of the weights (N,) above ``min_weight``.
+    """Ascending indices of the weights (N,) that exceed ``min_weight``.
 
-    Indices of the next largest weights are added until the number of indices is a multiple of COUNT_STEP.
+    Indices of the next smaller weights are added until the number of indices is a multiple of COUNT_STEP.
     """
     count = int((weight > min_weight).sum())
     rounded = min(weight.shape[0], -(-count // COUNT_STEP) * COUNT_STEP)

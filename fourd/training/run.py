@@ -1,4 +1,4 @@
-"""A run folder: its config, its capture, and its trained state.
+"""A run folder: its config, its capture, and its trained points and models.
 
 ``hull/``, ``background/`` and ``calibration/`` are written before training. ``config.yaml`` is written when training
 starts. ``checkpoints/STEP.safetensors``, ``checkpoints/STEP.points/``, ``metrics.jsonl``, TensorBoard events and
@@ -44,7 +44,7 @@ from fourd.training.views import ViewStore
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """Quantities that are measured on the capture before training. Lengths are in world units."""
+    """Quantities that are measured from the capture before training. Lengths are in world units."""
 
     lower: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Lower corner of the bounds."""
@@ -90,7 +90,7 @@ class Run:
     @property
     def focus(self) -> NDArray[np.float64]:
         """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles
-        to the viewing camera, measured at the centre of the bounds."""
+        to the viewing camera. The angles are measured at the centre of the bounds."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
@@ -98,7 +98,7 @@ class Run:
         return self.folder / CHECKPOINTS
 
     def new_model(self) -> PointModel:
-        """An untrained model. The same config always gives the same model."""
+        """Create an untrained model. The same config always gives the same model."""
         torch.manual_seed(self.config.train.seed)
         scene = self.config.scene
         return PointModel(
@@ -110,14 +110,14 @@ class Run:
         )
 
     def new_refinement(self) -> Refinement | None:
-        """Untrained corrections of the training cameras, or None if the config enables no correction."""
+        """Create untrained corrections of the training cameras, or return None if the config enables no correction."""
         refine = self.config.train.refine
         if not (refine.cameras or refine.colours):
             return None
         return Refinement(refine, self.capture.cameras, self.training, self.focus)
 
     def contraction(self) -> Contraction:
-        """The contraction, which maps unbounded space into the volume of the background's K-Planes."""
+        """The contraction that maps unbounded space into the volume of the background's K-Planes."""
         x, y, z = (float(value) for value in self.focus)
         return Contraction((x, y, z), self.config.scene.reach)
 
@@ -141,12 +141,12 @@ class Run:
         return background
 
     def view_store(self) -> ViewStore:
-        """The store of training images, with the crop and cache size of the config."""
+        """The store of training images, with the config's crop and cache size."""
         train = self.config.train
         return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
 
     def frame_store(self, saved: Path | None) -> FrameStore:
-        """The store that contains every frame's points.
+        """The store of the points of every frame.
 
         The points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are used.
         """
@@ -155,7 +155,7 @@ class Run:
         return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved)
 
     def initial_points(self, frame: int) -> FramePoints:
-        """The initial points of a frame in Morton order, at most ``config.train.points`` of them."""
+        """The initial points of a frame in Morton order. There are at most ``config.train.points`` of them."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
         xyz = read_ply(self.folder / HULL / f"{number:06d}.ply").xyz[: train.points]
@@ -232,7 +232,7 @@ def points_folder(checkpoint: Path) -> Path:
 
 
 def drop_stale_points(checkpoints: Path) -> None:
-    """Remove folders of points whose checkpoint file was deleted or never completed."""
+    """Remove point folders whose checkpoint file was deleted or was never completed."""
     for folder in checkpoints.glob("*.points"):
         if not folder.with_suffix(".safetensors").exists():
             shutil.rmtree(folder)

@@ -26,12 +26,12 @@ folder as a run."""
 
 
 def checkpoint_files(folder: Path) -> list[Path]:
-    """Checkpoint files in the folder of checkpoints, in the order of their steps. Temporary files, whose names start
+    """Checkpoint files in the folder ``checkpoints/``, in the order of their steps. Temporary files, whose names start
     with a dot, are not included."""
     named = [path for path in folder.glob("*.safetensors") if path.stem.isdecimal()]
     return sorted(named, key=lambda path: int(path.stem))
 
 
 def newest_checkpoint(run: Path) -> str:
-    """File name of the newest checkpoint of a run, or an empty text if there is none."""
+    """File name of the newest checkpoint of a run, or an empty string if there is none."""
     return max((path.name for path in checkpoint_files(run / CHECKPOINTS)), default="")

@@ -16,7 +16,7 @@ class StepSample:
     """Frame, views and options of one training step.
 
     Attributes:
-        frame: index into the selected frames.
+        frame: index of the frame in the selected frames.
         target: index of the target camera.
         sources: indices of the source cameras.
         source_weights: (V,) float32 view weights of the source cameras.
@@ -37,7 +37,7 @@ class StepSample:
 
 
 class StepSampler:
-    """Determines the sample of each step from the seed and the step's number alone.
+    """Determines the sample of each step only from the seed and the step's number.
 
     The sampler stores no state between steps, so a resumed run has the same samples as an uninterrupted run.
     """
@@ -58,7 +58,8 @@ class StepSampler:
     def sample(self, step: int) -> StepSample:
         """The sample of a step.
 
-        In F * V steps, with F frames and V training views, every view of every frame is sampled exactly once.
+        In F * V successive steps that start at a multiple of F * V, every view of every frame is sampled exactly once.
+        F is the number of frames, and V is the number of training views.
         """
         views = len(self._training)
         epoch, place = divmod(step, self._frames * views)
@@ -80,7 +81,7 @@ class StepSampler:
         return replace(sample, is_plate=is_plate, position=(rng.random(), rng.random(), rng.random()))
 
     def _source_weights(self, target: int, sources: list[int]) -> NDArray[np.float32]:
-        """View weights of the cameras ``sources`` for the camera ``target``, which is not a source itself."""
+        """View weights of the cameras ``sources`` for the camera ``target``, which is not one of the sources."""
         if not self._config.model.fade_views:
             return np.ones(len(sources), np.float32)
         others = [camera for camera in self._training if camera != target]
@@ -98,8 +99,8 @@ def source_pool(
 
 
 def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
-    """Spent share of the training budget, in [0, 1]. If both steps and time are limited, the result is the larger of
-    the spent shares of steps and of time."""
+    """Spent share of the training budget, in [0, 1]. If steps and time are both limited, the result is the larger of
+    the two shares."""
     shares = [0.0]
     if config.max_steps is not None:
         shares.append(step / config.max_steps)
@@ -109,6 +110,7 @@ def budget_spent(config: TrainConfig, step: int, seconds: float) -> float:
 
 
 def rate_factor(rates: RateConfig, step: int, spent: float) -> float:
-    """Factor on all learning rates: a linear warm-up, times an exponential decay to ``final``."""
+    """Factor by which all learning rates are multiplied: a linear warm-up, times an exponential decay to
+    ``rates.final``."""
     warm = min(1.0, (step + 1) / max(1, rates.warm_up))
     return float(warm * rates.final**spent)

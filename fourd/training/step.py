@@ -131,7 +131,7 @@ class Stepper:
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * rate_factor
         self.optimizer.step()
-        # Gradients that are kept in memory until the next step would fragment the heap.
+        # If gradients were kept until the next step, they would fragment the heap.
         self.optimizer.zero_grad(set_to_none=True)
         for each in evaluated:
             gradients = {
@@ -148,7 +148,7 @@ class Stepper:
 
 
 def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[Camera, Tensor]]:
-    """(camera, matte) for the step's target view and for each of its source views."""
+    """(camera, matte) of the step's target view and of each of its source views."""
     views = [(camera, matte)]
     if points.sources is not None:
         views += list(zip(points.sources.cameras, points.sources.mattes, strict=True))

@@ -19,8 +19,9 @@ from fourd.training.memory import array_outside_heap
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
-"""Multiple, in pixels, to which the sides of crops are rounded up. With rounding, crops have few different sizes.
-Convolutions are set up only once for each crop size, and a new crop fits into the memory of a freed crop."""
+"""Multiple, in pixels, to which the sides of crops are rounded up. Because of the rounding, crops have few different
+sizes. Convolutions are therefore set up only once for each crop size, and a new crop fits into the memory that an older
+crop has freed."""
 EMPTY_CROP_PX = 16
 """Side of the crop for an empty matte, in pixels."""
 
@@ -58,7 +59,7 @@ class ViewStore:
 
     Attributes:
         capture: the selected views and frames.
-        rig: the current cameras. Assigning another rig changes the cameras of all views.
+        rig: the current cameras. To change the cameras of all views, assign another rig.
     """
 
     def __init__(self, capture: Capture, crop: bool, memory_mb: int) -> None:
@@ -67,7 +68,7 @@ class ViewStore:
         self.rig = Rig(capture.cameras)
         self._crop = crop
         max_bytes = memory_mb * 2**20
-        # cachetools raises an error for a value that is larger than the cache.
+        # cachetools raises an error for a value that is larger than the whole cache.
         self._cache: LRUCache[tuple[int, int], View] = LRUCache(
             max_bytes, getsizeof=lambda view: min(view.nbytes, max_bytes)
         )
@@ -82,7 +83,7 @@ class ViewStore:
     def widened(self, camera: int, frame: int, margin_px: int) -> View:
         """A view extended by up to ``margin_px`` pixels on each side. The extended view is not cached.
 
-        The margin is rounded down to a multiple of SIZE_STEP_PX / 2 and clipped to the image.
+        The margin is rounded down to a multiple of SIZE_STEP_PX / 2. The extended view is clipped to the image.
         """
         view, whole = self.view(camera, frame), self.capture.cameras[camera]
         margin_px -= margin_px % (SIZE_STEP_PX // 2)
@@ -141,8 +142,8 @@ def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
 
 
 def _widen(start: int, length: int, size: int) -> tuple[int, int]:
-    """Start and length of a pixel range that is extended by the crop margin. The extended length is a multiple of
-    SIZE_STEP_PX, but at most ``size``."""
+    """Extend a pixel range by the crop margin on both sides, and return its start and length. The extended length is a
+    multiple of SIZE_STEP_PX, but at most ``size``."""
     wanted = min(size, _round_up(length + 2 * CROP_MARGIN_PX))
     return max(0, min(size - wanted, start - (wanted - length) // 2)), wanted
 

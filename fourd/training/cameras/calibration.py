@@ -1,4 +1,4 @@
-"""Files of a run's own calibration.
+"""Files that store the calibration of a run.
 
 ``RUN/calibration/start/`` contains the cameras with which training starts. ``RUN/calibration/`` contains the newest
 cameras. Each folder has intri.yml and extri.yml with all cameras of the capture. If colours are corrected, each folder
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 COLOURS = "colours.json"
 POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
-"""If the focal length is scaled by a factor z, OpenCV's i-th distortion coefficient is scaled by z to the power
-POWERS[i]."""
+"""If the focal length is multiplied by a factor z, OpenCV's i-th distortion coefficient is multiplied by z to
+the power POWERS[i]."""
 
 
 def with_start_cameras(capture: Capture, folder: Path) -> Capture:
@@ -52,7 +52,7 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
     unchanged.
 
     Args:
-        folder: the run's folder.
+        folder: folder of the run.
         capture: the selected views, in the rig's order.
         rig: the corrected cameras and colours.
         below: name of the subfolder of ``calibration/`` to write to. An empty name selects ``calibration/`` itself.
@@ -79,8 +79,8 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
-    """``lens`` with the pose and focal length of ``camera``. The distortion coefficients are scaled with the focal
-    length, so that undistorted images stay the same."""
+    """``lens``, with pose and focal length replaced by those of ``camera``. The distortion coefficients are scaled with
+    the focal length, so that undistorted images stay the same."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)
@@ -91,8 +91,8 @@ def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[n
     """OpenCV's distortion coefficients for a focal length that is scaled by ``zoom``. The returned coefficients
     displace each pixel by the same amount as the given coefficients at the original focal length.
 
-    The coefficients of sensor tilt are not scaled, so for lenses with sensor tilt the result is exact only if ``zoom``
-    is 1.
+    The coefficients of sensor tilt are not scaled. For lenses with sensor tilt, the result is therefore exact only if
+    ``zoom`` is 1.
     """
     powers = np.array([*POWERS, 0, 0])[: len(distortion)]
     return distortion * zoom**powers

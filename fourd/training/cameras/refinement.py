@@ -1,9 +1,9 @@
-"""Corrections of the cameras that are learnt while training.
+"""Corrections of the cameras, which are learnt during training.
 
-The renderers treat the corrected cameras as constants and compute no gradient with respect to cameras. The gradient
-reaches a camera correction through the positions of the rendered points. The positions pass through a function of the
-camera correction that does not change their values. The derivative with respect to the correction is the motion of the
-points relative to the corrected camera.
+The renderers treat cameras as constants: they compute no gradient with respect to the camera parameters. Therefore, a
+camera correction gets its gradient through the positions of the rendered points. Each position is written as a function
+of the correction that does not change the value of the position. The derivative of this function is the motion of the
+point relative to the camera when the correction changes.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class _GivenPose:
 class Refinement(nn.Module):
     """Pose, focal and colour corrections of each training camera. All corrections are initially zero.
 
-    A pose correction consists of a rotation vector in radians and a translation in camera coordinates. The translation
-    of a pose correction is a share of the camera's distance from the scene's centre. A focal correction is the
+    A pose correction consists of a rotation vector in radians and a translation along the camera's axes. The
+    translation is stored as a share of the camera's distance from the scene's centre. A focal correction is the
     logarithm of the factor that scales the focal length. A colour correction is the difference between an affine colour
-    map and the identity. Each camera has its own parameters, so that a step on one camera leaves the optimizer state of
-    other cameras unchanged.
+    map and the identity. Each camera has separate parameter tensors, so that a step on one camera leaves the optimizer
+    state of other cameras unchanged.
     """
 
     def __init__(
@@ -97,8 +97,9 @@ class Refinement(nn.Module):
         return Rig(tuple(cameras), colours)
 
     def attach_camera_gradient(self, clouds: Sequence[RenderablePoints], index: int) -> list[RenderablePoints]:
-        """Make the points differentiable functions of the correction of camera ``index``, without changing their
-        values. The gradient of a rendered image can then reach the camera's correction through the points."""
+        """Make the positions of the points differentiable functions of the correction of camera ``index``, without
+        changing their values. Through the points, the gradient of a rendered image then reaches the camera's
+        correction."""
         if not self.config.cameras:
             return list(clouds)
         return [self._attach(cloud, index) for cloud in clouds]
@@ -150,14 +151,14 @@ class Refinement(nn.Module):
         return replace(cloud, xyz=xyz + (in_camera - in_camera.detach()) @ rotation.detach(), radius=radius)
 
     def _colour_map(self, index: int) -> Tensor:
-        """A camera's affine colour map (3, 4). The mean colour map of all training cameras is kept at the identity,
-        because a colour change that is common to all cameras belongs to the scene."""
+        """A camera's affine colour map (3, 4). The mean of the colour maps of all training cameras is kept at the
+        identity: a colour change that all cameras share belongs to the scene."""
         mean = torch.stack([tint.detach() for tint in self.tints]).mean(dim=0)
         return IDENTITY + self.tints[self.places[index]] - mean
 
 
 def _cross_product_matrix(vector: Tensor) -> Tensor:
-    """The (3, 3) matrix M with M w = v x w for all w, where v is ``vector`` (3,)."""
+    """The (3, 3) matrix M of the cross product with ``vector`` v: M w = v x w for all w."""
     x, y, z = vector
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero]).reshape(3, 3)

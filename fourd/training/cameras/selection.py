@@ -30,7 +30,7 @@ class DataSelection:
 
     @classmethod
     def of(cls, train: TrainConfig) -> DataSelection:
-        """The selection that a training config describes."""
+        """The views, frames and image scale that a training config selects."""
         return cls(train.views, train.test_views, train.frames, train.image_scale)
 
 
@@ -39,7 +39,7 @@ class RunViews:
     """An open capture and the roles of its cameras.
 
     Attributes:
-        capture: the capture, reduced to the selected frames and to the training and held-out views.
+        capture: the capture, reduced to the selected frames and to the training cameras and held-out cameras.
         training: indices of the training cameras in ``capture.cameras``.
         test: indices of the held-out cameras in ``capture.cameras``.
     """

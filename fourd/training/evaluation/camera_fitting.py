@@ -1,11 +1,11 @@
 """Alignment of held-out cameras to a trained scene, based on the cameras' own images. The alignment is needed to
-evaluate scenes that were trained with refined cameras.
+evaluate scenes that were trained with camera refinement.
 
-A scene that is trained with refined cameras is aligned with the refined cameras. A held-out camera is not refined in
-training, so it is misaligned with the scene. BARF (Lin et al., ICCV 2021, sec. 4.2) optimises each test camera against
-the frozen scene before computing metrics. This module uses direct image alignment with the rendered depth (Lucas and
-Kanade 1981), from blurred to sharp images. The alignment uses the mean of the gradients of the rendered and the true
-image (Benhimane and Malis, IROS 2004).
+Camera refinement changes the poses of the training cameras, and the scene moves with them. A held-out camera is not
+refined during training, so its pose does not fit the scene exactly. BARF (Lin et al., ICCV 2021, sec. 4.2) solves the
+same problem: it optimises each test camera against the frozen scene before computing metrics. This module uses direct
+image alignment with the rendered depth (Lucas and Kanade 1981), from blurred to sharp images. The image gradient is the
+mean of the gradients of the rendered and the true image (Benhimane and Malis, IROS 2004).
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ MAX_STEPS = 12
 INITIAL_DAMPING = 1e-3
 MAX_FRAMES = 3
 CONVERGED = 3e-5
-"""Optimization at a blur level ends when all components of the step are smaller than this threshold. The step's
-rotation is in radians, and its translation is a share of the camera's distance from the scene's centre."""
+"""The optimization at a blur level ends when all six components of the step are smaller than this threshold. The three
+rotation components are in radians. The three translation components are shares of the camera's distance from the
+scene's centre."""
 MIN_ALPHA = 0.02
 COLOUR_REGULARISATION = 1e-3
 """Regularisation weight per pixel in the least-squares fit of the colour map. The regularisation penalises the squared
@@ -43,7 +44,7 @@ difference between the colour map and the identity."""
 
 @dataclass(frozen=True, eq=False)
 class FittedView:
-    """A held-out camera aligned with the scene.
+    """A held-out camera that was aligned with the scene.
 
     Attributes:
         camera: the aligned camera of the whole image.
@@ -87,8 +88,8 @@ def fit_test_camera(
 
 @dataclass(frozen=True, eq=False)
 class _NormalEquations:
-    """The normal equations at one pose: mean squared error, J^T J (6, 6), -J^T r (6,) and fitted colour map. J is the
-    Jacobian of the image, and r is the residual."""
+    """The normal equations at one pose: mean squared error, J^T J (6, 6), -J^T r (6,), and the fitted colour map. J is
+    the Jacobian of the image, and r is the residual."""
 
     error: float
     matrix: Array
@@ -173,7 +174,7 @@ class _Pair:
 
 
 def _jacobian(shown: Floats, pair: _Pair, distance: float) -> Floats:
-    """Derivative (6, H, W, 3) of the image with respect to rotation (radians) and translation (shares of
+    """Derivative (6, H, W, 3) of the image with respect to rotation (in radians) and translation (in multiples of
     ``distance``)."""
     height, width = pair.depth.shape
     rows, columns = np.indices((height, width)) + 0.5

@@ -1,4 +1,5 @@
-"""Measures of visible defects that a PSNR hides: errors at contours, specks, jumps between viewpoints, and flicker."""
+"""Measures of visible defects that hardly change the PSNR: errors at contours, specks, jumps between viewpoints, and
+flicker."""
 
 from __future__ import annotations
 
@@ -11,24 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONTOUR_PX = 1.5
-"""Pixels up to this distance from the matte's contour count as contour."""
+"""Pixels up to this distance from the matte's contour belong to the class "contour"."""
 NEAR_PX = 4.0
-"""Pixels inside the matte up to this distance from its contour count as near the contour, the others as inside."""
+"""Pixels inside the matte that are farther than CONTOUR_PX, but at most this distance, from the contour belong to the
+class "near". Pixels farther inside belong to the class "inside"."""
 WRONG_ALPHA = 0.3
 """A rendered alpha is wrong if it differs from the matte by more than this value."""
 SPECK_ERROR = 0.15
-"""Smallest error of a speck's pixels, the largest over the channels, for colours in [0, 1]."""
+"""Minimum error of each pixel of a speck. The error is the largest absolute difference over the channels, for colours
+in [0, 1]."""
 SPECK_AREA_PX = 4
-"""Largest area of a speck in pixels. Larger regions of wrong pixels are not specks."""
+"""Maximum area of a speck in pixels. Larger regions of wrong pixels are not specks."""
 MIN_SPECK_NEIGHBOURS = 5
-"""Smallest number of neighbours, of eight, that are correct around each pixel of a speck."""
+"""Minimum number of correct pixels among the eight neighbours of each pixel of a speck."""
 
 Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class ContourErrors:
-    """Shares in [0, 1] of an image's summed squared error, by distance to the matte's contour. Their sum is 1.
+    """Shares in [0, 1] of an image's summed squared error, by distance of the pixels from the matte's contour. The four
+    shares add up to 1.
 
     Attributes:
         contour: at most CONTOUR_PX from the contour, on either side.
@@ -64,11 +68,11 @@ def contour_errors(prediction: Image, truth: Image, matte: NDArray[np.uint8]) ->
 
 @dataclass(frozen=True)
 class SilhouetteErrors:
-    """Shares in [0, 1] of an image's summed squared error, at pixels with a wrong alpha.
+    """Shares in [0, 1] of an image's summed squared error that are due to pixels with a wrong alpha.
 
     Attributes:
-        excess: where the rendered alpha is above the matte by more than WRONG_ALPHA.
-        missing: where the rendered alpha is below the matte by more than WRONG_ALPHA.
+        excess: share of the error where the rendered alpha exceeds the matte by more than WRONG_ALPHA.
+        missing: share of the error where the rendered alpha is below the matte by more than WRONG_ALPHA.
     """
 
     excess: float
@@ -78,7 +82,7 @@ class SilhouetteErrors:
 def silhouette_errors(
     prediction: Image, truth: Image, alpha: NDArray[np.float32], matte: NDArray[np.uint8]
 ) -> SilhouetteErrors:
-    """Shares of the squared error where the rendered silhouette is too large or too small.
+    """Shares of the squared error at pixels where the rendered silhouette is too large or too small.
 
     Args:
         prediction: (H, W, 3) colours in [0, 1].
@@ -97,7 +101,7 @@ def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
     """Mask (H, W) of the pixels that belong to specks.
 
     A speck is a connected region of at most SPECK_AREA_PX pixels with errors above SPECK_ERROR. At least
-    MIN_SPECK_NEIGHBOURS of the eight neighbours of each of its pixels have smaller errors.
+    MIN_SPECK_NEIGHBOURS of the eight neighbours of each pixel in the region have errors of at most SPECK_ERROR.
 
     Args:
         prediction: (H, W, 3) colours in [0, 1].
@@ -112,9 +116,9 @@ def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
 
 
 def jump_ratio(images: Sequence[Image]) -> float:
-    """Largest mean absolute difference between successive images, divided by the median difference.
+    """Largest mean absolute difference between successive images, divided by the median of these differences.
 
-    For a slow camera path with constant steps, the ratio is close to 1 if the image changes smoothly.
+    If the camera moves slowly in equal steps and the image changes smoothly, the ratio is close to 1.
 
     Args:
         images: at least 3 images (H, W, 3) along the path.
@@ -124,7 +128,7 @@ def jump_ratio(images: Sequence[Image]) -> float:
 
 
 def flicker(predictions: Sequence[Image], truths: Sequence[Image]) -> float:
-    """Mean absolute error of the changes from frame to frame, in a sequence from a camera that does not move.
+    """Mean absolute error of the change from one frame to the next, for a camera that does not move.
 
     Args:
         predictions: at least 2 images (H, W, 3) of successive frames.

@@ -15,7 +15,7 @@ def psnr(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike, mask: Tenso
 
     Args:
         prediction: floating-point image (..., C), torch or NumPy.
-        target: image of the same shape.
+        target: image of the same shape as ``prediction``.
         mask: (...) bool or nonnegative weights of the pixels; if None, all pixels have equal weights.
 
     Returns:
@@ -46,7 +46,7 @@ def ssim(prediction: Tensor | ArrayLike, target: Tensor | ArrayLike) -> Tensor:
 
     Args:
         prediction: floating-point image (..., H, W, C), torch or NumPy, where H and W are at least 11 pixels.
-        target: image of the same shape.
+        target: image of the same shape as ``prediction``.
 
     Returns:
         A scalar tensor that is differentiable in both images and is 1 for equal images.

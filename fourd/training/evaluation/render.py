@@ -44,9 +44,9 @@ class ModelRenderer:
         """Create a renderer.
 
         Args:
-            scene: the scene, with its models and training images.
+            scene: the scene with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) point in world units at which the angles between cameras are measured. The source views come
+            focus: (3,) point in world units. Angles between cameras are measured at this point. The source views come
                 from the cameras with the smallest angles to the viewing camera.
         """
         self.scene = scene
@@ -72,8 +72,8 @@ class ModelRenderer:
             frame: index into the selected frames.
             camera: the viewing camera.
             layers: maximum number K of points that are composited at each pixel.
-            exclude: index of a camera that is not used as a source view, so that a training view is not blended from
-                itself.
+            exclude: index of a camera that is not used as a source view. For a training view, pass the index of its
+                camera, so that the view is not blended from its own image.
         """
         return render_view(self.evaluate(points, frame, camera, exclude), camera, layers)
 
@@ -84,7 +84,7 @@ class ModelRenderer:
         return self.scene.evaluate_frame(points, frame, camera, self._nearest(camera, exclude))
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
-        """Render the background of a full scene alone, without shadows."""
+        """Render only the background of a full scene, without shadows."""
         assert isinstance(self.scene, FullScene), "expected a full scene, got an object scene, which has no background"
         points = self.scene.evaluate_background(camera, self._nearest(camera, exclude))
         return render_view([points], camera, layers)

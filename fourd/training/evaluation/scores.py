@@ -29,7 +29,7 @@ class Scores:
 
 @dataclass(frozen=True)
 class ViewScores:
-    """Scores of one held-out image: for the whole image, and for the matte's bounding box with a margin of 8 pixels."""
+    """Scores of one held-out image: for the whole image, and for the matte's bounding box extended by 8 pixels."""
 
     camera: str
     frame: int
@@ -46,7 +46,7 @@ class Evaluation:
     box: Scores | None
 
     def to_json(self) -> dict[str, object]:
-        """Plain data for a JSON file."""
+        """The scores as plain data for a JSON file."""
         return {
             "cameras": sorted({picture.camera for picture in self.pictures}),
             "frames": sorted({picture.frame for picture in self.pictures}),
@@ -59,8 +59,8 @@ class Evaluation:
 def score_view(
     prediction: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], lpips: LPIPS | None
 ) -> tuple[Scores, Scores | None]:
-    """Scores of an image (H, W, 3) in [0, 1]: for the whole image, and for the matte's bounding box. The scores of the
-    bounding box are None if the matte is empty."""
+    """Scores of an image (H, W, 3) with values in [0, 1]: for the whole image, and for the matte's bounding box. The
+    scores of the bounding box are None if the matte is empty."""
     predicted, expected = torch.from_numpy(prediction), torch.from_numpy(truth)
     box = mask_box(matte, margin=BOX_MARGIN_PX)
     if box is None:

@@ -1,7 +1,8 @@
 """LPIPS, the learned perceptual distance (Zhang et al. 2018), version 0.1 on VGG-16.
 
-The network is defined here because torchvision cannot be installed on some machines. The user provides the weights as
-files: torchvision's VGG-16, and the linear heads of the ``lpips`` package.
+The network is defined here, and not imported from torchvision, because torchvision cannot be installed on some
+machines. The user provides files with the weights of torchvision's VGG-16 and of the linear heads of the ``lpips``
+package.
 """
 
 from __future__ import annotations
@@ -21,11 +22,11 @@ from torch.nn import functional
 
 from fourd.errors import UserError
 
-# Numbers of output channels of VGG-16's convolutions. A pooling layer follows each group of convolutions except the
-# last group.
+# Numbers of output channels of VGG-16's convolutions. Each group of convolutions except the last one is followed by a
+# pooling layer.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
-# Mean and standard deviation of ImageNet images with values in [-1, 1]. The LPIPS heads were trained with images that
-# are normalised by this mean and standard deviation.
+# Mean and standard deviation of the colours of ImageNet images, scaled to [-1, 1]. The LPIPS heads were trained with
+# images that are normalised by these values.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 # An image with a side below 16 pixels has size 0 after four pooling layers.
@@ -34,7 +35,7 @@ SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"
 FIX = "pass VGG-16 weights with --lpips-weights"
 
-# Names of weights in torchvision's files, or in a whole network that was saved with the lpips package.
+# Names of the weights in files of torchvision, or in files of a whole network saved with the lpips package.
 _FEATURE_KEY = re.compile(r"(?:features|net\.slice[1-5])\.(\d+)\.(weight|bias)")
 _HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
 
@@ -73,7 +74,7 @@ class LPIPS(nn.Module):
         self.eval()
 
     def forward(self, prediction: Tensor, target: Tensor) -> Tensor:
-        """The distance between two images, or between the pairs of two batches.
+        """The distance between two images, or the distances between corresponding images of two batches.
 
         Args:
             prediction: (H, W, 3) or (B, 3, H, W), images in [0, 1], floating point. Sides below 16 pixels are extended
@@ -114,8 +115,9 @@ def load_lpips(path: Path | None) -> LPIPS | None:
 
     Args:
         path: a file (.pth, .pt or .safetensors), or a folder with such files named ``vgg16*``, ``vgg.*`` or
-            ``*lpips*``. The files contain VGG-16 under torchvision's names (``features.0.weight``), the heads under the
-            names of the lpips package (``lin0.model.1.weight``), or both. Missing parts are read from the default
+            ``*lpips*``. The files contain VGG-16 under torchvision's names (``features.0.weight``), the linear heads
+            under the names of the lpips package (``lin0.model.1.weight``), or both. Missing parts are read from the
+            default
             locations: torch.hub's ``checkpoints/vgg16-397923af.pth`` for VGG-16, and the installed package lpips or
             torchmetrics for the heads. If ``path`` is None, only the default locations are used.
 
@@ -146,8 +148,8 @@ def load_lpips(path: Path | None) -> LPIPS | None:
 
 
 def expected_shapes() -> dict[str, tuple[int, ...]]:
-    """Names and shapes of all weights. The convolutions have the names ``features.N.weight`` and ``features.N.bias``
-    with torchvision's layer numbers N. The heads have the names ``linN``."""
+    """Names and shapes of all weights of the network. The convolutions have the names ``features.N.weight`` and
+    ``features.N.bias`` with torchvision's layer numbers N. The heads have the names ``linN``."""
     shapes: dict[str, tuple[int, ...]] = {}
     inputs = 3
     widths = [width for group in GROUPS for width in group]
@@ -160,8 +162,8 @@ def expected_shapes() -> dict[str, tuple[int, ...]]:
 
 
 def _feature_numbers() -> list[int]:
-    """torchvision's layer numbers of the convolutions. A ReLU follows each convolution, and a pooling layer follows
-    each group of convolutions."""
+    """Layer numbers of the convolutions in torchvision's VGG-16. A ReLU follows each convolution, and a pooling layer
+    follows each group of convolutions."""
     numbers, number = [], 0
     for group in GROUPS:
         numbers += [number + 2 * index for index in range(len(group))]
@@ -209,7 +211,8 @@ def _read(file: Path) -> dict[str, Tensor]:
             raise UserError(f"{file}: expected layers of VGG-16, got the unknown layer '{key}'; {FIX}")
         if shape != shapes[name]:
             raise UserError(f"{file}: '{key}': expected shape {shapes[name]}, got {shape}; {FIX}")
-        # With a copy, the file's other tensors can be freed, such as 470 MB of VGG-16's classifier.
+        # Without the copy, the tensor would keep the file's other tensors in memory, such as the 470 MB of VGG-16's
+        # classifier.
         found[name] = value.detach().to(torch.float32, copy=True)
     if not found:
         raise UserError(
@@ -251,7 +254,8 @@ def _batch(images: Tensor) -> Tensor:
 
 
 def _normalize(features: Tensor) -> Tensor:
-    """Normalise over channels. The clamp keeps the gradient finite where all channels are 0."""
+    """Normalise the features (B, C, H, W) to length 1 over the channels. The clamp keeps the gradient finite at pixels
+    where all channels are 0."""
     length = features.square().sum(dim=1, keepdim=True).clamp_min(1e-20).sqrt()
     return features / (length + 1e-10)
 

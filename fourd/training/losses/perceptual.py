@@ -1,4 +1,4 @@
-"""Perceptual term: LPIPS between the rendered and the true image (4K4D, eq. 8)."""
+"""Perceptual term: LPIPS distance between the rendered and the true image (4K4D, eq. 8)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Residual term: penalises large displacements of points by the residual field."""
+"""Residual term: penalises large displacements of the points by the residual field."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fourd.training.losses.term import RenderedStep
 
 @dataclass(frozen=True)
 class ResidualTerm:
-    """Mean of the squared components of the learnt displacements, which are measured in units of the point spacing."""
+    """Mean of the squared components of the learnt displacements. Displacements are measured in point spacings."""
 
     weight: float
     spacing: float

@@ -1,4 +1,4 @@
-"""Shadow term: penalises all shadows, so that only shadows with evidence in the images are learnt."""
+"""Shadow term: penalises all shadows, so that the model learns only shadows that the images show."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fourd.training.background import StaticBackground
 from fourd.training.losses.term import RenderedStep
 
 STRIDE = 8
-"""The shadow term is evaluated on every STRIDE-th background point, whether or not the point is visible in the target
+"""The shadow term is evaluated on every STRIDE-th background point, including points that are not visible in the target
 view."""
 
 
 @dataclass(frozen=True, eq=False)
 class ShadowTerm:
-    """Mean of (f - 1)^2 over the shadow factors f of background points. The shadow term applies to steps whose target
-    is a frame."""
+    """Mean of (f - 1)^2 over the shadow factors f of background points, where f = 1 means no shadow. The shadow term
+    applies to steps whose target is a frame."""
 
     weight: float
     background: StaticBackground

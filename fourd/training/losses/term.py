@@ -22,7 +22,7 @@ class RenderedStep:
         sample: the frame and views of the step.
         prediction: (H, W, 3) rendered image on the step's background colour.
         truth: (H, W, 3) true image on the step's background colour.
-        coverage: (H, W) rendered alpha of the foreground, or of the background if the target is a plate.
+        coverage: (H, W) rendered alpha of the foreground. If the target is a plate, rendered alpha of the background.
         matte: (H, W) true alpha of the foreground, or None if the target is a plate.
         displacement: (M, 3) learnt displacement of the visible points in world units, or None without a residual field.
     """
@@ -49,13 +49,13 @@ class LossTerm(Protocol):
         """Factor by which :meth:`value` is multiplied in the loss."""
 
     def applies_to(self, step: RenderedStep) -> bool:
-        """Whether the step contains the data that the term needs."""
+        """Whether the step has the data from which the term is computed."""
 
     def value(self, step: RenderedStep) -> Tensor:
-        """The term's value before weighting, a differentiable scalar tensor."""
+        """The term's value without its weight: a differentiable scalar tensor."""
 
 
 def weighted_values(terms: Iterable[LossTerm], step: RenderedStep) -> dict[str, Tensor]:
-    """Map the name of each loss term that applies to the step to its weighted value. The training loss is the sum of
-    the weighted values."""
+    """Weighted values of the loss terms that apply to the step, with the terms' names as keys. The training loss is the
+    sum of the weighted values."""
     return {term.name: term.weight * term.value(step) for term in terms if term.applies_to(step)}

@@ -1,4 +1,4 @@
-"""Densification: points with large gradients are split, and points that no training view observes are removed."""
+"""Densification: splitting of points with large gradients, and removal of points that no training view observes."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 NEIGHBOURS = 3
-"""Number of nearest neighbours of a parent point from which the parent's partner is chosen. The new point lies midway
-between parent and partner, and therefore close to the surface."""
+"""Number of nearest neighbours of a parent point from which the parent's partner is chosen at random. A split adds a
+new point midway between parent and partner. With near neighbours, the new point is close to the surface."""
 
 
 @dataclass(frozen=True)
@@ -28,13 +28,13 @@ class Densification:
 
 
 def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
-    """Add the magnitudes of a step's gradient to the gradient history of the points ``rows`` (M,). ``gradient`` (M, 3)
-    is the gradient with respect to positions.
+    """Add the magnitudes of a training step's gradient to the gradient history of the points ``rows`` (M,).
+    ``gradient`` (M, 3) is the gradient with respect to positions.
 
     The magnitude is the norm of a point's gradient times the point's spacing. To first order, the magnitude is the
-    largest change of the loss if the point moves by one spacing. The magnitude has no unit, so that near and far points
-    can be compared. Kerbl et al. 2023, sec. 5.2, split points with large view-space gradients instead of large
-    magnitudes.
+    largest change of the loss when the point moves by one spacing. The magnitude does not depend on the unit of length,
+    so that the magnitudes of near and far points can be compared. Kerbl et al. 2023, sec. 5.2, instead split points
+    with large view-space gradients.
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude
@@ -43,7 +43,7 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
 
 
 def unobserved_points(points: FramePoints, patience: int) -> Tensor:
-    """(N,) bool, whether each point is at least ``patience`` steps old and never had a gradient."""
+    """(N,) bool, true for points that are at least ``patience`` steps old and have never had a gradient."""
     return (points.visible_steps == 0) & (points.age - points.created_at >= patience)
 
 
@@ -57,8 +57,9 @@ def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed
     Args:
         points: the cloud.
         config: limits of densification.
-        unobserved: (N,) bool, the points to remove. Permanent points are kept even if they are unobserved.
-        seed: seed of the random choice among neighbours.
+        unobserved: (N,) bool, true for points to remove. Permanent points are kept, even if they are marked in
+            ``unobserved``.
+        seed: seed of the random choice of partners.
     """
     count = points.xyz.shape[0]
     kept = torch.nonzero(~unobserved | points.is_permanent)[:, 0]
@@ -79,15 +80,15 @@ def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed
 
 
 def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
-    """Reduce spacing and radius of points whose neighbours are closer than before the split."""
+    """Reduce spacing and radius of points whose neighbours are closer than before the points were split."""
     spacing = torch.minimum(points.spacing[rows], torch.from_numpy(point_spacings(points.xyz.numpy(), rows)))
     points.radius[rows] *= spacing / points.spacing[rows]
     points.spacing[rows] = spacing
 
 
 def _choose_partners(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Pair each parent with one of the NEIGHBOURS kept points nearest to it, chosen at random. If two parents choose
-    each other, the pair is included once."""
+    """Pair each parent with a partner that is chosen at random from the parent's NEIGHBOURS nearest neighbours among
+    the kept points. If two parents choose each other, the pair is included once."""
     _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEIGHBOURS + 2)))
     drawn = np.asarray(near)[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
     pairs = torch.stack([parents, kept[torch.from_numpy(drawn)]], 1)

@@ -20,7 +20,7 @@ HISTORY = {
     "age": "age",
     "initial_count": "first",
 }
-"""Attribute of the gradient history -> name of the attribute's tensor in files."""
+"""Name of each attribute of the gradient history -> name of its tensor in files."""
 
 
 @dataclass
@@ -28,19 +28,19 @@ class FramePoints:
     """N points. Tensors are float32 unless another dtype is given.
 
     Attributes:
-        spacing: (N,) distance to neighbouring points in world units. Radii are multiples of the spacing.
+        spacing: (N,) distance between each point and its neighbours in world units. Radii are multiples of the spacing.
         radius: (N,) radii in world units from the last evaluation, used by occlusion tests.
         density: (N,) densities in (0, 1) from the last evaluation, used by occlusion tests.
         parameters: name -> optimised tensor. The positions are "xyz" (N, 3) in world units. Points with explicit SH
             have the coefficients "sh" (N, 48). Background points have the colours "rgb" (N, 3).
         optimizer: Adam's state for the parameters.
-        gradient_sum: (N,) sum of gradient magnitudes; see ``accumulate_gradient_magnitudes``.
-        visible_steps: (N,) number of steps in which the point had a gradient.
-        created_at: (N,) the cloud's ``age`` when the point was created.
+        gradient_sum: (N,) sum of gradient magnitudes over training steps; see ``accumulate_gradient_magnitudes``.
+        visible_steps: (N,) number of training steps in which the point had a gradient.
+        created_at: (N,) value of ``age`` when the point was created.
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
-        age: scalar, number of steps in which the cloud was trained.
+        age: scalar, number of steps in which these points were trained.
         initial_count: scalar, number of points before training.
-        local_planes: (N, 4) planes through the neighbours of each point, see ``fit_planes``; None before the first
+        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``; None before the first
             fit, and after points were added or removed.
     """
 
@@ -69,7 +69,7 @@ class FramePoints:
 
         Args:
             xyz: (N, 3) positions.
-            spacing: (N,) distances to neighbouring points.
+            spacing: (N,) distance between each point and its neighbours in world units.
             radius: radius of each point, as a multiple of the point's spacing.
             explicit_sh: whether each point has its own optimised SH coefficients, which are initially zero.
             rgb: (N, 3) initial colours of background points, or None for foreground points.
@@ -92,7 +92,7 @@ class FramePoints:
     def keep_and_insert(self, kept: Tensor, parents: Tensor | None = None, partners: Tensor | None = None) -> None:
         """Remove all points except ``kept``, and append new points midway between pairs of points, in place.
 
-        A new point has the mean parameters of its pair, and the spacing, radius and density of the first point of the
+        A new point gets the mean parameters of its pair, and the spacing, radius and density of the first point of the
         pair.
 
         Args:
@@ -129,8 +129,8 @@ class FramePoints:
 
     @classmethod
     def from_tensors(cls, named: Mapping[str, Tensor]) -> FramePoints:
-        """Create points from the output of :meth:`tensors`. If ``named`` contains no gradient history, the history
-        starts empty."""
+        """Create points from the output of :meth:`tensors`. If ``named`` contains no gradient history, the created
+        history is empty."""
         history = _empty_history(named["steps"].shape[0])
         history.update({name: named[stored] for name, stored in HISTORY.items() if stored in named})
         return cls(
@@ -144,7 +144,7 @@ class FramePoints:
         )
 
     def copy_outside_heap(self) -> FramePoints:
-        """Copy all tensors to memory outside the heap, for points that stay in memory for many steps."""
+        """Copy all tensors to memory outside the heap. This method is for points that stay in memory for many steps."""
         return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
 
     @property

@@ -28,7 +28,8 @@ class FrameStore:
             frames: number of frames.
             make: function that returns a frame's initial points, given the frame's index.
             memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed this size.
-            saved: folder written by :meth:`save` from which points are read; if None, initial points are used.
+            saved: folder that :meth:`save` has written and from which points are read; if None, initial points are
+                used.
         """
         self._scratch = scratch
         self._make = make
@@ -43,8 +44,8 @@ class FrameStore:
         return len(self._cache)
 
     def get(self, frame: int) -> FramePoints:
-        """The points of a frame. In-place changes of the points are kept if they are made before the next call of this
-        method."""
+        """The points of a frame. In-place changes of the points are kept only if they are made before the next call of
+        this method."""
         if frame not in self._cache:
             self._cache[frame] = self._load(frame).copy_outside_heap()
         return self._cache[frame]
@@ -87,10 +88,10 @@ class FrameStore:
 
 
 class _SpillingCache(LRUCache[int, FramePoints]):
-    """Least-recently-used cache that passes evicted points to ``spill``."""
+    """Least-recently-used cache that calls ``spill`` with the points that it evicts."""
 
     def __init__(self, max_bytes: int, spill: Callable[[int, FramePoints], None]) -> None:
-        # cachetools raises an error for a value that is larger than the cache.
+        # cachetools raises an error for a value that is larger than the whole cache.
         super().__init__(max_bytes, getsizeof=lambda points: min(points.nbytes, max_bytes))
         self._spill = spill
 

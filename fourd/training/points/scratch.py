@@ -1,4 +1,4 @@
-"""Scratch folders. Each command that uses a run has its own scratch folder, so that train, eval, render, export and
+"""Scratch folders. Each command that uses a run has a separate scratch folder, so that train, eval, render, export and
 view can use the run at the same time."""
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ if sys.platform != "win32":
     import fcntl
 
 LOCK_SUFFIX = ".lock"
-"""The file NAME.lock is locked while the process that uses the folder NAME is running."""
+"""The file NAME.lock is locked as long as the process that uses the folder NAME is running."""
 
 
 class Scratch:
     """A new folder in ``parent`` that is used by no other process or object.
 
-    The folder is removed when this object is deleted or the process exits. If the process is killed, the scratch folder
-    remains until the next Scratch with the same ``parent`` is created.
+    The folder is removed when this object is deleted or the process exits. If the process is killed, the folder remains
+    until the next Scratch with the same ``parent`` is created.
     """
 
     def __init__(self, parent: Path) -> None:
@@ -39,8 +39,8 @@ class Scratch:
 
 
 def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
-    """Choose a new folder name, and create and lock its lock file in ``parent``. The folder ``parent`` is created if
-    necessary."""
+    """Choose a new folder name, then create and lock the folder's lock file in ``parent``. The folder ``parent`` is
+    created if necessary."""
     while True:
         name = f"{os.getpid()}-{secrets.token_hex(4)}"
         path = parent / f"{name}{LOCK_SUFFIX}"
@@ -48,9 +48,9 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
         try:
             stream = path.open("xb")
         except FileNotFoundError:
-            continue  # Another process has removed the empty parent folder.
-        # Another process may have removed the new lock file before it was locked, because the lock files of dead
-        # processes are not locked.
+            continue  # Another process has removed ``parent``, which was empty.
+        # Another process may have removed the new lock file before it was locked: a lock file
+        # that is not locked looks like that of a process that has ended.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()
@@ -68,7 +68,7 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
 
 
 def _remove_leftovers(parent: Path) -> None:
-    """Remove the scratch folders of dead processes. The lock file of a dead process is not locked."""
+    """Remove the scratch folders of processes that have ended. The lock file of such a process is not locked."""
     for path in parent.glob(f"*{LOCK_SUFFIX}"):
         with contextlib.suppress(OSError), path.open("rb+") as stream:
             if _try_lock(stream):

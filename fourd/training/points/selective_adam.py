@@ -13,9 +13,9 @@ from fourd.training.memory import tensor_outside_heap
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
 EPSILONS = {"rgb": 1e-6}
-"""Parameter name -> epsilon, for parameters whose epsilon differs from EPSILON. The stored colours ("rgb") of most
-background points hardly affect the image, so the gradients of these colours are mostly noise. With a smaller epsilon,
-the stored colours would follow a random walk."""
+"""Epsilon of Adam for parameters whose epsilon differs from EPSILON, with the parameter's name as key. The stored
+colours ("rgb") of most background points hardly affect the image. The gradients of these colours are mostly noise. With
+epsilon EPSILON, these colours would follow a random walk."""
 
 
 @dataclass

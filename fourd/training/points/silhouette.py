@@ -36,8 +36,8 @@ def revert_moves_out_of_silhouettes(
 
 
 def _is_inside(xyz: Tensor, camera: Camera, matte: Tensor, outside_image: bool) -> Tensor:
-    """(N,) bool, whether the matte is at least 0.5 at each of the points (N, 3). Points outside the image get the value
-    ``outside_image``."""
+    """(N,) bool, true for points (N, 3) where the matte is at least 0.5. Points that lie outside the image get the
+    value ``outside_image``."""
     pixels, depth = project_points(xyz, (camera,))
     size = torch.tensor([matte.shape[1], matte.shape[0]], dtype=pixels.dtype)
     grid = (2 * pixels / size - 1)[:, None]

@@ -1,9 +1,9 @@
-"""Surface smoothing: moves points towards planes through their neighbours, and moves isolated points to their
+"""Surface smoothing: moves points towards planes through their neighbours, and moves isolated points back to their
 neighbours.
 
-The images constrain the position of a point well along the surface, but only weakly across the surface. Training
-therefore moves points across the surface at random, by about half a point spacing. In training views, the colours of
-the points compensate for these moves. In other views, the moves make contours ragged.
+The images determine the position of a point well along the surface, but only weakly across the surface. Therefore,
+training moves points across the surface at random, by about half a point spacing. In training views, the colours of the
+points compensate for these displacements. In novel views, the displacements make contours ragged.
 """
 
 from __future__ import annotations
@@ -19,30 +19,32 @@ from fourd.training.memory import tensor_outside_heap
 from fourd.training.points.frame_points import FramePoints
 
 NEIGHBOURS = 16
-"""Number of points to which a point's plane is fitted. The point itself is one of them."""
+"""Number of points to which the plane of a point is fitted, including the point itself."""
 TOLERANCE = 0.25
-"""Points within this distance of their plane, as a share of the point spacing, are not moved. Creases and details
-therefore remain as the images determine them."""
+"""Points whose distance from their plane is at most this value, in point spacings, are not moved. Therefore, smoothing
+changes neither creases nor details of this size."""
 REFIT_STEPS = 40
-"""Number of training steps of a frame after which its planes are fitted again."""
+"""Number of training steps of a frame between two fits of the planes of the frame's points."""
 ISOLATION_RANK = 8
-"""A point is isolated if its neighbour of this rank is far away. The nearest neighbour has rank 1."""
+"""A point is isolated if its distance to the neighbour of this rank exceeds ISOLATION_SPACINGS. The nearest neighbour
+has rank 1."""
 ISOLATION_SPACINGS = 4.0
 """Distance to the neighbour of rank ISOLATION_RANK, in point spacings, beyond which a point is isolated. On an even
 surface, this distance is about 2 spacings."""
 MAX_SHARE = 0.5
-"""Largest share of the distance beyond the tolerance that is removed in one step."""
+"""Maximum share of the distance beyond the tolerance that is removed in one step."""
 
 
 def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:
     """Move the points ``rows`` towards the planes through their neighbours, in place.
 
-    Whenever the planes are fitted again, isolated points move to the middle of their neighbours. In new views, isolated
-    points are visible as specks beside the subject. The images do not move them back, because each image shows only few
-    of them.
+    Whenever the planes are fitted again, each isolated point is moved to the mean position of its neighbours. In novel
+    views, isolated points would be visible as specks beside the subject. The loss does not move isolated points back,
+    because each image shows only few of them.
 
-    The distance from the plane beyond the tolerance is reduced by the share ``strength`` times the learning rate in
-    point spacings. The balance between smoothing and the images therefore does not depend on the learning rate.
+    In each call, the distance from the plane beyond the tolerance is reduced by the share ``strength * rate /
+    spacing``, where ``rate`` is the point's learning rate and ``spacing`` its spacing. Because both smoothing and the
+    loss move a point in proportion to its learning rate, their balance does not depend on the learning rate.
 
     Args:
         points: the cloud. Its planes are fitted again every REFIT_STEPS steps.
@@ -69,7 +71,8 @@ class LocalFit:
     """Planes and distances of N points.
 
     Attributes:
-        planes: (N, 4) float32: unit normal n of either sign, and offset d. Points x of the plane satisfy n . x = d.
+        planes: (N, 4) float32: unit normal n and offset d. The sign of n is arbitrary. A point x lies on the plane if
+            dot(n, x) = d.
         reach: (N,) float32 distance to the neighbour of rank ISOLATION_RANK.
         middle: (N, 3) float32 mean position of the neighbours without the point itself.
     """

@@ -1,4 +1,4 @@
-"""Full scenes: the foreground given by the mattes, in front of a static background given by the clean plates."""
+"""Full scenes: a foreground given by the mattes, in front of a static background given by the clean plates."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from fourd.training.schedule import StepSample
 from fourd.training.views import View, ViewStore
 
 RNG_STREAM = 3
-"""Number of the random stream of densification: ``default_rng([seed, RNG_STREAM, frame, age])``. No other random
-sampling of a run uses this stream number."""
+"""Number of the random stream of densification. Densification draws its random numbers from ``default_rng([seed,
+RNG_STREAM, frame, age])``. No other random stream of a run has this number."""
 BACKGROUND_SEED = 2**31
-"""Number used instead of a frame index in the seed of the background's densification. No frame has this number as its
-index."""
+"""Number that replaces the frame index in the seed of the background's densification. No frame has this index."""
 
 
 class FullScene:
     """A scene with a foreground and a static background; see :class:`fourd.training.scenes.scene.TrainingScene`.
 
-    A step renders either a frame or a clean plate. If ``config.background.joint`` is true, a frame is rendered with the
-    background. If ``joint`` is false, a step on a frame trains the foreground alone.
+    A step renders either a frame or a clean plate. If ``config.background.joint`` is true, a step on a frame renders
+    the frame together with the background. If ``joint`` is false, a step on a frame renders and trains only the
+    foreground.
     """
 
     resident_bytes = FULL_RESIDENT_BYTES
@@ -122,7 +122,7 @@ class FullScene:
     def evaluate_background(
         self, camera: Camera, sources: SelectedViews, shadow_time: float | None = None
     ) -> RenderablePoints:
-        """All points of the background, with the shadows at time ``shadow_time``. If ``shadow_time`` is None, the
+        """All points of the background, with the shadows of the time ``shadow_time``. If ``shadow_time`` is None, the
         points have no shadows."""
         model, points = self.background.model, self.background.points
         with torch.no_grad():
@@ -165,12 +165,12 @@ class FullScene:
 
 
 def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of a square window in the image. The window's sides are clipped to the size of the
-    image.
+    """(left, top, width, height) of a square window in the image. If the image is smaller than the window, the window's
+    sides are clipped to the size of the image.
 
     ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
-    the image is shifted into the image. Because of the shift, windows at the corners of the image are frequent. If
-    windows were placed uniformly inside the image, almost no window would contain a corner of the image.
+    the image is shifted into the image. Because of this shift, windows at the corners of the image are frequent. If
+    windows were placed uniformly inside the image instead, almost no window would contain a corner of the image.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

@@ -1,4 +1,4 @@
-"""Object scenes: the foreground that the mattes show, on black."""
+"""Object scenes: the foreground that the mattes cover, on black."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The interface of a scene. The interface covers everything in training and rendering that differs between object
-scenes and full scenes."""
+"""The interface of a scene, which covers everything in training and rendering that differs between object scenes and
+full scenes."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Target:
         camera: camera of the rendered part of the image.
         rgb: (H, W, 3) colours in [0, 1], premultiplied by ``known``.
         matte: (H, W) alpha of the foreground, or None if the target is a plate.
-        known: (H, W) mask in [0, 1] that is 1 where ``rgb`` is known. In an object scene, the mask is the matte. For a
-            frame with background, the mask is 1 everywhere. For a plate, the mask is 1 where the plate shows the
-            background.
-        fills_picture: whether the scene fills the image. In a scene that fills the image, unknown pixels are excluded
-            from the loss. In a scene that does not fill the image, unknown pixels get the step's background colour.
+        known: (H, W) mask in [0, 1]: 1 where ``rgb`` is known, 0 where it is unknown. In an object scene, the mask is
+            the matte. For a frame of a full scene, the mask is 1 everywhere. For a plate, the mask is 1 where the plate
+            shows the background.
+        fills_picture: whether the whole image belongs to the scene. If true, pixels that are not known are excluded
+            from the loss. If false, they get the step's background colour.
     """
 
     camera: Camera
@@ -57,7 +57,7 @@ class OptimizedPoints:
         rows: (M,) indices of the visible points.
         parameters: name -> optimised tensor of the visible points, an autograd leaf that receives the gradient.
         evaluated: geometry and features of the visible points.
-        colour: (M, 3) RGB of the visible points.
+        colour: (M, 3) RGB of the visible points as seen by the target camera.
         sources: the source views from which colours are blended, or None without image-based colour.
     """
 
@@ -101,7 +101,7 @@ class TrainingScene(Protocol):
         """Terms of the training loss."""
 
     def set_rig(self, rig: Rig) -> None:
-        """Replace the cameras of views and plates by the cameras of ``rig``."""
+        """Replace the cameras of views and plates by the corrected cameras of ``rig``."""
 
     def target(self, sample: StepSample) -> Target:
         """The ground-truth image of a step."""
@@ -119,17 +119,18 @@ class TrainingScene(Protocol):
         """Notify the scene that a training step has updated the parameters."""
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
-        """Split and remove points after a step if densification is due. ``spent`` is the spent share of the training
-        budget."""
+        """Split and remove points after a step, if densification is due at this step. ``spent`` is the spent share of
+        the training budget."""
 
     def clear_caches(self) -> None:
-        """Drop cached data, because a resumed run starts without cached data."""
+        """Drop cached data. This keeps a run that continues equal to a resumed run, which starts without cached
+        data."""
 
     def evaluate_frame(
         self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
     ) -> list[RenderablePoints]:
-        """All points of a scene at one frame, with the foreground first. ``frame`` is an index into the selected
-        frames. Colours are blended from the source views of the cameras with indices ``sources``."""
+        """All points of a scene at one frame, with the foreground first. ``frame`` is the frame's index in the selected
+        frames. Colours are blended from the views of the source cameras with the indices ``sources``."""
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
         """The true image (H, W, 3) in [0, 1] with which a rendering of the view is compared."""
