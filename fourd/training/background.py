@@ -154,7 +154,7 @@ class StaticBackground:
             cameras: indices of the cameras.
             train_encoder: whether the image encoder runs and gets a gradient. If ``train_encoder`` is true, the
                 returned views have no cached features.
-            points: points from which occlusion depths are computed anew in this call, together with the plates'
+            points: points from which occlusion depths are computed in this call, together with the plates'
                 features. If ``points`` is None, cached depths and features are used.
         """
         images, mattes, padded = self._padded_plates(cameras)
