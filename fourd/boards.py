@@ -39,7 +39,8 @@ class CalibrationBoard:
         dictionary: name of the markers' dictionary in OpenCV, such as DICT_4X4_50, or None for a chessboard.
         inverted: whether dark and bright are exchanged.
         double_sided: whether the back shows the mirrored pattern, so that each corner is visible at the same point from
-            both sides. Only boards with markers can be double-sided, because the markers tell front and back apart.
+            both sides. Only boards with markers can be double-sided, because markers distinguish the front from the
+            back.
         legacy_pattern: whether OpenCV before version 4.6 made the pattern. Its pattern is different if ``rows`` is
             even.
 

@@ -1,5 +1,5 @@
-"""Measure the image quality of trained runs: scores of held-out and training views, place of the error, specks, jumps
-and flicker.
+"""Measure the image quality of trained runs: scores of held-out and training views, location of the error, specks,
+jumps and flicker.
 
 python tools/quality_table.py RUN [RUN ...]
 python tools/quality_table.py RUN --orbit 240 --pictures pictures/ --json quality.json

@@ -182,7 +182,7 @@ FOURD_HD static inline bool second_is_nearer(const float* first, int one, const 
 
 // The crossing of a pair: which pixel changes, by how much, and the derivatives of the position of the crossing.
 struct Crossing {
-    int vertex[2];        // The ends of the edge.
+    int vertex[2];        // Indices of the ends of the edge.
     Vertex slope[2];      // Derivatives of the position of the crossing with respect to x, y and w of the ends.
     float weight;         // In [0, 0.5]: the colour of the changed pixel changes by weight * (source - changed).
     bool changes_owner;   // Whether the changed pixel is the owner. The source is the other pixel.

@@ -28,8 +28,8 @@ template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
 // Calls body(i, tag) for i in [0, count). The index i increases in steps of 8, and in steps of 1 for the last elements.
-// `tag` is a null pointer whose type tells the body how many elements to process from i on. A pointer to Eight means 8
-// elements, and a pointer to float means 1 element.
+// `tag` is a null pointer. Its type determines the number of elements that the body processes, starting with i. A
+// pointer to Eight means 8 elements, and a pointer to float means 1 element.
 template <typename Body>
 FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;

@@ -88,8 +88,8 @@ struct Plane {
     }
 };
 
-// Whether the two triangles intersect between the pixel centres, and the triangle of the owner is the nearer one at the
-// owner. As for silhouettes, intersection lines whose angle to the segment is below 45 degrees are ignored.
+// Whether the two triangles intersect between the pixel centres, and whether the owner's triangle is the nearer one at
+// the owner. As for silhouettes, intersection lines whose angle to the segment is below 45 degrees are ignored.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);

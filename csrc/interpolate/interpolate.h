@@ -14,13 +14,13 @@ struct Query {
     const float* attr;         // (images or 1, vertices, channels).
     std::size_t vertices;
     std::size_t channels;
-    std::size_t image_stride;  // Number of vertices from the attributes of one image to those of the next; 0 if shared.
+    std::size_t image_stride;  // Offset between the attributes of successive images, in vertices; 0 if shared.
     const std::int32_t* tri;   // (triangles, 3).
     std::size_t triangles;
     const float* rast;         // (images, height, width, 4): u, v, an unused number, and the encoded triangle id.
     const float* rast_db;      // (images, height, width, 4); null if diff_count is 0.
     int images, height, width;
-    const std::int32_t* diff;  // (diff_count,): channels whose derivatives are wanted, below `channels`.
+    const std::int32_t* diff;  // (diff_count,): channels whose derivatives are computed, below `channels`.
     std::size_t diff_count;
     int threads;  // At least 1. The result is the same for any number of threads.
     Simd simd;    // An instruction set that this machine supports.

@@ -51,13 +51,13 @@ std::size_t sort(play::DepthSorter& sorter, const Arguments::Xyz& xyz, const Arg
 }  // namespace
 
 void bind_play(nb::module_& module) {
-    nb::class_<play::Player>(module, "Player", "Draws baked frames; not to be shared between threads.")
+    nb::class_<play::Player>(module, "Player", "Draws baked frames. Threads must not share an instance.")
         .def(nb::init<>())
         .def("draw", &draw, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("sh"),
              nb::arg("blend_weights"), nb::arg("rgb"), nb::arg("chosen"), nb::arg("view_weights"), nb::arg("centre"),
              nb::arg("sh_range"), nb::arg("sh_base"), nb::arg("camera"), nb::arg("layers"), nb::arg("near"),
              nb::arg("transmittance_min"), nb::arg("background"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
-    nb::class_<play::DepthSorter>(module, "DepthSorter", "Orders points; not to be shared between threads.")
+    nb::class_<play::DepthSorter>(module, "DepthSorter", "Sorts points by depth. Threads must not share an instance.")
         .def(nb::init<>())
         .def("sort", &sort, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("camera"), nb::arg("width"),
              nb::arg("height"), nb::arg("near"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));

@@ -15,7 +15,7 @@ constexpr int kLongestSide = 1 << 15;  // Largest image side in pixels.
 struct Query {
     const float* pos;            // (vertices, 4) of every image: clip coordinates x, y, z, w.
     std::size_t vertices;        // Number of vertices of an image.
-    std::size_t image_stride;    // Number of vertices from the positions of one image to those of the next; 0 if shared.
+    std::size_t image_stride;    // Offset between the positions of successive images, in vertices; 0 if shared.
     const std::int32_t* tri;     // (triangles, 3): vertices of each triangle.
     std::size_t triangles;       // At most kMaxTriangles (common/triangle_id.h).
     const std::int32_t* ranges;  // (images, 2): first triangle and number of triangles; null for all triangles.
@@ -29,7 +29,7 @@ struct Query {
 
 // Writes u, v, z/w and the encoded id of the nearest triangle to `rast` (images, height, width, 4). Writes du/dX,
 // du/dY, dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. If `previous` is not null, it is
-// the `rast` of a previous call, and each pixel takes the next triangle in the order of (z/w, id).
+// the `rast` of a previous call, and each pixel gets the triangle that follows in the order of (z/w, id).
 void rasterize(const Query& query, const float* previous, float* rast, float* rast_db);
 
 // Overwrites grad_pos, the gradient with respect to pos. grad_rast and grad_db (images, height, width, 4) are the

@@ -42,7 +42,7 @@ using tiles::tile_span;
 
 struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
-    float sharpness;         // |x| / d^2: 1 / sigma, times the square of a pixel's size if d is a distance in pixels.
+    float sharpness;         // |x| / d^2, which is 1 / sigma, or (pixel size)^2 / sigma if d is in pixels.
     float cut;               // A triangle hits the pixels where x >= -cut.
     float reach;             // The largest distance d outside a triangle at which it hits pixels.
     float per_depth;         // 1 / ((far - near) gamma).
@@ -111,7 +111,7 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
     return out;
 }
 
-// How a triangle covers a pixel.
+// Coverage of a pixel by a triangle.
 template <typename Number, typename Condition>
 struct Coverage {
     Number lambda[3];          // Barycentric coordinates.

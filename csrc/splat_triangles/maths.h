@@ -117,8 +117,8 @@ FOURD_HD static inline Window window_at(const Splat& splat, float x, float y) {
     return {dx, dy, minimum(a[0], rest), edge};
 }
 
-// How a triangle covers a pixel. If alpha is 0, the triangle does not hit the pixel, and `falloff` and `unclamped` may
-// not be set.
+// Coverage of a pixel by a triangle. If alpha is 0, the triangle does not hit the pixel, and the values of `falloff`
+// and `unclamped` are undefined.
 struct PixelCoverage {
     Window window;
     float falloff, unclamped, alpha;

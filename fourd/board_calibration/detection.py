@@ -112,7 +112,7 @@ class BoardDetector:
 
 
 def _is_spread(flat: Array) -> bool:
-    """Whether corners (N, 2) in squares are numerous and not nearly on one line."""
+    """Whether there are enough corners (N, 2), in squares, and they are not nearly on one line."""
     if len(flat) < MIN_CORNERS:
         return False
     return bool(np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[1] >= MIN_SPREAD * np.sqrt(len(flat)))

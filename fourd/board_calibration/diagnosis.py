@@ -21,7 +21,7 @@ MIN_MARKERS = 4
 MAX_TRIED_SQUARES = 14
 """Largest number of columns and rows that is tried."""
 INLIER_SQUARES = 0.25
-"""Maximum distance of a marker from its place on a board, in squares."""
+"""Maximum distance of a marker from its expected position on a board, in squares."""
 MAX_PX = 800
 """Longer side of the reduced images in which other chessboards are searched."""
 FEW_PICTURES = 3
@@ -33,7 +33,7 @@ MAX_TRIALS = 60
 """Number of random samples per homography. A small number is enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
-"""If a larger share of the markers lies at the expected places, no further size of the board is tried."""
+"""If a larger share of the markers lies at the expected positions, no further size of the board is tried."""
 MAX_CHESSBOARD_PICTURES = 3
 """Maximum number of images in which chessboards of other sizes are searched, which is slow."""
 
@@ -170,7 +170,7 @@ def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage])
 
 
 def _count_placed(places: Array, found: MarkerImage) -> int:
-    """Number of markers whose corners' centres lie at their places on a board after a homography."""
+    """Number of markers whose centres a homography maps to their positions on the board."""
     known = found.ids < len(places)
     if known.sum() < MIN_MARKERS:
         return 0

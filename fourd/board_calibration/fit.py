@@ -286,7 +286,7 @@ def _choose_timing(
     held_out: set[int],
     track: Track,
 ) -> RigState:
-    """Adjust the rig without and with delays and readouts, and choose the one with the smaller error on held-out
+    """Adjust the rig without and with delays and readouts, and choose the result with the smaller error on held-out
     frames.
 
     Returns the adjusted rig with the positions of the board in all frames.

@@ -207,7 +207,7 @@ def _fit_lens(
 
 
 def _relative_pose(shared: Sequence[tuple[LocatedView, LocatedView]]) -> Poses:
-    """Relative pose (one motion) of two cameras: the candidate that is nearest to those of all frames.
+    """Relative pose (one motion) of two cameras: the candidate that is nearest to the candidates of all frames.
 
     Each frame gives up to four candidates, because each view has up to two poses. The chosen candidate has the smallest
     median distance to the nearest candidate of each frame.

@@ -1,1 +1,1 @@
-"""Camera calibration: checks against the images, resolution of ambiguities, and calibration from images alone."""
+"""Camera calibration: checks against the images, resolution of ambiguities, and calibration from images only."""

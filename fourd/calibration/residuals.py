@@ -107,8 +107,8 @@ def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
     """Select the camera pairs (i, j), i < j, whose images are matched.
 
     With up to 8 cameras, all pairs are matched. With more cameras, each camera is paired with its 6 nearest neighbours.
-    The neighbours are those with the smallest angles between viewing directions, plus a small term for the distance
-    between camera centres.
+    The neighbours are the cameras with the smallest cost: the angle between the viewing directions plus a small term
+    for the distance between the camera centres.
     """
     count = len(cameras)
     if count <= ALL_PAIRS_CAMERAS:

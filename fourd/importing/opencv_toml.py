@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """Read a TOML file. Raises UserError if it does not parse."""
+    """Read a TOML file. Raises UserError if the file is not valid TOML."""
     try:
         return tomllib.loads(read_file(path).decode())
     except (ValueError, RecursionError) as error:

@@ -77,7 +77,7 @@ def write_capture(
     notes = [*describe_pictures(videos), *describe_clock(videos)]
     if videos and len(videos) < len(imported.cameras):
         raise UserError(
-            f"{out}: expected videos or images of all cameras, got videos of some; import the images separately"
+            f"{out}: expected videos or images of all cameras, got both; import the images separately"
         )
     if videos and settings.unpack:
         count = common_frames(videos)

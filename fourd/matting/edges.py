@@ -21,8 +21,10 @@ MIN_REGION_SHARE = 1 / 300
 smaller holes are filled."""
 MARGIN_PX = 16
 NOISE_VARIANCE = np.float32(16.0)
-"""Variance of a pixel's value around the mixture of subject and background, in squared 8-bit values. It covers camera
-noise and image compression."""
+"""Variance of a pixel's value around the mixture of subject and background, in squared 8-bit values.
+
+The variance accounts for camera noise and image compression.
+"""
 SUBJECT_VARIANCE = np.float32(60.0)
 """Variance added to the subject's local colour variance, because shading changes the colours towards the edge."""
 NEARBY_VARIANCE = np.float32(12.0)
@@ -40,8 +42,8 @@ colours is a rough, large estimate. With weight 1, the smaller variance of the b
 edge into the subject."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
 """Standard deviation of alpha around the blurred mask in each pass of the estimation of alpha. The first passes correct
-the position of the mask, from which the following passes take the colours of both sides. The last pass reduces
-noise."""
+the position of the mask. The following passes estimate the colours of both sides from the corrected mask. The last pass
+reduces noise."""
 ALPHAS = 11
 """Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
 SHARPENING_SIGMA = 0.6

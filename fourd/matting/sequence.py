@@ -72,9 +72,9 @@ class MatteSettings:
 def make_mattes(selection: Selection, settings: MatteSettings, workers: int, track: Track) -> int:
     """Write the mattes of a capture's undistorted images as ``.fourd/mattes/CAM/FRAME.png``.
 
-    The models are learned from the whole recording, whatever frames are selected. Mattes from an earlier call with the
-    same inputs and settings are kept, also those of frames that are not selected. If the inputs or settings differ, all
-    mattes are computed again.
+    The models are learned from the whole recording, even if only some frames are selected. Mattes from an earlier call
+    with the same inputs and settings are kept, also those of frames that are not selected. If the inputs or settings
+    differ, all mattes are computed again.
 
     Args:
         selection: the capture. Evidence is combined over all selected cameras.

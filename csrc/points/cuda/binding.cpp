@@ -59,7 +59,7 @@ void render_backward(const Arguments::Xyz& xyz, const Arguments::Rows& features,
     const points::Cloud cloud = Arguments::cloud(xyz, features, radius, density);
     const points::ImageGradient gradient = Arguments::image_gradient(cloud, grad_features, grad_alpha, grad_depth);
     const points::CloudGradient out = Arguments::cloud_gradient(cloud, out_xyz, out_features, out_radius, out_density);
-    require(layers <= points::cuda::kMaxLayersBackward, "layers: expected at most 64 where gradients are wanted");
+    require(layers <= points::cuda::kMaxLayersBackward, "layers: expected at most 64 where gradients are required");
     const points::Settings settings =
         make_settings(camera, grad_alpha.shape(1), grad_alpha.shape(0), layers, near_depth, 0.0);
     points::cuda::render_backward(cloud, settings,

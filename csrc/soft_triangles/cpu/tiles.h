@@ -33,7 +33,7 @@ struct Visits {
     std::uint16_t* blocks;   // (count,): mask of the blocks that each entry may hit.
     std::uint32_t* entries;  // (count,): entries of the visits of a block.
     float* x;                // (count, 16): log-odds of D.
-    float* depth;            // (count, 16): kNoHit at pixels that do not take the triangle.
+    float* depth;            // (count, 16): kNoHit at pixels that do not use the triangle.
 };
 
 struct Loops {

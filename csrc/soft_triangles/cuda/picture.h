@@ -69,7 +69,7 @@ struct Nearest {
     float last;
     int ties;
 
-    // Whether the pixel takes a triangle at this depth. Call this function for the triangles in index order.
+    // Whether the pixel uses a triangle at this depth. Call this function for the triangles in index order.
     FOURD_DEVICE bool takes(float hit_depth) {
         if (!(hit_depth < kNoHit)) return false;
         if (hit_depth < last) return true;
@@ -92,8 +92,8 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
     return value;
 }
 
-// If a pixel has at most `layers` hits, it takes all of them. Otherwise, a binary search finds the depth of the last
-// triangle that it takes. The search runs over the bits of the depths, read as integers. These integers have the same
+// If a pixel has at most `layers` hits, it uses all of them. Otherwise, a binary search finds the depth of the last
+// triangle that it uses. The search runs over the bits of the depths, read as integers. These integers have the same
 // order as the depths, because depths are positive.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {
     Nearest out{view.softness.background_depth, kNoHit, 0};

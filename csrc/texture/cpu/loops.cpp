@@ -16,7 +16,7 @@ FOURD_INLINE void load_uv(Batch& b, const float* uv, int coordinates) {
     }
 }
 
-// Finds the levels and texels of `count` pixels from the pixel with the index `pixel` in all pictures on.
+// Finds the levels and texels of `count` consecutive pixels. `pixel` is the index of the first of them in all pictures.
 template <Boundary boundary, bool with_slopes>
 FOURD_INLINE void prepare(const Query& query, std::size_t pixel, int count, Batch& b) {
     const int coordinates = boundary == Boundary::cube ? 3 : 2;

@@ -41,9 +41,9 @@ FOURD_DEVICE static inline EntryList entry_list(const Entries<Splat>& entries, s
     return {entries.entry_ranks + begin, entries.tile_begin[tile + 1] - begin};
 }
 
-// Composites the primitives of a list front to back until no pixel of the warp takes more layers. The compositor
-// provides pixel_coverage(splat, x, y), whose result has the member `alpha`, above 0 at hit pixels. Calls take(position,
-// rank, splat, coverage, transmittance) for every layer of the pixel. Returns the final transmittance.
+// Composites the primitives of a list front to back until all pixels of the warp are complete. The compositor provides
+// pixel_coverage(splat, x, y), whose result has the member `alpha`, above 0 at hit pixels. Calls take(position, rank,
+// splat, coverage, transmittance) for every layer of the pixel. Returns the final transmittance.
 template <typename Splat, typename Take>
 FOURD_DEVICE static inline float traverse(const Entries<Splat>& entries, const EntryList& list, const Pixel& pixel, int layers,
                                           float transmittance_min, const device::Lane& lane, const Take& take) {

@@ -238,7 +238,7 @@ def _shaped(state: RigState, corners: Corners) -> Array:
 
 
 def _apply_lenses(cameras: Sequence[Camera], camera: NDArray[np.intp], in_camera: Array) -> tuple[Array, Array, Array]:
-    """Pixels (N, 2) of points, and their derivatives by the points (N, 2, 3) and by the lenses (N, 2, 9)."""
+    """Pixels (N, 2) of points, and their derivatives with respect to points (N, 2, 3) and lenses (N, 2, 9)."""
     count = len(in_camera)
     safe = in_camera.copy()
     safe[:, 2] = np.maximum(in_camera[:, 2], MIN_DEPTH)

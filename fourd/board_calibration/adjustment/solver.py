@@ -165,7 +165,7 @@ def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
         start, mask = index * PARAMETERS, free.cameras[index]
         if mask[LENS].all():
             lens = lens_vector(camera)
-            # The distance from square pixels is (fx - fy) / f, which is linear in fx and fy.
+            # The deviation from square pixels is (fx - fy) / f, which is linear in fx and fy.
             aspect = np.zeros(PARAMETERS)
             aspect[LENS][:2] = np.array([1, -1]) / (PRIOR_ASPECT * lens[:2].mean())
             centre = PRIOR_CENTRE * max(camera.width, camera.height)

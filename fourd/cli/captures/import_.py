@@ -66,14 +66,16 @@ class Arguments:
     copy: bool = False
     """Copy the files of SRC instead of linking to them."""
     unpack: bool = False
-    """Write the frames of videos as JPEG images, so that random access is faster."""
+    """Write the frames of videos as JPEG images, which makes random access faster."""
     offset: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
     sync: bool = False
-    """Estimate the videos' time offsets and print them, but do not apply them. An estimate from motion writes a plot
-    to OUT/.fourd/sync.png."""
+    """Estimate the videos' time offsets and print them, but do not apply them.
+
+    If the estimate uses motion, a plot is written to OUT/.fourd/sync.png.
+    """
     apply_sync: bool = False
     """Estimate the videos' time offsets. Apply each offset that has a confidence of at least 0.5. Offsets from motion
     are applied only if they exceed 3 frames."""
@@ -180,7 +182,7 @@ def _sound_position(text: str) -> SoundPosition:
 
 
 def _scale(words: Sequence[str]) -> tuple[Distance | None, float]:
-    """Parse the values of --scale: a known distance, or None, and the factor on the size of the frames."""
+    """Parse the values of --scale to a known distance (or None) and a scale factor of the frames."""
     distances = [_distance(word) for word in words if "=" in word or "," in word]
     factors = [word for word in words if "=" not in word and "," not in word]
     if len(distances) > 1 or len(factors) > 1:

@@ -27,7 +27,7 @@ class Arguments:
     programs."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
-    """Run folder. With --to, also a .4dv file, or Gaussian splats."""
+    """Run folder. With --to, a .4dv file or a file of Gaussian splats is also accepted."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The .4dv file to write. With --to, a folder, or a file if one frame is exported."""
     layers: int = BAKED_LAYERS
@@ -54,8 +54,11 @@ class Arguments:
     degree: int = 2
     """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply have only degree 0."""
     keep_axes: bool = False
-    """With --to: keep the scene's coordinates. Otherwise the scene is rotated so that its up direction is the one that
-    programs expect of the format: +y for spz, glb and usd, -y for the others. The format ply keeps the coordinates."""
+    """With --to: keep the scene's coordinates.
+
+    Otherwise, the scene is rotated to the up direction that other programs expect in files of this format: +y for spz,
+    glb and usd, and -y for the other formats. The format ply keeps the coordinates.
+    """
 
 
 def run(arguments: Arguments) -> None:

@@ -25,7 +25,7 @@ SOURCE_HELP = (
     "set time offsets or the scale, run fourd import first."
 )
 CALIBRATION_HELP = (
-    "Calibration of a folder of videos: a folder with intri.yml and extri.yml, such as fourd calibrate writes."
+    "Calibration of a folder of videos: a folder with intri.yml and extri.yml, for example the output of fourd calibrate."
 )
 
 

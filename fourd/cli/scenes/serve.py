@@ -49,13 +49,13 @@ def run(arguments: Arguments) -> None:
         folder = source
         if not is_site(source):
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="fourd-serve-"))) / "site"
-        # The port is checked before the scene is converted, which takes time.
+        # The conversion of the scene takes time, so the port is checked first.
         server = stack.enter_context(SiteServer(folder, arguments.host, arguments.port))
         if folder != source:
             site = LiveSite(source, folder, arguments.tier, console)
             stack.callback(site.stop)
             threading.Thread(target=site.watch, name="live site", daemon=True).start()
-        console.print(f"{server.url}: {source}; Ctrl-C ends", soft_wrap=True, markup=False)
+        console.print(f"{server.url}: {source}; press Ctrl-C to stop", soft_wrap=True, markup=False)
         if arguments.browser:
             webbrowser.open(server.url)
         with suppress(KeyboardInterrupt):

@@ -46,7 +46,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
         frames: folder that contains the cameras' videos; with None, the folder of the TOML.
 
     Raises:
-        UserError: when there is no calibration TOML or more than one, the TOML does not parse, a value is missing or
+        UserError: when there is no calibration TOML or more than one, the TOML is invalid, a value is missing or
             invalid, a lens is a fisheye, or no camera in the TOML has a video.
     """
     files = _find_files(source)

@@ -46,8 +46,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
         frames: folder that contains the cameras' videos; with None, the folder of the TOML.
 
     Raises:
-        UserError: when the TOML does not parse, a value is missing or invalid, a camera has intrinsics but no pose, a
-            lens is a fisheye, or no camera in the TOML has a video.
+        UserError: when the TOML is invalid, a value is missing or invalid, a camera has intrinsics but no pose, a lens
+            is a fisheye, or no camera in the TOML has a video.
     """
     path = _path(source)
     calibrations, notes = read_cameras(path)
@@ -60,7 +60,7 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
     out.
 
     Raises:
-        UserError: if the TOML does not parse, contains no camera or one camera twice, or if a camera has a missing or
+        UserError: if the TOML is invalid, contains no camera or one camera twice, or if a camera has a missing or
             invalid value, intrinsics without a pose, or a fisheye lens.
     """
     data = read_toml(path)

@@ -41,7 +41,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
         frames: folder that contains the cameras' videos; with None, the folder of NAME.qca.txt.
 
     Raises:
-        UserError: when the XML does not parse, a value is missing, or no camera in the XML has a video.
+        UserError: when the XML is invalid, a value is missing, or no camera in the XML has a video.
     """
     path = _find_file(source)
     if path is None:

@@ -68,8 +68,8 @@ def read(source: Path) -> Imported:
     intrinsics, entries with equal pose and intrinsics form a camera instead.
 
     Raises:
-        UserError: when the JSON does not parse, a value is missing or invalid, a lens is a fisheye, a path leads out of
-            the folder or to no image, or cameras differ in their times.
+        UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path leads out of the
+            folder or to no image, or cameras differ in their times.
     """
     path = _json_path(source)
     try:

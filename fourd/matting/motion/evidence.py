@@ -63,7 +63,7 @@ class Appearance:
     deviations: Deviations = field(default_factory=Deviations)
 
     def log_odds(self, rgb: Picture, motion: Floats | None) -> Floats:
-        """Log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera alone.
+        """Log-odds (h, w) that the pixels of an image (h, w, 3) show the subject, from this camera only.
 
         ``motion`` (h, w) is the length of the optical flow in pixels, or None for a capture of one frame.
         """
@@ -73,7 +73,7 @@ class Appearance:
         known = np.float32(1 - self.deviations.changed) * confidence
         background = np.logaddexp(at_pixel + np.log(known + 1e-4), surround + np.log(1 - known))
         odds = np.clip(self.subject.log_likelihood(rgb) - background, -MAX_LOG_ODDS, MAX_LOG_ODDS)
-        # Where the background is unknown, colours alone are weak evidence against the subject.
+        # Where the background is unknown, a pixel's colour is only weak evidence against the subject.
         weight = UNKNOWN_BACKGROUND_WEIGHT + (1 - UNKNOWN_BACKGROUND_WEIGHT) * confidence
         odds = np.where(odds < 0, odds * weight, odds)
         if motion is not None:

@@ -37,8 +37,11 @@ CONFIRMED_FRAMES = 1.5
 A frame counts if the pixel is outside the other views' hull and the pixel's colour matches the background model.
 """
 CLEAR_PX = 8
-"""How often the background changes is learned only from pixels that are at least this far, in pixels, from the hull of
-the other views. Closer pixels may show parts of the subject that the hull misses."""
+"""Minimum distance in pixels from the hull of the other views.
+
+Only pixels at this distance or farther are used to learn how often the background changes. Closer pixels may show parts
+of the subject that the hull misses.
+"""
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
@@ -53,7 +56,7 @@ class Learner:
         sample: sampled frames of the camera.
         extent: extent of motion in the sampled frames.
         appearance: current models of the camera, with subject colours that are pooled over all cameras.
-        subject: subject colours from this camera alone.
+        subject: subject colours from this camera only.
     """
 
     sample: CameraSample
@@ -153,7 +156,7 @@ class Learner:
         return self._near_subject & (~self.appearance.region | (frames > CONFIRMED_FRAMES))
 
     def _colour_log_odds(self, known: Flags) -> Floats:
-        """Log-odds (T, h, w) of the subject against the nearby background, from colours alone.
+        """Log-odds (T, h, w) of the subject against the nearby background, computed only from colours.
 
         The background colours come from the pixels in the mask ``known`` (h, w).
         """

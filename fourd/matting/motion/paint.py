@@ -32,7 +32,7 @@ SUBJECT, BACKGROUND = 204, 51
 PAINTED_LOG_ODDS = np.float32(16.0)
 REACH_FRAMES = 12
 MAX_COLOUR_CHANGE = 24
-"""Maximum change of a pixel's 8-bit value along the optical flow at which a stroke is carried on."""
+"""Maximum change of a pixel's 8-bit value along the optical flow at which a stroke is propagated."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ def strokes_in_frame(
 
 
 def _carried(strokes: Strokes, capture: Capture, camera: Camera, frame: int) -> Floats:
-    """Strokes carried to another frame by optical flow, weaker with distance, and 0 where colours do not match."""
+    """Strokes propagated to another frame by optical flow, weaker with distance, and 0 where colours do not match."""
     target = reduce_picture(capture.image(strokes.camera, frame), camera)
     source = reduce_picture(capture.image(strokes.camera, strokes.frame), camera)
     flow = flow_field(target, source)

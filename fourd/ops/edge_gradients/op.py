@@ -20,8 +20,8 @@ def edge_gradients(
 ) -> Tensor:
     """Compute the part of the gradient of ``pos`` that comes from moving visibility edges, in the shape of ``pos``.
 
-    ``pos`` is (B, V, 4), or (V, 4) for all images. ``gradient`` (B, H, W, C) is the gradient of the image. The
-    operator itself is not differentiable.
+    ``pos`` is (B, V, 4), or (V, 4) for all images. ``gradient`` (B, H, W, C) is the gradient of the loss with respect
+    to the image. The operator itself is not differentiable.
     """
     out = torch.empty_like(pos, memory_format=torch.contiguous_format)
     instanced = pos.ndim == 3

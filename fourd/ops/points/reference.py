@@ -1,5 +1,4 @@
-"""The reference point renderer in plain torch, which is slow and simple. Tests compare the other backends with this
-renderer.
+"""The reference point renderer in plain torch: slow, but simple. Tests compare the other backends with this renderer.
 
 The renderer works in float32 and float64 on any device and is differentiable by autograd. In float32, the renderer
 computes depth, projection and alpha by the same operations in the same order as ``csrc/points/maths.h``. The kernels

@@ -28,7 +28,7 @@ def rasterize_triangles(
     grad_db: bool,
     threads: int,
 ) -> tuple[Tensor, Tensor]:
-    """Rasterize pos (B, V, 4), or (1, V, 4) with ranges (B, 2) on the CPU.
+    """Rasterize the vertices ``pos``: (B, V, 4), or (1, V, 4) with ``ranges`` (B, 2), a CPU tensor.
 
     ``previous`` is the ``rast`` of the previous depth layer. Returns rast (B, H, W, 4) and rast_db, which has the same
     shape, or (B, H, W, 0) without ``output_db``.

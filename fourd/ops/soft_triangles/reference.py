@@ -1,4 +1,4 @@
-"""The reference of soft rasterization in plain torch, which is slow and simple.
+"""The reference of soft rasterization in plain torch: slow, but simple.
 
 The reference works in float32 and float64 on any device and is differentiable by autograd. In float32, the reference
 computes coverages and depths by the same operations in the same order as ``csrc/soft_triangles/maths.h``.

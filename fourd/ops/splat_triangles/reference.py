@@ -1,4 +1,4 @@
-"""The reference of triangle splatting in plain torch, which is slow and simple.
+"""The reference of triangle splatting in plain torch: slow, but simple.
 
 The reference works in float32 and float64 on any device and is differentiable by autograd. In float32, the reference
 computes the window of a triangle by the same operations in the same order as ``csrc/splat_triangles/maths.h``. The
@@ -144,7 +144,8 @@ def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: i
     remaining = torch.full((len(pixels),), layers, device=pixels.device)
     columns, colour = [], pixels.new_zeros(len(pixels), features.shape[1])
     for index in range(alpha.shape[1]):
-        # Triangles are in depth order. Pixels with too little transmittance or too many layers take no more triangles.
+        # Triangles are in depth order. Pixels with too little transmittance or too many layers composite no further
+        # triangles.
         taken = hit[:, index] & (transmittance > MIN_TRANSMITTANCE) & (remaining > 0)
         weight = torch.where(taken, transmittance * alpha[:, index], 0)
         colour = colour + torch.where(taken[:, None], weight[:, None] * features[index], 0)

@@ -47,7 +47,7 @@ def unpack_harmonics(
         basis: (K, 48) rows, multiplied by the step of the factors.
         mean: (48,) mean coefficients.
         points: N.
-        out: array (N, 48) to write to. None allocates one.
+        out: array (N, 48) to write to. If ``out`` is None, an array is allocated.
 
     Raises:
         ImportError: if the native module is not built.
@@ -76,8 +76,8 @@ def unpack_views(
             modulo 256. With larger steps, sums are clamped to [0, 255]. Points without levels have the mean colour.
         weights: (256,) blend weight of each code.
         colour_step: 1 to 127.
-        every_point_has_colours: whether M is N.
-        out: arrays (N, V) and (N, V, 3) to write to. If None, they are allocated.
+        every_point_has_colours: whether all points have colours, so that M = N.
+        out: arrays (N, V) and (N, V, 3) to write to. If ``out`` is None, the arrays are allocated.
 
     Raises:
         ImportError: if the native module is not built.
