@@ -189,10 +189,8 @@ def _run(command: str, words: list[str]) -> int:
 
 
 def _wrap(text: str) -> str:
-    """Wrap a description to the width of the terminal.
-
-    Every wrapped line starts with a space, because tyro joins lines that do not start with a space.
-    """
+    """Wrap a description to the width of the terminal. Every wrapped line starts with a space, because tyro joins lines
+    that do not start with a space."""
     import shutil
     import textwrap
 

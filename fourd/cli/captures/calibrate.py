@@ -17,7 +17,10 @@ from fourd.cli.options import Frames, option, parse_offsets
 from fourd.errors import UserError
 from fourd.progress import Tracker
 
-VIDEOS_HELP = "Folder with one video per camera, or one folder of images per camera. The videos or images show a moving calibration board."
+VIDEOS_HELP = (
+    "Folder with one video per camera, or one folder of images per camera. "
+    "The videos or images show a moving calibration board."
+)
 OUT_HELP = "Folder to write: intri.yml, extri.yml, report.json and rig.png. An earlier calibration is replaced."
 INTRINSICS_HELP = (
     "Known intrinsics and distortion, which are not changed: a folder with intri.yml, or a TOML file of Caliscope "

@@ -27,11 +27,8 @@ DEFAULT_SECONDS = 120.0
 
 @dataclass(frozen=True)
 class Arguments:
-    """Soft triangles start on the visual hull of the mattes and are fitted to the images.
-
-    During fitting, the triangles become opaque and sharp-edged. They are then connected to a closed mesh with one
-    colour per vertex.
-    """
+    """Soft triangles start on the visual hull of the mattes and are fitted to the images. During fitting, the triangles
+    become opaque and sharp-edged. They are then connected to a closed mesh with one colour per vertex."""
 
     capture: CapturePath
     """Capture folder with masks/ or the output of fourd matte."""

@@ -72,10 +72,8 @@ class Arguments:
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),
     ] = field(default=())
     sync: bool = False
-    """Estimate the videos' time offsets and print them, but do not apply them.
-
-    If the estimate uses motion, a plot is written to OUT/.fourd/sync.png.
-    """
+    """Estimate the videos' time offsets and print them, but do not apply them. If the estimate uses motion, a plot is
+    written to OUT/.fourd/sync.png."""
     apply_sync: bool = False
     """Estimate the videos' time offsets. Apply each offset that has a confidence of at least 0.5. Offsets from motion
     are applied only if they exceed 3 frames."""

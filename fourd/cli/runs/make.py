@@ -25,7 +25,8 @@ SOURCE_HELP = (
     "set time offsets or the scale, run fourd import first."
 )
 CALIBRATION_HELP = (
-    "Calibration of a folder of videos: a folder with intri.yml and extri.yml, for example the output of fourd calibrate."
+    "Calibration of a folder of videos: a folder with intri.yml and extri.yml, "
+    "for example the output of fourd calibrate."
 )
 
 

@@ -37,7 +37,7 @@ class Arguments:
         Literal["orbit", "spiral", "cameras"] | None,
         option("{orbit,spiral,cameras}", "none; --views or --path is required"),
     ] = None
-    """orbit: one orbit around the scene. spiral: two orbits with changing height. cameras: through all capture
+    """orbit: one orbit around the scene. spiral: two orbits with changing height. cameras: a path through all capture
     cameras."""
     frames: Frames = None
     steps: Annotated[int | None, option("INT", "120, or the number of frames if that is larger")] = None

@@ -75,7 +75,7 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return the vertices (N, K) relative to the centres of the owners: (N, K, 3) along, across, w."""
+    """Return (N, K, 3): along, across and w of the vertices (N, K), relative to the centres of the owners."""
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)
     return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)

@@ -13,8 +13,9 @@ from fourd.ops.similarity.reference import WINDOW_PX, structural_similarity_refe
 
 
 def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
-    """Compute the result of :func:`fourd.ops.similarity.reference.structural_similarity_reference` for (H, W, C)
-    images.
+    """Compute the structural similarity of two (H, W, C) images.
+
+    See :func:`fourd.ops.similarity.reference.structural_similarity_reference` for the definition.
 
     Float32 images on the CPU use a kernel if the target requires no gradient. The kernel computes value and gradient
     together. The value and the gradient are bit-identical for any number of threads. Other inputs use the reference.
