@@ -76,9 +76,7 @@ def write_capture(
     videos = align_videos(video_files(imported.cameras), indices, settings.offsets)
     notes = [*describe_pictures(videos), *describe_clock(videos)]
     if videos and len(videos) < len(imported.cameras):
-        raise UserError(
-            f"{out}: expected videos or images of all cameras, got both; import the images separately"
-        )
+        raise UserError(f"{out}: expected videos or images of all cameras, got both; import the images separately")
     if videos and settings.unpack:
         count = common_frames(videos)
         for name, video in videos.items():
