@@ -185,9 +185,9 @@ def fading_weights(
 
     A chosen camera at the angle a has the view weight 1 - a / b, where b is the limit angle. Let A be the largest angle
     of the chosen cameras. Among the cameras that are not chosen and whose angle is at least A, the smallest angle is
-    the limit angle b. When another camera replaces a chosen camera, both cameras have the view weight 0, so the
-    rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured at
-    the point ``focus``. If all view weights would be 0, all view weights are 1.
+    the limit angle b. When another camera replaces a chosen camera, both cameras have the view weight 0. The rendered
+    image therefore does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured
+    at the point ``focus``. If all view weights would be 0, all view weights are 1.
 
     Args:
         camera: the viewing camera.

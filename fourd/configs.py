@@ -63,7 +63,7 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
     Args:
         base: a frozen dataclass instance, with field types that :func:`load_overlay` supports.
         assignments: strings KEY=VALUE. Dots in KEY separate the names of nested fields. VALUE is YAML. If a key is
-            assigned twice, the last assignment wins. Values are validated after all assignments are applied.
+            assigned twice, the last assignment is used. Values are validated after all assignments are applied.
         option: name of the option, for error messages.
 
     Raises:

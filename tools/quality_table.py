@@ -179,7 +179,7 @@ def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float,
 
 
 def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
-    """Mean of each measured value. The mean PSNR is the mean of the values in dB."""
+    """Mean of each measured value over the images. The mean PSNR is the mean of the values in dB."""
     fields: dict[str, Any] = {}
     for name in ViewQuality.__dataclass_fields__:
         values = [getattr(view, name) for view in views]

@@ -48,8 +48,8 @@ FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Ver
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
 }
 
-// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette: it has no neighbour, or the neighbour
-// does not lie on the other side of the edge.
+// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. A silhouette has no neighbour, or its
+// neighbour does not lie on the other side of the edge.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
@@ -75,9 +75,9 @@ struct Pair {
     int row, column, axis;
 };
 
-// The crossings of the two pairs of a pixel, as bits of a byte. Bits 0 to 2 describe the pair with the right neighbour:
-// bits 0 and 1 are the number of the edge that crosses the pair (1 to 3), or 0 without a crossing, and bit 2 is 1 if
-// the edge belongs to the neighbour's triangle. Bits 3 to 5 describe the pair with the lower neighbour in the same way.
+// The crossings of the two pairs of a pixel, as bits of a byte. Bits 0 to 2 describe the pair with the right neighbour.
+// Bits 0 and 1 are the number (1 to 3) of the edge that crosses the pair, or 0 without a crossing. Bit 2 is 1 if the
+// edge belongs to the neighbour's triangle. Bits 3 to 5 describe the pair with the lower neighbour in the same way.
 using Code = unsigned;
 constexpr int kBitsPerPair = 3;
 
@@ -131,9 +131,9 @@ struct Line {
 
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
-// Returns the number (1 to 3) of the silhouette edge through which the segment from the owner to the other pixel leaves
-// the triangle, or 0 if there is none. An edge counts only if its angle to the segment is at least 45 degrees, measured
-// in pixels, so that every piece of a silhouette is blended along one axis. `silhouettes` is the result of
+// Returns the number (1 to 3) of the silhouette edge where the segment from the owner to the other pixel leaves the
+// triangle. Returns 0 if there is no such edge. An edge counts only if its angle to the segment is at least 45 degrees,
+// measured in pixels, so that every piece of a silhouette is blended along one axis. `silhouettes` is the result of
 // silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {

@@ -10,7 +10,7 @@
 
 namespace fourd::device {
 
-// A null pointer as memory makes the arena only count the bytes that its arrays need.
+// If the memory is a null pointer, the arena only counts the bytes that its arrays need.
 class Arena {
   public:
     explicit Arena(void* memory) : memory_(static_cast<unsigned char*>(memory)) {}

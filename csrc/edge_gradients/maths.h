@@ -1,4 +1,4 @@
-// Finds the line along which two triangles intersect, the point where this line crosses the segment between the centres
+// Intersections of two triangles: finds the point where the intersection line crosses the segment between the centres
 // of two neighbouring pixels, and the derivatives of this point with respect to the vertices.
 //
 // N_i are the linear functions of the edges (antialias/maths.h). z/w of a triangle at a pixel is the sum of b_i z_i

@@ -39,9 +39,9 @@ FOURD_HD static inline TileRange tile_range_of(const Splat& splat) {
             static_cast<std::uint16_t>(splat.top / blocks), static_cast<std::uint16_t>(splat.bottom / blocks)};
 }
 
-// Sums of gradients over the pixels of a point. dx, dy, square and falloff are sums of the gradient with respect to
-// alpha, multiplied by dx, dy, distance^2 and falloff. z is the sum of the gradient with respect to the camera depth of
-// the point.
+// Sums over the pixels of a point. The members dx, dy, square and falloff are sums of g dx, g dy, g distance^2 and g
+// falloff, where g is the gradient with respect to alpha. z is the sum of the gradient with respect to the camera depth
+// of the point.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
@@ -128,7 +128,7 @@ FOURD_HD static inline Splat splat_of(const Projection& at) {
             static_cast<std::uint16_t>(at.bottom)};
 }
 
-// Back-projects the gradient of a splat to its point.
+// Back-propagates the gradient of a splat to its point.
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Splat& splat, const SplatGradient& sums,
                                              float density, float* grad_xyz, float* grad_radius, float* grad_density) {
     const float* r = camera.rotation;

@@ -21,7 +21,7 @@ FOURD_HD static inline double clip_distance(const Screen& screen, int plane, con
     return guard * corner.w + (plane % 2 == 0 ? coordinate : -coordinate);
 }
 
-// The point where the edge from a corner inside to a corner outside meets the plane.
+// The intersection of the plane with the edge from a corner inside to a corner outside.
 FOURD_HD static inline Corner intersection(const Corner& inside, double d_inside, const Corner& outside,
                                            double d_outside) {
     const double t = d_inside / (d_inside - d_outside);

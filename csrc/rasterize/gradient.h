@@ -20,9 +20,10 @@ FOURD_HD static inline float bounded(double gradient) {
     return static_cast<float>(gradient < kLargestGradient ? gradient : kLargestGradient);
 }
 
-// Computes the values that are summed over the pixels of a triangle: 9 products of (g0, g1, gs) and (b_0, b_1, s), and
-// the gradients with respect to b_x and b_y. b has the values of the first three planes at the pixel, and x and y have
-// the slopes of these planes. u, v and the elements of db are the gradients with respect to rast and rast_db.
+// Computes the values that are summed over the pixels of a triangle. These values are 9 products of (g0, g1, gs) and
+// (b_0, b_1, s), and the gradients with respect to b_x and b_y. b has the values of the first three planes at the
+// pixel, and x and y have the slopes of these planes. u, v and the elements of db are the gradients with respect to
+// rast and rast_db.
 template <bool kDerivatives>
 FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,
                                            const float* db, float* out) {

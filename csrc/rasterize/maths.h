@@ -2,10 +2,10 @@
 // fourd/ops/rasterize/reference.py computes the same numbers in the same order, so that kernel and reference find
 // exactly the same triangles.
 //
-// Coverage is decided by integers. Vertices are rounded to 1/256 pixel, and edge functions of rounded vertices have no
-// rounding error. A pixel is covered if its centre is inside all three edges. If a centre lies on an edge, the triangle
-// covers it only if the edge is a left or top edge of the triangle. A triangle with a vertex behind the camera or far
-// outside the image is clipped first.
+// Coverage is computed with integers. Vertices are rounded to 1/256 pixel, and edge functions of rounded vertices have
+// no rounding error. A pixel is covered if its centre is inside all three edges. If a centre lies on an edge, the
+// triangle covers it only if the edge is a left or top edge of the triangle. A triangle with a vertex behind the camera
+// or far outside the image is clipped first.
 //
 // u, v and z/w come from the unclipped triangle (Olano and Greer 1997, Triangle Scan Conversion using 2D Homogeneous
 // Coordinates). The columns of the matrix M are the vertices (x, y, w). The vector b = M^-1 (f_x, f_y, 1) has the

@@ -4,9 +4,9 @@
 // The coverage of the pixel p by a triangle is D = sigmoid(x) with x = d^2 / sigma inside the triangle and
 // x = -d^2 / sigma outside. d is the distance of p from the nearest edge, or the smallest barycentric coordinate of p.
 // The depth z of the triangle at p interpolates 1 / z linearly in
-// the image, with barycentric coordinates that are clamped to at least 0 and normalised to the sum 1. The weight of
-// the triangle is D exp(-z per_depth), which is the weight D exp((far - z) / ((far - near) gamma)) of the paper up to
-// a factor.
+// the image, with barycentric coordinates that are clamped to at least 0 and normalised to the sum 1. The weight of the
+// triangle is D exp(-z per_depth). Up to a constant factor, this is the weight of the paper, D exp((far - z) / ((far -
+// near) gamma)).
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -254,7 +254,7 @@ FOURD_HD static inline void add_gradient(const Face& face, const Softness& softn
     }
 }
 
-// Back-projects the sums of a triangle to the positions of its vertices: `out` has 3 rows of 3.
+// Back-propagates the sums of a triangle to the positions of its vertices, and writes their gradients to `out` (3, 3).
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at,
                                              const ShapeGradient& sums, float* out) {
     float to_z[3];

@@ -54,8 +54,8 @@ struct alignas(64) Splat {
 
 FOURD_HD static inline tiles::TileRange tile_range_of(const Splat& splat) { return splat.range; }
 
-// Sums of gradients over the pixels of a triangle. `a`, `ax` and `ay` are sums of the gradient with respect to a_k, of
-// this gradient times (p.x - s.x), and of this gradient times (p.y - s.y).
+// Sums of gradients over the pixels of a triangle. With the gradient g_k with respect to a_k, `a`, `ax` and `ay` are
+// the sums of g_k, g_k (p.x - s.x) and g_k (p.y - s.y).
 struct ShapeGradient {
     float a[3], ax[3], ay[3];
     float opacity, sigma;
@@ -133,7 +133,7 @@ FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x,
     return out;
 }
 
-// Back-projects the sums of a triangle to the positions of its vertices: `out` has 3 rows of 3.
+// Back-propagates the sums of a triangle to the positions of its vertices, and writes their gradients to `out` (3, 3).
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at, const Splat& splat,
                                              const ShapeGradient& sums, float* out) {
     const Edges<float> edges = edges_of(at);

@@ -6,8 +6,8 @@
 
 namespace fourd::texture {
 
-// The axes of a face: a direction (x, y, z) meets the face at s = 0.5 (a / m + 1) and t = 0.5 (b / m + 1), where
-// a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|.
+// The axes of a face. The ray in direction (x, y, z) meets the face at s = 0.5 (a / m + 1) and t = 0.5 (b / m + 1). In
+// these formulas, a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|.
 struct CubeFace {
     int s_axis, t_axis, m_axis;
     int s_sign, t_sign, m_sign;
@@ -23,7 +23,8 @@ FOURD_HD FOURD_INLINE CubeFace cube_face(int face) {
             face % 2 == 0 ? 1 : -1};
 }
 
-// The point where a direction meets the cube. A direction that is zero or not finite meets no face, and has m = 1.
+// The point where the ray in a direction from the centre meets the cube. A direction that is zero or not finite meets
+// no face, and has m = 1.
 struct CubePosition {
     int face;
     float a, b, m;

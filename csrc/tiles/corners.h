@@ -30,7 +30,7 @@ FOURD_HD static inline float exp2_of(float a) { return exp2f(a); }
 template <typename Number>
 FOURD_HD static inline Number floor_of(Number a) {
     const Number* const tag = nullptr;
-    const Number magic = constant(12582912.0f, tag);  // 1.5 * 2^23: floats of this size have no fractional bits.
+    const Number magic = constant(12582912.0f, tag);  // 1.5 * 2^23: floats of this magnitude are integers.
     const Number rounded = (a + magic) - magic;
     return select(rounded > a, rounded - constant(1.0f, tag), rounded);
 }
@@ -120,8 +120,8 @@ FOURD_HD static inline Corners<float> corners_of(const Pinhole& camera, const fl
     return out;
 }
 
-// Back-projects the gradients of the pixel coordinates and depths of the corners to the positions of the vertices:
-// `out` has 3 rows of 3.
+// Back-propagates the gradients of the corners' pixel coordinates and depths to the positions of the vertices, and
+// writes the gradients of the positions to `out` (3, 3).
 FOURD_HD static inline void corners_backward(const Pinhole& camera, const Corners<float>& at, const float* to_u,
                                              const float* to_v, const float* to_z, float* out) {
     const float* r = camera.rotation;

@@ -14,10 +14,10 @@ SEED = 5
 
 
 def make_textured_plane(side: int) -> dict[str, Tensor]:
-    """Make the arguments of ``texture`` for a plane that is seen obliquely and is turned by 0.4 radians: a random
-    texture ``tex`` (1, side, side, 3), and ``uv`` and ``uv_da`` of a picture of side x side pixels.
+    """Make the arguments of ``texture`` for a plane that is seen obliquely and is turned by 0.4 radians.
 
-    The texture repeats. The longer axes of the footprints are from 1 to 4.7 texels long.
+    The arguments are a random texture ``tex`` (1, side, side, 3), and ``uv`` and ``uv_da`` of an image of side x side
+    pixels. The texture repeats. The longer axes of the footprints are from 1 to 4.7 texels long.
     """
     generator = torch.Generator().manual_seed(SEED)
     places = torch.arange(side, dtype=torch.float64) + 0.5

@@ -61,9 +61,11 @@ SCALES_PX = (10.0, 1.0, 0.5)
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
-"""Where corners are weighed against the prior, their standard deviation is multiplied by this factor. The reason is
-that the errors of the corners in one image are correlated, because of motion blur, because the board is not exactly
-flat, and because the cameras do not expose at exactly the same time."""
+"""Where corners are weighed against the prior, their standard deviation is multiplied by this factor.
+
+The reason is that the errors of the corners in one image are correlated. Causes are motion blur, a board that is not
+exactly flat, and cameras that do not expose at exactly the same time.
+"""
 OUTLIER_MEDIANS = 6.0
 """Corners with errors above this multiple of their camera's median error are left out of the last adjustment."""
 MIN_OUTLIER_PX = 0.3

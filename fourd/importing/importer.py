@@ -130,7 +130,7 @@ def import_source(
         remove_unfinished(out, deep=True)
         indices = _read_indices(imported, out, options, track)
         _write(imported, indices, out, options, before.offsets, track, with_calibration=False)
-        log("the import is already done with these options; nothing to change")
+        log("the import with these options already exists; no file is changed")
         for line in before.warnings:
             warn(line)
         return

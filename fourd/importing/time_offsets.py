@@ -92,7 +92,7 @@ def estimate_offsets_of(
         except NoCommonSoundError as error:
             if method == "sound":
                 raise
-            log(f"offsets are estimated from motion, because sound gives none: {str(error).rpartition('; ')[0]}")
+            log(f"offsets are estimated from motion, because sound gives no offsets: {str(error).rpartition('; ')[0]}")
     found = find_offsets(cameras, indices, out, track)
     log(f"plot of the motion energies: {out / PLOT}")
     names = [camera.name for camera in cameras]

@@ -127,7 +127,7 @@ def test_second_import_changes_nothing(tmp_path: Path) -> None:
     (out / "intri.yml").write_text((out / "intri.yml").read_text() + "\n# mine\n")
     before = contents(out)
     (out / "videos" / "b.mp4").unlink()
-    assert "the import is already done with these options; nothing to change" in run_import(source, out)
+    assert "the import with these options already exists; no file is changed" in run_import(source, out)
     after = contents(out)
     assert after.keys() == before.keys()
     assert {name: content for name, (_, content) in after.items()} == {n: content for n, (_, content) in before.items()}

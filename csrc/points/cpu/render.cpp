@@ -20,8 +20,9 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-// Sums the slots of a point in order and back-projects the sum to the point. The template argument Channels is the
-// number of channels if it is known at compile time. Channels is 0 if the number is known only at run time.
+// Sums the slots of a point in order, and back-propagates the sum to the gradient of the point. The template argument
+// Channels is the number of channels if it is known at compile time. Channels is 0 if the number is known only at run
+// time.
 template <int Channels>
 void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& workspace, std::size_t point,
                      const CloudGradient& out) {

@@ -97,7 +97,7 @@ struct GradientPixel {
     }
 };
 
-// Back-projects the sums of a rank to the gradient of its point. Culled points get zero gradients.
+// Back-propagates the sums of a rank to the gradient of its point. Culled points get zero gradients.
 struct GradientPoint {
     Entries entries;
     Pinhole camera;

@@ -1,5 +1,6 @@
-// Kernels that find the nearest triangle of each pixel. Small pieces have one warp per triangle. Large pieces are
-// listed, and then each warp processes all listed triangles in one tile, so that no warp has to fill an image.
+// Kernels that find the nearest triangle of each pixel. Each triangle with a small piece is processed by one warp.
+// Triangles with large pieces are listed. Afterwards, each warp processes all listed triangles in one tile, so that no
+// warp has to process a whole image.
 #pragma once
 
 #include "rasterize/cuda/triangles.h"

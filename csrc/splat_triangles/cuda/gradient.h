@@ -102,7 +102,7 @@ struct GradientPixel {
     }
 };
 
-// Back-projects the sums of a rank to the gradient of its triangle. Culled triangles get zero gradients.
+// Back-propagates the sums of a rank to the gradient of its triangle. Culled triangles get zero gradients.
 struct GradientTriangle {
     Entries entries;
     Mesh mesh;

@@ -25,8 +25,8 @@ struct Bands {
     int count;
 };
 
-// An entry is a pixel of a task that reads texels of a band. Its value is twice the index of the pixel in its task,
-// plus 1 if the texels belong to the second of the two levels that the pixel blends.
+// An entry is a pixel of a task that reads texels of a band. The value of an entry is twice the index of the pixel in
+// its task. It is larger by 1 if the texels belong to the second of the two levels that the pixel blends.
 using Entry = std::uint16_t;
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;  // Per task: four texels in each of two levels.
 

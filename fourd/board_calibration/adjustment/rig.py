@@ -95,7 +95,7 @@ class Timing:
     Attributes:
         delay: (C,) delays of the middle of the image in frames.
         readout: (C,) durations of the readout in frames. They are negative if the last row is read first.
-        phase: (C, 2) gradient of the phase per pixel along x and y: (0, 1 / height) if the sensor's rows are the
+        phase: (C, 2) gradient of the phase per pixel along x and y. It is (0, 1 / height) if the sensor's rows are the
             image's rows, and (1 / width, 0) if the image is turned by 90 degrees.
         motion: (F, 6) rotation vector per frame and velocity in metres per frame of the board's origin, in the world,
             at each position of the board. They are constant in an adjustment.

@@ -2,8 +2,8 @@
 
 The solver is the Levenberg-Marquardt algorithm with a Huber loss by iteratively reweighted least squares. The shared
 errors of each view and the poses of the board are eliminated by Schur complements (Triggs et al., Bundle Adjustment - a
-Modern Synthesis, 2000, sec. 6.1), so that the time grows linearly with the number of frames. The inverse of the reduced
-normal equations is the covariance of the cameras' parameters.
+Modern Synthesis, 2000, sec. 6.1). The computing time therefore grows linearly with the number of frames. The inverse of
+the reduced normal equations is the covariance of the cameras' parameters.
 """
 
 from __future__ import annotations

@@ -55,8 +55,8 @@ def read(source: Path) -> Imported:
     Lengths are in the unit of the COLMAP model.
 
     Raises:
-        UserError: when the model is damaged, a lens model is not one of LENS_MODELS, the pose or the intrinsics of a
-            camera change, or no camera of the model has a video or images.
+        UserError: when the model is damaged, a lens model is not one of LENS_MODELS, a camera's pose or intrinsics are
+            not the same in all images, or no camera of the model has a video or images.
     """
     path = _find_model(source)
     if path is None:

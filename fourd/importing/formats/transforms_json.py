@@ -68,8 +68,8 @@ def read(source: Path) -> Imported:
     intrinsics, entries with equal pose and intrinsics form a camera instead.
 
     Raises:
-        UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path leads out of the
-            folder or to no image, or cameras differ in their times.
+        UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the
+            folder or has no image, or cameras differ in their times.
     """
     path = _json_path(source)
     try:
@@ -158,7 +158,7 @@ def _focal(angle: float, pixels: float) -> float:
 
 
 def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath, Path]:
-    """Find the image file for a path from the JSON. Raises UserError if the path leads out of the JSON's folder."""
+    """Find the image file for a path from the JSON. Raises UserError if the path is outside the folder of the JSON."""
     if not isinstance(value, str) or not value or "\0" in value:
         raise UserError(f"{where}: expected an image's path, got '{value!r}'; export it again")
     relative = PurePosixPath(value.replace("\\", "/"))

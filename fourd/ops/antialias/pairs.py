@@ -82,8 +82,10 @@ def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
 
 
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return a linear function that is 0 on the edge from p to q: its value (N,) at the owner, and how much it
-    decreases per pixel along and across the pair."""
+    """Return a linear function that is 0 on the edge from p to q.
+
+    The results are its value (N,) at the owner, and its decrease (N,) per pixel along and across the pair.
+    """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
     across = pairs.step[:, 1] * (p[:, 0] * q[:, 2] - p[:, 2] * q[:, 0])

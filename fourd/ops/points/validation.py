@@ -24,9 +24,9 @@ def check_points(
     """Check the arguments that all renderers share.
 
     Args:
-        arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32, all on one
-            device and of one dtype out of ``dtypes``. Values are not checked, because the renderers cull points whose
-            values are not finite.
+        arrays: xyz (N, 3), radius (N,), density (N,) and optionally features (N, C) with C from 1 to 32. All have the
+            same device and the same dtype, which is one of ``dtypes``. Values are not checked, because the renderers
+            cull points whose values are not finite.
         camera: must be a pinhole camera without lens distortion.
         layers: must be an integer of at least 1.
         near: must be finite and positive.

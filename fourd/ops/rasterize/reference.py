@@ -94,8 +94,8 @@ def _rasterize_image(
 def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int, int]) -> Planes:
     """Compute the linear functions of triangles in float64, and round them to the dtype of ``pos``.
 
-    With the matrix M of the columns (x, y, w) of the vertices and the pixel centre f in normalised device coordinates,
-    b = M^-1 (f_x, f_y, 1) has the elements b_k = weight of vertex k / w (Olano and Greer 1997).
+    Let M be the matrix with the columns (x, y, w) of the vertices, and f a pixel centre in normalised device
+    coordinates. Then b = M^-1 (f_x, f_y, 1) has the elements b_k = weight of vertex k / w (Olano and Greer 1997).
 
     Args:
         pos: (V, 4) clip coordinates.

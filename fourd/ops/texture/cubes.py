@@ -22,8 +22,11 @@ def face_axes(like: Tensor) -> Tensor:
 
 
 def face_of(direction: Tensor) -> Tensor:
-    """Return the index of the face that each direction (..., 3) meets. A direction that meets an edge or a corner
-    belongs to the x face, if there is one, and otherwise to the y face."""
+    """Return the index of the face that the ray in each direction (..., 3) meets.
+
+    If a ray meets an edge or a corner, the x face is returned if it is among the adjacent faces, and otherwise the y
+    face.
+    """
     size = direction.detach().abs()
     x, y, z = size.unbind(-1)
     axis = torch.where((z > x) & (z > y), 2, torch.where(y > x, 1, 0))
@@ -32,7 +35,10 @@ def face_of(direction: Tensor) -> Tensor:
 
 
 def project(direction: Tensor, face: Tensor) -> Tensor:
-    """Return the positions (..., 2) in [0, 1] where directions (..., 3) meet their faces. Differentiable."""
+    """Return the positions (..., 2) in [0, 1] where the rays in directions (..., 3) meet their faces.
+
+    Differentiable.
+    """
     axes = face_axes(direction)[face]
     a, b, m = (axes @ direction[..., None])[..., 0].unbind(-1)
     return torch.stack([0.5 * a / m + 0.5, 0.5 * b / m + 0.5], dim=-1)
