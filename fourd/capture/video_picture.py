@@ -129,8 +129,8 @@ def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
 
     Returns:
         Three tables. The first has the linear light for each signal value, in units of the reference white (for HLG:
-        scene light in [0, 1]). The second has the 8-bit sRGB value for each square root of linear light. The third is for
-        HLG, and has the OOTF's factor from scene to display light for each luminance.
+        scene light in [0, 1]). The second has the 8-bit sRGB value for each square root of linear light. The third is
+        for HLG, and has the OOTF's factor from scene to display light for each luminance.
     """
     steps = np.linspace(0, 1, LEVELS)
     if transfer == HLG:

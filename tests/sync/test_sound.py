@@ -144,7 +144,7 @@ def test_unusable_soundtracks_are_reported(
         assert message in error
     lines = run_import(tmp_path / "silent", tmp_path / "auto", sync=True)
     assert any(
-        line.startswith("offsets are estimated from motion, because sound gives no offsets: ") and "silence in b" in line
+        line.startswith("offsets are estimated from motion, because sound gives no offsets") and "silence in b" in line
         for line in lines
     )
 
