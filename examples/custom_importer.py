@@ -47,7 +47,7 @@ class Arguments:
 
 
 def looks_like(source: Path) -> bool:
-    """Return whether ``source`` has this format. Only file names are checked."""
+    """Return whether ``source`` has this format. The function checks only file names."""
     return (source / RIG_NAME).is_file()
 
 

@@ -21,7 +21,7 @@ from fourd.cameras import Camera
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to draw."""
+    """The scene, the frame and the camera to draw."""
 
     scene: tyro.conf.Positional[Path]
     """The .4dv file."""

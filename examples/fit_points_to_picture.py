@@ -75,7 +75,7 @@ def front_camera(size: int) -> Camera:
 def initial_points(count: int) -> dict[str, Tensor]:
     """Return random grey points in a thin slab that faces the camera. All tensors are leaf tensors."""
     xyz = (torch.rand(count, 3) * 2 - 1) * torch.tensor([1.0, 0.1, 1.0])
-    radius = 1.5 / count**0.5  # in world units, so large that neighbouring points overlap
+    radius = 1.5 / count**0.5  # radius in world units, so large that neighbouring points overlap
     return {
         "xyz": xyz.requires_grad_(),
         "rgb": torch.zeros(count, 3).requires_grad_(),  # before the sigmoid

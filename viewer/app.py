@@ -29,7 +29,7 @@ _IDLE_SECONDS = 0.25
 _SPINNER_SECONDS = 0.1
 """Seconds between two images of the spinner. The spinner is slow, because loading a scene also needs the CPU."""
 _IMAGES_AFTER_INPUT = 8
-"""Count of images drawn after each input.
+"""Number of images drawn after each input.
 
 One image is not enough, because imgui handles a press, a motion and a release in separate images.
 """

@@ -142,7 +142,7 @@ def _fly(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
 
 
 def _next_speed(speed: float, direction: int) -> float:
-    """The next preset above (direction 1) or below (direction -1) the absolute value of ``speed``.
+    """The next preset speed above (direction 1) or below (direction -1) the absolute value of ``speed``.
 
     The result has the sign of ``speed``.
     """

@@ -18,7 +18,7 @@ class DisplaySettings:
     """The settings in the Display section of the panel.
 
     Attributes:
-        layers: the maximum count K of points composited per pixel.
+        layers: the maximum number K of points composited per pixel.
         background: background colour as red, green and blue in [0, 1].
         point_scale: factor on the points' radii.
         density_scale: factor on the points' densities. Scaled densities are clamped to 1.

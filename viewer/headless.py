@@ -38,7 +38,7 @@ class Headless:
         size: width and height of the images in pixels. If ``size`` is None, videos have DEFAULT_SIZE, and screenshots
             have the size of the selected camera. In a scene without cameras, None means DEFAULT_SIZE for screenshots
             too.
-        settings: display settings. If ``layers`` is 0, the scene's own K is used.
+        settings: display settings. If ``layers`` is 0, the K of the scene is used.
     """
 
     source: Path
@@ -50,7 +50,7 @@ class Headless:
         """Write an MP4 of the scene along a camera path.
 
         ``path`` is "orbit", "spiral", "cameras" or a file that was recorded in the window. A recorded path also selects
-        the frame of each image. Along a path that is not recorded, the scene plays in a loop. Returns the count of
+        the frame of each image. Along a path that is not recorded, the scene plays in a loop. Returns the number of
         images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))

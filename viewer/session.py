@@ -34,7 +34,7 @@ class Session:
     """
 
     def __init__(self, settings: DisplaySettings) -> None:
-        """If ``settings.layers`` is 0, each scene uses its own K."""
+        """If ``settings.layers`` is 0, the K of each scene is used."""
         self.settings = settings
         self.scene: LoadedScene | None = None
         self.playback = Playback(1, 30.0)
@@ -95,7 +95,7 @@ class Session:
         self.message = ""
 
     def set_layers(self, layers: int) -> None:
-        """Set the count of layers K for this scene and for scenes that are opened later."""
+        """Set the number of layers K for this scene and for scenes that are opened later."""
         self._has_user_layers = True
         self.settings = replace(self.settings, layers=layers)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 PARTS = ("draw", "panel", "present")
 HISTORY = 120
-"""Count of images whose times are kept."""
+"""Number of images whose times are kept."""
 
 
 class Timings:

@@ -1,4 +1,4 @@
-"""Adjust the poses of cameras together with the spheres that they see, from the images alone.
+"""Estimate the poses of cameras and the spheres that they see, only from the images.
 
     python examples/triangles/bundle_adjustment.py
 
@@ -38,7 +38,7 @@ COARSEST = 4
 """The coarsest scale of the comparison averages 2^4 x 2^4 pixels."""
 
 GRADIENT_BOOST = 3.0
-"""Antialiasing finds about a third of the silhouettes of these spheres, so the gradients are multiplied by 3."""
+"""Antialiasing finds about a third of the silhouettes of these spheres, so its gradients are multiplied by 3."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def adjust(targets: Tensor, first: Scene, renderer: Renderer, arguments: Argumen
 
 
 class Renderer:
-    """Renders spheres from cameras that look along -z of their own frame."""
+    """Renders spheres from cameras that look along the -z axis of their coordinate frame."""
 
     def __init__(self, spheres: int, size: int) -> None:
         self.unit, uv, tri = uv_sphere(6, 12)
@@ -179,20 +179,20 @@ def disturb(true: Scene, error_deg: float, rng: np.random.Generator) -> Scene:
 
 
 def rotation_matrix(turn: Tensor) -> Tensor:
-    """Return the matrices (C, 3, 3) of rotation vectors (C, 3) in radians. Differentiable, also at 0."""
+    """Return the matrices (C, 3, 3) of rotation vectors (C, 3) in radians. The result is differentiable, also at 0."""
     x, y, z = turn.unbind(dim=1)
     zero = torch.zeros_like(x)
     return torch.linalg.matrix_exp(torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=1).reshape(-1, 3, 3))
 
 
 def rotation_error_deg(scene: Scene, true: Scene) -> float:
-    """Return the mean rotation error of the cameras in degrees, without the mean rotation of all cameras."""
+    """Return the mean rotation error of the cameras in degrees, after alignment by one common rotation."""
     relative = Rotation.from_matrix((true.R_camera_world.transpose(-1, -2) @ scene.R_camera_world).double().numpy())
     return float(np.rad2deg((relative * relative.mean().inv()).magnitude()).mean())
 
 
 def centre_error(scene: Scene, true: Scene) -> float:
-    """Return the mean distance of the centres from the true ones after the best rotation, translation and scaling."""
+    """Return the mean distance of the centres from the true centres, after alignment by a similarity transformation."""
     centred, true_centred = (s.centre.numpy() - s.centre.numpy().mean(axis=0) for s in (scene, true))
     R, _ = Rotation.align_vectors(true_centred, centred)
     aligned = R.apply(centred)

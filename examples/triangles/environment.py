@@ -39,7 +39,8 @@ class Arguments:
     seed: int = 0
     """Seed of the poses."""
     picture: Path = Path("environment.png")
-    """Output image: the torus with the true and with the recovered material, then the faces of the recovered map."""
+    """Output image: the torus with the true and with the recovered material, then the faces of the recovered
+    environment map."""
 
 
 @dataclass(frozen=True)

@@ -77,8 +77,8 @@ class View:
     Attributes:
         camera: pinhole camera.
         silhouette: (H, W) share of each pixel that the object covers.
-        depth: (H, W) camera depth of the object. Where the silhouette is empty, it is a depth behind the grid. NaN
-            means unknown.
+        depth: (H, W) camera depth of the object. Where the silhouette is empty, the depth lies behind the grid. Unknown
+            depths are NaN.
     """
 
     camera: Camera
@@ -107,7 +107,7 @@ def main(arguments: Arguments) -> float:
     fit.run(problem.views, arguments)
     last = fit.mesh()
     overlap = report("after", last, problem)
-    # The camera with the widest crop shows most of a subject.
+    # The camera with the widest crop shows the largest part of the subject.
     camera = max((view.camera for view in problem.others), key=lambda camera: camera.width / camera.height)
     camera = camera.rescale(320 / max(camera.width, camera.height))
     meshes = [first, last] if problem.true is None else [first, last, problem.true]
@@ -121,7 +121,8 @@ class Fit:
     def __init__(self, grid: TetrahedralGrid, centre: Array, half: Array) -> None:
         self.grid = grid
         relative = (grid.xyz - torch.from_numpy(centre).float()) / torch.from_numpy(half).float()
-        # An ellipsoid in units of a cube. The distances are clamped, so that few steps suffice to change a sign.
+        # An ellipsoid, with lengths in cubes of the grid. The distances are clamped, so that few steps suffice to
+        # change a sign.
         self.sdf = ((1 - relative.norm(dim=1)) * float(half.min()) / grid.side).clamp(-1, 1).requires_grad_()
         self.offset = torch.zeros_like(grid.xyz).requires_grad_()
 
@@ -137,7 +138,7 @@ class Fit:
             return Mesh(*self.surface())
 
     def run(self, views: list[View], arguments: Arguments) -> None:
-        """Minimise the loss."""
+        """Minimise the loss by Adam."""
         rng = np.random.default_rng(arguments.seed)
         optimizer = torch.optim.Adam([self.sdf, self.offset], lr=FIRST_RATE, betas=(0.9, 0.99))
         for step in range(arguments.steps):
@@ -151,7 +152,8 @@ class Fit:
             loss.backward()
             optimizer.step()
             with torch.no_grad():
-                # Small distances change their sign in few steps. The border stays outside, so the surface is closed.
+                # Small distances change their sign in few steps. The border of the grid stays outside the object, so
+                # the surface is closed.
                 self.sdf.clamp_(-1, 1)
                 self.sdf[self.grid.is_border] = -1
             if step % max(arguments.steps // 8, 1) == 0 or step == arguments.steps - 1:

@@ -1,4 +1,4 @@
-"""Find the pose of a cube from one image, from random first poses.
+"""Find the pose of a cube from one image, starting from random poses.
 
     python examples/triangles/pose.py --starts 20
 
@@ -36,7 +36,7 @@ TRIAL_STEPS = 20
 """In the first half of the steps, a noisy copy of the best pose is optimised for this many steps."""
 
 CANDIDATES = 64
-"""Number of noisy copies of the best pose. They are compared with the target at a quarter of its size."""
+"""Number of noisy copies of the best pose. The copies are compared with the target at a quarter of the image size."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> float:
-    """Search the poses. Returns the share of starts that end within 2 degrees of the true pose."""
+    """Search for the poses. Returns the share of starts that end within 2 degrees of the true pose."""
     rng = np.random.default_rng(arguments.seed)
     found = []
     for start in range(arguments.starts):

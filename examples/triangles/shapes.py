@@ -68,7 +68,7 @@ def of_trimesh(mesh: trimesh.Trimesh) -> Mesh:
 
 
 def cameras_around(count: int, size: int, turn: float = 0.0) -> list[Camera]:
-    """Return cameras at the distance 4 from the origin that look at it, in nearly uniform directions (Fibonacci).
+    """Return cameras that look at the origin from the distance 4, in nearly uniform directions (Fibonacci).
 
     An object of length 2 covers about 80% of the image. ``turn`` rotates the cameras around z, in radians.
     """

@@ -6,7 +6,7 @@ The soft rasterizer (SoftRas, Liu et al. 2019) gives each vertex a gradient from
 sphere grows into wings that it does not cover at first. The loss is 1 minus the intersection over union of the soft and
 the given silhouettes. A Laplacian term and a term for the angles between neighbouring triangles keep the surface
 smooth. The width of the soft edges shrinks during the fit. The program compares the result with the true aeroplane: by
-silhouettes of other viewpoints, and by the Chamfer distance.
+the silhouettes from other viewpoints, and by the Chamfer distance.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class Arguments:
     batch: int = 4
     """Viewpoints per step."""
     subdivisions: int = 3
-    """Subdivisions of the icosahedron that approximates the sphere. Each one quadruples the number of triangles."""
+    """Subdivisions of the icosahedron that approximates the sphere. Each subdivision quadruples the number of
+    triangles."""
     laplacian: float = 10.0
     """Weight of the Laplacian term."""
     normal: float = 0.02

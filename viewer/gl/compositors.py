@@ -54,7 +54,7 @@ class OverBackground:
 
 
 class SortedBlending:
-    """Blends all discs in one pass, from the farthest to the nearest. The count of layers is not limited to K."""
+    """Blends all discs in one pass, from the farthest to the nearest. The number of layers is not limited to K."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -192,8 +192,8 @@ class DualDepthPeeling:
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
         """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        With ``clear_back``, hidden layers count too. ``clear_back`` also clears the layers composited from the back, in
-        each pixel where the pass has found a layer.
+        With ``clear_back``, layers that the layers in front hide also count. ``clear_back`` also clears the layers
+        composited from the back, in each pixel where the pass has found a layer.
         """
         targets = self._targets
         previous = 1 - index % 2

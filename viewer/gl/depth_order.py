@@ -67,7 +67,7 @@ class ExactOrders:
         return self._last
 
     def release(self) -> None:
-        """Drop the last order."""
+        """Discard the last depth order."""
         self._last = None
 
 
@@ -75,8 +75,8 @@ class BackgroundOrders:
     """Sorts the points of the newest request in a thread.
 
     :meth:`order` may return the depth order of an earlier request. The thread sorts all points inside an enlarged image
-    of twice the width and twice the height. The depth order thus includes points that enter the visible image during
-    the next sort.
+    of twice the width and twice the height. The depth order therefore includes points that enter the visible image
+    during the next sort.
     """
 
     def __init__(self) -> None:

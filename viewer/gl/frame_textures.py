@@ -28,7 +28,7 @@ class ArrayTexture:
     """
 
     def __init__(self, context: moderngl.Context, components: int, dtype: str) -> None:
-        """``components`` is the count of numbers per texel.
+        """``components`` is the number of values per texel.
 
         ``dtype`` is a moderngl format: f1 (bytes that shaders read as numbers in [0, 1]), f2 (float16) or f4 (float32).
         """
@@ -110,7 +110,7 @@ class FrameTextures:
         self.frame: BakedFrame | None = None
         self._background: BakedFrame | None = None
         self._has_shadow = False
-        self._dynamic_capacity = 0  # count of dynamic points that fit before the background's points
+        self._dynamic_capacity = 0  # number of dynamic points that fit before the background's points
 
     def load(self, frame: BakedFrame) -> None:
         """Upload ``frame``, unless it is already loaded."""
@@ -172,7 +172,7 @@ class FrameTextures:
 
 
 def _components(attribute: Attribute) -> int:
-    """Count of numbers per texel: the largest divisor, at most 4, of the attribute's count of numbers per point."""
+    """Number of values per texel: the largest divisor, at most 4, of the attribute's number of values per point."""
     return next(count for count in (4, 3, 2, 1) if attribute.numbers % count == 0)
 
 

@@ -123,7 +123,7 @@ class SampleCounter:
 
     @property
     def samples(self) -> int:
-        """The sample count of the last ``with`` block. This property waits for the GPU."""
+        """The number of samples that were drawn in the last ``with`` block. This property waits for the GPU."""
         return int(np.asarray(GL.glGetQueryObjectuiv(self._query, GL.GL_QUERY_RESULT)).ravel()[0])
 
     def release(self) -> None:

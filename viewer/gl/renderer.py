@@ -36,9 +36,9 @@ class GLRenderer:
 
     @property
     def stale_images(self) -> int:
-        """Count of images drawn in succession with the depth order of an earlier request.
+        """Number of successive images drawn with the depth order of an earlier request.
 
-        The count is 0 when the depth order is current.
+        The number is 0 if the depth order is current.
         """
         return self._stale_images
 

@@ -63,7 +63,7 @@ def orbit(
 
     Args:
         cameras: cameras of the capture; at least 1.
-        steps: count of images, at least 1.
+        steps: number of images, at least 1.
         focus: centre of the circle (3,) in world units, or None for the result of :func:`estimate_focus`.
         up: up direction (3,), or None for the result of :func:`estimate_up`.
         distance: distance from the focus in world units, or None for the cameras' median distance.
@@ -96,7 +96,7 @@ def spiral(
     The arguments that ``Args`` does not list have the same meaning as in :func:`orbit`.
 
     Args:
-        turns: count of full circles or of swings, at least 1.
+        turns: number of full circles or of swings, at least 1.
         swing: amplitude of the elevation around the cameras' median elevation, in degrees. None uses the largest
             deviation of a camera's elevation from the median, but at least 10 degrees.
     """
@@ -125,7 +125,7 @@ def interpolate(
 
     Args:
         cameras: cameras to pass through; at least 1. Equal cameras in succession count once.
-        steps: count of images, at least 1.
+        steps: number of images, at least 1.
         loop: whether the path returns from the last camera to the first. A path without a loop ends at the last camera.
         size: width and height of the images in pixels, or None for the size of the first camera.
     """

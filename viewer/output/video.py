@@ -32,7 +32,7 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
             larger file.
 
     Returns:
-        The count of images written.
+        The number of images written.
 
     Raises:
         UserError: when there is no H.264 encoder, or when ``images`` is empty.

@@ -1,1 +1,1 @@
-"""The viewer's panel. Each section has its own file, and panel.py lists the sections."""
+"""The viewer's panel. There is one file per section, and panel.py lists the sections."""

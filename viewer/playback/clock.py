@@ -11,7 +11,7 @@ class Playback:
     """A playback clock for the frames of a scene.
 
     Attributes:
-        frame_count: count of frames, at least 1.
+        frame_count: number of frames, at least 1.
         fps: frames per second at speed 1.
         speed: factor on ``fps``; a negative factor plays backwards.
         is_playing: whether :meth:`advance` moves the clock.

@@ -23,7 +23,7 @@ class BakedFrameSource(Protocol):
         """The manifest of the scene."""
 
     def read(self, index: int) -> BakedFrame:
-        """Read a frame. Reading can take long. Raises UserError if the frame is damaged."""
+        """Read a frame. Reading a frame can take long. Raises UserError if the frame is damaged."""
 
     def close(self) -> None:
         """Close files."""
@@ -46,7 +46,7 @@ class FramePrefetcher:
         self._head, self._direction = 0, 1
         self._has_started = False
         self._largest: int | None = None  # Size in bytes of the largest frame that has been read.
-        self._generation = 0  # Count of invalidations. Frames that were read before the last invalidation are dropped.
+        self._generation = 0  # Number of invalidate() calls. Frames read before the last call are dropped.
         self._is_stopped = False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="frame reader", daemon=True)
@@ -74,7 +74,7 @@ class FramePrefetcher:
 
     @property
     def frames_ahead(self) -> int:
-        """Count of buffered frames that directly follow the current frame in playback order."""
+        """Number of buffered frames that directly follow the current frame in playback order."""
         with self._changed:
             upcoming = self._playback_order()
             next(upcoming)
@@ -148,7 +148,7 @@ class FramePrefetcher:
             del self._buffer[index]
 
     def _capacity(self) -> int:
-        """Count of frames that fit into the memory limit.
+        """Number of frames that fit into the memory limit.
 
         Each frame is assumed to be as large as the largest frame that has been read. With this estimate, evicting one
         frame frees enough memory for another frame.

@@ -1,4 +1,4 @@
-"""A site that follows its source: a scene that is exported again, or a run while it trains."""
+"""A site that is updated when its source changes: when a scene is exported again, or while a run trains."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class LiveSite:
 
     Args:
         source: a `.4dv` file or a run.
-        folder: the folder of the site. It must not exist.
+        folder: the folder of the site. The folder must not exist.
         tier: tier to which an unpacked scene is packed.
         console: prints progress and errors of updates.
 
@@ -43,7 +43,7 @@ class LiveSite:
         copy_player(folder, source.stem, is_live=True)
 
     def update(self) -> bool:
-        """Write the scene again if the source has changed. Returns whether it was written.
+        """Write the scene again if the source has changed. Returns whether the scene was written.
 
         After an error, the last scene is kept. The error is printed once per version of the source.
         """
@@ -53,7 +53,7 @@ class LiveSite:
         try:
             self._write()
         except FileNotFoundError:
-            return False  # Training has replaced the checkpoint. The next call reads the new one.
+            return False  # Training has replaced the checkpoint. The next call reads the new checkpoint.
         except (UserError, OSError) as error:
             self._version = version
             self._console.print(f"{self._source}: not updated: {error}", soft_wrap=True, markup=False)
@@ -71,7 +71,7 @@ class LiveSite:
         self._stopped.set()
 
     def _read_version(self) -> str:
-        """Return a text that changes with the source, or an empty text if the source is missing for the moment."""
+        """Return a text that changes with the source, or an empty text if the source is temporarily missing."""
         with suppress(OSError):
             if self._source.is_dir():
                 return newest_checkpoint(self._source)

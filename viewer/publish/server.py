@@ -78,7 +78,7 @@ class SiteHandler(BaseHTTPRequestHandler):
                 self._send_content(stream, part)
 
     def _part(self, size: int) -> Part | None:
-        """Return the requested part of a file of ``size`` bytes, or None if there is no such part."""
+        """Return the requested part of a file of ``size`` bytes, or None if the file has no such part."""
         match = _RANGE.match(self.headers.get("Range", ""))
         if match is None or match.groups() == ("", ""):
             return Part(0, size)

@@ -1,4 +1,4 @@
-"""Writes the folder of a web page that plays a scene. The page's program is in viewer/web."""
+"""Writes the folder of a web page that plays a scene. The JavaScript code of the page is in viewer/web."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked) -
     reader.close()
     if manifest.frame_count == 0 or not manifest.cameras:
         raise UserError(f"{source}: expected a scene with frames and cameras, got none; export the run again")
-    # Views that are blended together are neighbours in the file, so that players need fewer requests.
+    # Views that are blended together are stored one after the other, so that players need fewer requests.
     order = order_by_azimuth(manifest.source_cameras, manifest.focus) if manifest.source_cameras else []
     storage = Storage("zlib", tuple(order))
     if is_packed:
@@ -92,7 +92,7 @@ def copy_player(folder: Path, title: str, is_live: bool = False) -> None:
         page = (web / "index.html").read_text(encoding="utf-8")
         page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{scene}}", SCENE_NAME)
         page = page.replace("{{live}}", " live" if is_live else "")
-        # Modules that import each other are fetched at once.
+        # With these links, browsers fetch all modules at once, and not each module after the module that imports it.
         modules = sorted(path.relative_to(folder).as_posix() for path in (folder / PLAYER_FOLDER).rglob("*.js"))
         links = (f'<link rel="modulepreload" href="{name}" />' for name in modules if "worker" not in name)
         page = page.replace("{{preload}}", "\n    ".join(links))

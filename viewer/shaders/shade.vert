@@ -8,9 +8,9 @@ uniform sampler2D density;
 uniform sampler2D sh;             // Twelve texels per point: 16 coefficients of red, then of green, then of blue.
 uniform sampler2D blend_weights;  // One texel per point and source view.
 uniform sampler2D rgb;            // One texel per point and source view.
-uniform int views;                // Count of source views.
-uniform int dynamic_count;        // Count of dynamic points, which are stored first.
-uniform int gap;                  // Count of unused slots between the dynamic points and the background.
+uniform int views;                // Number of source views.
+uniform int dynamic_count;        // Number of dynamic points, which are stored first.
+uniform int gap;                  // Number of unused slots between the dynamic points and the background.
 
 uniform vec3 intrinsics_x;  // The first two rows of the intrinsic matrix.
 uniform vec3 intrinsics_y;
