@@ -16,15 +16,15 @@ const QUIET_MS = 3000;
 /** Time between two requests that check whether the scene has changed. */
 const LIVE_MS = 2000;
 
-/** What an element keeps when it opens a changed scene. @typedef {{pose: Pose, seconds: number, isPlaying: boolean}} Kept */
+/** State that is kept when an element opens a changed scene. @typedef {{pose: Pose, seconds: number, isPlaying: boolean}} Kept */
 
 /**
  * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
  *
  * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
- * (a colour such as #203040), `mode="reference"` (exact depth peeling), `links` (the page's address holds view and time),
- * `timeout` (seconds without data after which a request is repeated, 15 by default), `live` (the scene is opened again
- * when it changes on the server).
+ * (a colour such as #203040), `mode="reference"` (exact depth peeling), `links` (the address of the page contains the
+ * view and the time), `timeout` (seconds without data after which a request is repeated, 15 by default), `live` (the
+ * scene is opened again when it changes on the server).
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {

@@ -8,11 +8,11 @@ import { damaged, inflate, inflateExactly } from "./inflate.js";
  * @property {Float32Array<ArrayBuffer>} xyz (N, 3) in world units.
  * @property {Uint32Array<ArrayBuffer>} sizes Radius code in the low 16 bits, density code in the next 8 bits.
  * @property {Int16Array<ArrayBuffer>} factors (K, N) factors of the rows of the spherical harmonics' basis.
- * @property {Uint8Array<ArrayBuffer>} mean (N, 4) mean colour over the source views, and 0.
+ * @property {Uint8Array<ArrayBuffer>} mean (N, 4) mean colour over the source views; the fourth byte is 0.
  * @property {number} largestRadius In world units.
  */
 
-/** Bits of each coordinate in twelve bits of a Morton code: 4 bits of x, then of y, then of z. */
+/** Table over 12 bits of a Morton code. An entry has 4 bits of x, then 4 bits of y, then 4 bits of z. */
 const GATHERED = gatherTable();
 
 function gatherTable() {
@@ -28,7 +28,7 @@ function gatherTable() {
 }
 
 /**
- * Decodes the members `points`, `sh` and `colour`. docs/formats.md describes them.
+ * Decodes the members `points`, `sh` and `colour`, which docs/formats.md describes.
  * @param {{points: Uint8Array, sh: Uint8Array, colour: Uint8Array | null}} members
  * @param {number} points
  * @param {CloudEncoding} encoding
@@ -91,7 +91,7 @@ function addLevels(content, colours, mean, encoding) {
     const level = content[green];
     const red = (content[green + colours] + level) << 24 >> 24;
     const blue = (content[green + 2 * colours] + level) << 24 >> 24;
-    // With a step of 1, sums are modulo 256; otherwise they are clamped.
+    // With a colour step of 1, sums are modulo 256. With larger steps, sums are clamped to 0 to 255.
     const target = step === 1 ? wrapped : rgba;
     target[at] = mean[at] + step * red;
     target[at + 1] = mean[at + 1] + step * (level << 24 >> 24);

@@ -3,7 +3,7 @@ import { SceneError } from "../scene/errors.js";
 const ZSTD_MAGIC = 0xfd2fb528;
 
 /**
- * Decompresses a member. At most `largest` bytes are accepted.
+ * Decompresses a member. Fails if the result has more than `largest` bytes.
  * @param {Uint8Array} member
  * @param {number} largest
  * @param {string} name Name of the member, for error messages.
@@ -15,7 +15,7 @@ export async function inflate(member, largest, name) {
   }
   const stream = new DecompressionStream("deflate");
   const writer = stream.writable.getWriter();
-  // Failures of the writer are also failures of the reader.
+  // If the writer fails, the reader also fails, so errors of the writer can be ignored.
   writer.write(/** @type {Uint8Array<ArrayBuffer>} */ (member)).catch(() => {});
   writer.close().catch(() => {});
   const reader = stream.readable.getReader();

@@ -21,7 +21,7 @@ export class DecodePool {
     this.waiting = new Map();
     this.load = new Array(count).fill(0);
     this.next = 0;
-    /** Milliseconds of decoding by kind: [total, count]. */
+    /** For each kind of request: [total milliseconds of decoding, number of requests]. */
     this.times = { base: [0, 0], views: [0, 0], shadow: [0, 0] };
     this.workers = this.load.map((_, index) => this.#start(index));
   }

@@ -14,8 +14,9 @@ const NONE = 1e9;
  */
 
 /**
- * Composites up to K discs per pixel in one pass. The discs are drawn nearest first and blended under the discs before
- * them. The stencil buffer counts the discs of each pixel, so that exactly the K nearest are composited.
+ * Composites up to K discs per pixel in one pass. The discs are drawn from the nearest to the farthest. Each disc is
+ * blended behind the discs drawn before it. The stencil buffer counts the discs of each pixel, so that exactly the K
+ * nearest are composited.
  * @implements {Compositor}
  */
 export class SortedCompositor {
@@ -66,7 +67,8 @@ export class SortedCompositor {
 }
 
 /**
- * Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next layer of every pixel. Exact and slow.
+ * Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next layer of every pixel. This method is
+ * exact and slow.
  * @implements {Compositor}
  */
 export class PeelingCompositor {
@@ -81,7 +83,7 @@ export class PeelingCompositor {
     this.peel = discs.makePass(PEEL_FRAGMENT);
     this.copy = makeProgram(gl, FULL_SCREEN_VERTEX, COPY_FRAGMENT);
     this.emptyArray = gl.createVertexArray();
-    /** Two targets that alternate, because a pass reads the ranks of the pass before. @type {Target[]} */
+    /** Two targets that alternate, because each pass reads the ranks that the previous pass wrote. @type {Target[]} */
     this.layers = [];
     /** @type {Target | null} */
     this.sum = null;

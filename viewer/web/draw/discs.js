@@ -89,7 +89,7 @@ export class Discs {
   /**
    * Draws all discs into the bound framebuffer.
    * @param {DiscPass} pass
-   * @param {number} width Of the image in pixels.
+   * @param {number} width Width of the image in pixels.
    * @param {number} height
    * @param {Record<string, number>} [samplers] Texture units of the pass.
    */

@@ -16,7 +16,7 @@ const BASIS_FLOATS = 4 * (SH_NUMBERS * 12 + 12);
 
 /**
  * The points of one frame and of the background in textures. Dynamic points come first. The background starts at a new
- * row, so that it is uploaded once.
+ * row of the textures, so that it is uploaded only once.
  */
 export class FrameTextures {
   /**
@@ -61,11 +61,11 @@ export class FrameTextures {
   }
 
   /**
-   * Uploads what has changed.
+   * Uploads the arrays that have changed.
    * @param {(Cloud | null)[]} clouds Dynamic points and background.
    * @param {Uint8Array | null} shadow
    * @param {number[]} selected Source views to blend.
-   * @returns {Map<number, number>} The layer of each selected view that all clouds have.
+   * @returns {Map<number, number>} For each selected view whose colours are loaded for all clouds: its texture layer.
    */
   load(clouds, shadow, selected) {
     const { gl } = this;
@@ -155,11 +155,11 @@ export class FrameTextures {
       program.integers({ block, first_row: firstRow });
       gl.drawArrays(gl.TRIANGLES, 0, 3);
     }
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null); // Later passes read the coefficients.
+    gl.bindFramebuffer(gl.FRAMEBUFFER, null); // Unbind the target, because later passes read the coefficients.
   }
 
   /**
-   * Assigns a layer to each view. Views keep their layers.
+   * Assigns a texture layer to each view. A view that already has a layer keeps it.
    * @param {number[]} views
    */
   #assignLayers(views) {

@@ -16,7 +16,7 @@ import { FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT } from "./shaders.js";
  * @property {(Cloud | null)[]} clouds Dynamic points and background.
  * @property {Uint8Array | null} shadow
  * @property {import("../sort/sorter.js").SortedPoints} order
- * @property {Camera} camera Its size is the size of the image before it is scaled to the canvas.
+ * @property {Camera} camera The size of the camera is that of the image before the image is scaled to the canvas.
  * @property {{views: number[], weights: number[]}} selection Source views and their view weights.
  * @property {number} layers K, the maximum number of points that are composited per pixel.
  * @property {[number, number, number]} background Colour in [0, 1].
@@ -45,7 +45,7 @@ export class Renderer {
   }
 
   /**
-   * Draws a picture into the canvas, which has the size of the picture or another size.
+   * Draws a picture into the canvas. If their sizes differ, the picture is scaled.
    * @param {Picture} picture
    * @param {Mode} mode
    */
@@ -56,7 +56,7 @@ export class Renderer {
     const layers = this.textures.load(picture.clouds, picture.shadow, views);
     const loaded = views.map((view, index) => ({ layer: layers.get(view), weight: weights[index] }));
     const usable = /** @type {{layer: number, weight: number}[]} */ (loaded.filter(({ layer }) => layer !== undefined));
-    // Before any view has arrived, points have their mean colours, which are in layer 0.
+    // Until the first view has arrived, points have their mean colours, which are in layer 0.
     const blended = usable.length ? usable : views.length ? [{ layer: 0, weight: 1 }] : [];
     this.discs.project(
       this.textures,
@@ -87,7 +87,7 @@ export class Renderer {
     return flipped;
   }
 
-  /** Deletes all objects of WebGL. The canvas keeps its context. */
+  /** Deletes all WebGL objects. The WebGL context of the canvas is kept. */
   release() {
     for (const compositor of Object.values(this.compositors)) compositor.release();
     this.textures.release();

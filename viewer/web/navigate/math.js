@@ -100,7 +100,7 @@ export function rotationAbout([x, y, z], angle) {
 }
 
 /**
- * Removes the rounding errors of a rotation matrix: its last row keeps its direction.
+ * Returns a rotation matrix without rounding errors. The direction of the last row does not change.
  * @param {Matrix} m
  * @returns {Matrix}
  */

@@ -4,7 +4,7 @@ import {
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
 /**
- * A viewpoint: an eye, and a pivot on the eye's viewing axis. viewer/navigation/pose.py has the same poses.
+ * A viewpoint: an eye, and a pivot on the eye's viewing axis. The fields are those of the pose in viewer/navigation/pose.py.
  * @typedef {object} Pose
  * @property {number[]} pivot Point (3,) that the eye orbits around, in world units.
  * @property {number[]} rotation 3 x 3, R_camera_world.

@@ -15,7 +15,7 @@ export function toFragment(pose, seconds) {
 }
 
 /**
- * Reads what `toFragment` wrote. Parts that are not valid are left out.
+ * Reads what `toFragment` wrote. Invalid parts of the fragment are ignored.
  * @param {string} fragment With or without a leading #.
  * @param {number[]} up
  * @returns {{pose?: Pose, seconds?: number}}

@@ -7,7 +7,7 @@ const FADE_MARGIN = 1.25;
 
 /**
  * Selects the source views with the smallest angles to a camera, measured at the focus, and their view weights.
- * fourd/cameras.py has the same rules.
+ * The rules are those of fourd/cameras.py.
  * @param {Camera} camera
  * @param {Manifest} manifest
  * @returns {{views: number[], weights: number[]}}

@@ -1,4 +1,4 @@
-/** The time of playback. Time stands still while the frame that is due has not arrived. */
+/** The time of playback. The time does not advance until the frame that is due has arrived. */
 export class Clock {
   /**
    * @param {number} frames

@@ -7,7 +7,7 @@ const CACHE_BYTES = 256 << 20;
 /** Number of frames that are fetched and decoded at the same time. */
 const CONCURRENT = 4;
 
-/** The background's number in the store. */
+/** The number that identifies the background in the store. */
 export const BACKGROUND = -1;
 
 /**
@@ -19,10 +19,10 @@ export const BACKGROUND = -1;
  * @property {boolean} isBusy
  * @property {boolean} hasFailed A failed entry is loaded again only after a call of `retry`.
  * @property {AbortController | null} abort
- * @property {number} used When the entry was last wanted.
+ * @property {number} used Counter value of the last request for the entry.
  */
 
-/** Fetches and decodes frames, nearest first, and keeps the frames that were used last. */
+/** Fetches and decodes frames, nearest first, and keeps the most recently used frames. */
 export class FrameStore {
   /**
    * @param {SceneFile} file
@@ -122,7 +122,7 @@ export class FrameStore {
 
   #start() {
     let busy = [...this.entries.values()].filter((entry) => entry.isBusy).length;
-    // The first frame gets the whole network until it can be drawn.
+    // Until the first wanted frame can be drawn, only this frame and the background are fetched.
     const limit = this.#isUrgent() ? (this.manifest.background ? 2 : 1) : CONCURRENT;
     for (const number of this.wanted) {
       if (busy >= limit) return;
@@ -154,7 +154,7 @@ export class FrameStore {
       if (!entry.base && this.#isUrgent()) await this.#loadBase(number, entry, signal);
       const views = this.views.filter((view) => !entry.views.has(view));
       const reading = this.#readViews(number, views, signal);
-      reading.catch(() => {}); // The error is reported where the views are awaited.
+      reading.catch(() => {}); // The error is reported by the code that awaits the views.
       if (!entry.base) await this.#loadBase(number, entry, signal);
       await this.#decodeViews(number, entry, views, await reading);
     } catch (error) {
@@ -238,7 +238,7 @@ export class FrameStore {
     return total;
   }
 
-  /** Drops source views that are not blended, then the frames that were not wanted for the longest time. */
+  /** Drops source views that are not blended, then the least recently used frames. */
   #evict() {
     let total = this.#bytes();
     if (total <= CACHE_BYTES) return;

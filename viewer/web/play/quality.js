@@ -18,7 +18,7 @@ export class Quality {
    * @param {number} ms
    */
   report(ms) {
-    if (ms > 1000) return; // The page was hidden.
+    if (ms > 1000) return; // The page was probably hidden, so this time is ignored.
     this.count++;
     this.mean += (ms - this.mean) / Math.min(this.count, IMAGES);
     if (this.count < IMAGES) return;
@@ -26,7 +26,7 @@ export class Quality {
     else if (this.mean < FAST_MS && this.scale < 1) this.#change(Math.min(this.scale / STEP, 1));
   }
 
-  /** Starts a new measurement, after the view stood still. */
+  /** Starts a new measurement. Called after a time in which the view did not move. */
   rest() {
     this.count = 0;
     this.mean = 0;

@@ -120,7 +120,7 @@ export class Stage {
     this.renderer = null;
   }
 
-  /** Makes the graphics objects again. */
+  /** Creates the graphics objects again. */
   restoreContext() {
     this.renderer = new Renderer(this.canvas, this.manifest);
     this.isDirty = true;
@@ -214,7 +214,7 @@ export class Stage {
 }
 
 /**
- * The numbers that determine the depth order and the visible points, whatever the resolution.
+ * The numbers that determine the depth order and the visible points, independent of the resolution.
  * @param {Camera} camera
  */
 function signature({ rotation, translation, intrinsics, width, height }) {

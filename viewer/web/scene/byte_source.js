@@ -30,7 +30,7 @@ export class ByteSource {
    * @param {number} offset
    * @param {number} size
    * @param {AbortSignal} [signal]
-   * @returns {Promise<Uint8Array>} The bytes, or fewer bytes if the file ends before.
+   * @returns {Promise<Uint8Array>} The bytes of the range; fewer bytes if the file ends inside the range.
    */
   async read(offset, size, signal) {
     if (size === 0) return new Uint8Array(0);
@@ -62,7 +62,7 @@ export class ByteSource {
     return bytes;
   }
 
-  /** Asks the server whether the file has changed. If the server does not answer, false. */
+  /** Asks the server whether the file has changed. Returns false if the server does not answer. */
   async hasChanged() {
     try {
       const response = await fetch(this.url, { method: "HEAD", cache: "no-store" });
@@ -136,7 +136,7 @@ export class ByteSource {
   }
 }
 
-/** A file that arrives from its first byte to its last. */
+/** A file that the server sends as a whole, from the first byte to the last. */
 class WholeFile {
   /**
    * @param {Response} response
@@ -215,7 +215,7 @@ class WholeFile {
   }
 }
 
-/** Aborts a request that receives no data for a while, or when the caller aborts. */
+/** Aborts a request if no data arrives for some time, or if the caller aborts it. */
 class Stall {
   /**
    * @param {number} ms

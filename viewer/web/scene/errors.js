@@ -1,7 +1,7 @@
-/** The error that the user can read: one line with what was expected, what was found, and the fix. */
+/** An error with a message for the user: one line with what was expected, what was found, and the fix. */
 export class SceneError extends Error {}
 
-/** The scene has another content than when it was opened. */
+/** The content of the scene has changed since the scene was opened. */
 export class ChangedError extends SceneError {
   constructor() {
     super("The scene has changed on the server. Reload the page.");

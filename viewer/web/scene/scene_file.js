@@ -6,7 +6,7 @@ import { parseManifest } from "./manifest.js";
 const FIRST_READ = 1 << 16;
 const LOCAL_HEADER = 30;
 const MAX_MANIFEST = 64 << 20;
-/** Bytes between two members below which one request is faster than two. */
+/** If at most this many bytes lie between two members, one request is faster than two. */
 const MERGE_GAP = 1 << 15;
 
 /** A packed scene on a server. */
@@ -37,7 +37,7 @@ export class SceneFile {
   }
 
   /**
-   * Reads members. Members that are neighbours in the file are read with one request.
+   * Reads members. Members that are close together in the file are read with one request.
    * @param {string[]} names
    * @param {AbortSignal} [signal]
    * @returns {Promise<Map<string, Uint8Array>>} Compressed content by name.

@@ -1,5 +1,6 @@
 /**
- * Defines the region in which points are kept: the view frustum with a border. Points outside are not drawn.
+ * Defines the region in which points are kept: the view frustum with a border. Points outside this region are not
+ * drawn.
  * @typedef {object} SortCamera
  * @property {number[]} rotation 3 x 3, R_camera_world.
  * @property {number[]} translation
@@ -84,7 +85,7 @@ export class DepthOrder {
       if (u < left * viewZ - reach || u > right * viewZ + reach) continue;
       if (v < top * viewZ - reach || v > bottom * viewZ + reach) continue;
       depth[0] = viewZ;
-      keys[count] = bits[0]; // The bits of positive numbers have the order of the numbers.
+      keys[count] = bits[0]; // Positive floats have the same order as their bits, read as integers.
       indices[count++] = first + i;
     }
     return count;

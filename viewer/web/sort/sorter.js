@@ -16,7 +16,7 @@ export class Sorter {
     this.worker = new Worker(new URL("./worker.js", import.meta.url), { type: "module" });
     this.worker.onmessage = (/** @type {MessageEvent<SortReply>} */ event) => this.#receive(event.data);
     this.worker.onerror = (event) => this.reject?.(new SceneError(`Sorting failed: ${event.message}; reload the page`));
-    /** @type {Set<number>} Clouds that the worker keeps. */
+    /** @type {Set<number>} Numbers of the clouds whose positions the worker has. */
     this.kept = new Set();
     this.ms = 0;
     /** @type {((sorted: SortedPoints) => void) | undefined} */

@@ -27,7 +27,7 @@ export function addShortcuts(player) {
   player.addEventListener("keydown", (event) => {
     const action = actions[event.code];
     if (!action || event.ctrlKey || event.altKey || event.metaKey) return;
-    // Buttons, lists and the time bar keep their own keys.
+    // Buttons, lists and the time bar handle their keys themselves.
     const target = event.composedPath()[0];
     const isSpace = event.code === "Space" && target instanceof HTMLButtonElement;
     const isArrow = event.code.startsWith("Arrow") && target instanceof HTMLSelectElement;
