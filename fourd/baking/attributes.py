@@ -1,5 +1,5 @@
-"""The table of a baked frame's arrays. This table is used by the manifest, the scene reader and writer, the combination
-of frames and the upload to OpenGL.
+"""The table of the arrays that a baked frame consists of. The manifest, the scene reader and writer, the combination of
+frames and the upload to OpenGL use this table.
 
 To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True``. Add a field of the same name to
 :class:`fourd.baking.scene.BakedFrame`, and compute the attribute in :mod:`fourd.baking.bake`. Scenes without the new
@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from fourd.ops.shade.harmonics import SH_TERMS
 
 Values = Literal["any", "finite", "nonnegative", "unit"]
-"""Valid values of an attribute. "unit" means [0, 1]. Every kind except "any" excludes NaN and infinity."""
+"""Valid values of an attribute. "unit" means [0, 1]. Every value of ``Values`` except "any" excludes NaN and
+infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
-"""How the background's array is appended to the array of the dynamic points: unchanged, or multiplied by the shadow."""
+"""How the background's array is appended to the array of the dynamic points: "concatenate" leaves the background's
+array unchanged, "cast_shadow" multiplies it by the shadow."""
 
 
 @dataclass(frozen=True)
@@ -28,11 +30,11 @@ class Attribute:
     """One array of a frame, as stored in the file.
 
     Attributes:
-        name: name of the field of BakedFrame. The array's file inside the ZIP and the array's key in the manifest have
-            the same name.
+        name: name of the corresponding field of BakedFrame. The same name is used for the array's file inside the ZIP
+            and for the array's key in the manifest.
         dtype: little-endian NumPy dtype.
-        shape: side lengths of the array. "points" stands for the number of points and "views" for the number of source
-            views.
+        shape: size of each dimension of the array. "points" stands for the number of points and "views" for the number
+            of source views.
         values: the valid values, see :data:`Values`.
         combine: how the background's array is appended to the array of the dynamic points, see :data:`Combine`.
         is_optional: whether a scene may lack this attribute.
@@ -52,7 +54,8 @@ class Attribute:
 
     @property
     def numbers(self) -> int:
-        """How many numbers the array stores per point, or per point and view if :attr:`is_per_view`."""
+        """Number of values that the array stores per point, or per point and source view if :attr:`is_per_view` is
+        true."""
         count = 1
         for side in self.shape:
             count *= side if isinstance(side, int) else 1
@@ -103,15 +106,16 @@ ATTRIBUTES = (
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
-    """Whether all float16 values are valid. ``bits`` are their bits as integers.
+    """Whether all values of a float16 array are valid. ``bits`` (uint16) are the bit patterns of the values.
 
-    Comparing bits is several times faster than comparing floats.
+    Bit patterns are compared because this is several times faster than comparing floats.
     """
     limit = 0x3C00 if values == "unit" else 0x7BFF
     if values == "finite":
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # The bits of infinity and NaN are 0x7C00 or more, and the bits of negative values are 0x8000 or more. Infinity, NaN
-    # and negative values therefore exceed the limit. -0 has the bits 0x8000 and is valid.
+    # The bit patterns of infinity and NaN are 0x7C00 or more, and those of negative values are 0x8000 or more.
+    # Infinity, NaN and negative values therefore exceed ``limit``. The value -0 has the bit pattern 0x8000 and is
+    # valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

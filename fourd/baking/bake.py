@@ -1,6 +1,6 @@
 """Export of a trained run to a scene file.
 
-Export evaluates the networks for every frame, so that rendering the scene file does not need the networks.
+Export evaluates the networks for every frame, so that a program can render the scene file without the networks.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
 
 GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
-"""Function that returns a camera's source view for the given points. The view has a depth map if occlusion is
+"""Function that returns a camera's source view for the given points. The returned view has a depth map if occlusion is
 tested."""
 
 MAX_BAKED_WEIGHT = 1024.0
-"""Maximum blend weight of each point after scaling. Weights are scaled so that small weights do not underflow in
-fp16."""
+"""Maximum blend weight of each point after scaling of the blend weights. The weights are scaled so that small weights
+do not underflow in fp16."""
 
 
 def bake_run(
@@ -50,11 +50,11 @@ def bake_run(
 ) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
-    Blend weights (fp16) and colours (uint8) are baked for every training view.
+    Blend weights (fp16) and colours (uint8) of the points are baked for every training view.
 
     Args:
-        layers: maximum number of points that a pixel composites, stored in the scene.
-        fps: playback rate, frames per second. None selects the rate of the run's frames in the recording, or 30 if
+        layers: maximum number of points that are composited per pixel. This number is stored in the scene.
+        fps: playback rate, frames per second. None selects the rate at which the run's frames were recorded, or 30 if
             this rate is not known.
 
     Raises:
@@ -86,7 +86,7 @@ def select_baked_views(run: Run) -> list[int]:
 
 
 def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | None = None) -> SceneManifest:
-    """Return the manifest of a run's scene. The numbers of points are missing, because the writer sets them.
+    """Return the manifest of a run's scene, without the numbers of points. The writer sets the numbers of points.
 
     For ``fps``, see :func:`bake_run`.
     """
@@ -117,7 +117,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate all properties of one frame's dynamic points that do not depend on the viewer.
+    """Evaluate all properties of one frame's dynamic points that do not depend on the viewing camera.
 
     ``sources`` are the camera indices from :func:`select_baked_views`.
     """
@@ -178,9 +178,9 @@ def _bake_points(
 def _bake_blending(
     model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView
 ) -> tuple[Tensor, Tensor]:
-    """Compute blend weights (N, V) and colours (N, V, 3) in [0, 1], view by view.
+    """Compute blend weights (N, V) and colours (N, V, 3) in [0, 1]. Each source view is evaluated separately.
 
-    A point has weight 0 in the views where it is occluded.
+    The blend weight of a point is 0 in each view where the point is occluded.
     """
     count = points.xyz.shape[0]
     weights = torch.zeros(count, len(sources))

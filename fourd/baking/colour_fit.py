@@ -1,7 +1,7 @@
-"""Spherical harmonics that are fitted to the colours of a scene.
+"""Fitting of spherical harmonics to the colours of a scene.
 
-For each point, the spherical harmonics are fitted by least squares to the point's colours as seen from the capture's
-cameras and from cameras between them. Directions from which the point is visible have the largest weights.
+For each point, spherical harmonics are fitted by least squares to the colours that the point shows to the capture's
+cameras and to cameras between them. Directions from which the point is visible have the largest weights.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from fourd.ops.points.arrays import point_visibility_numpy
 from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
 
 MIN_WEIGHT = 0.02
-"""Weight of a direction from which the point is not visible. A visible point has a weight of up to 1."""
+"""Weight, in the fit, of a direction from which the point is not visible. For a direction from which the point is
+completely visible, the weight is larger by 1."""
 RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
-"""Weight of the squared coefficients of degrees 0 to 3. This regularisation prevents fitting of noise."""
+"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics. This
+regularisation keeps the coefficients from fitting noise."""
 DIRECTIONS = 24
-"""Number of viewpoints from which a scene without cameras is sampled."""
+"""Number of viewpoints used for a scene without cameras."""
 _CHUNK = 8192
 _NEIGHBOURS = 2
 
@@ -31,11 +33,11 @@ Link = Callable[[NDArray[np.float32]], NDArray[np.float32]]
 
 
 class ColourFit:
-    """Fits spherical harmonics to the colours of a scene's clouds.
+    """Fits spherical harmonics to the colours of a scene's point clouds.
 
     Args:
         manifest: the manifest of the scene.
-        link: converts a colour to the value ``sum(coefficient * Y(direction))``.
+        link: converts a colour to the value that ``sum(coefficient * Y(direction))`` approximates.
         degree: largest degree of the harmonics, 0 to 3.
     """
 
@@ -47,17 +49,17 @@ class ColourFit:
 
     @property
     def terms(self) -> int:
-        """Number of harmonics."""
+        """Number of spherical harmonics per colour channel."""
         return (self.degree + 1) ** 2
 
     def fit(self, cloud: BakedFrame) -> NDArray[np.float32]:
-        """Return the coefficients (N, 3, terms) of the N points."""
+        """Return the coefficients (N, 3, terms) of the N points of ``cloud``."""
         if cloud.point_count == 0 or not self.cameras:
             return np.zeros((cloud.point_count, 3, self.terms), np.float32)
         return self._solve(cloud.xyz, *self._observe(cloud))
 
     def _observe(self, cloud: BakedFrame) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return the values to fit (C, N, 3) and their weights (C, N) from C cameras."""
+        """Return the values to be fitted, (C, N, 3), and their weights, (C, N), for C cameras."""
         targets, weights = [], []
         radius, density = cloud.radius.astype(np.float32), cloud.density.astype(np.float32)
         for camera in self.cameras:
@@ -71,7 +73,7 @@ class ColourFit:
     def _solve(
         self, xyz: NDArray[np.float32], targets: NDArray[np.float32], weights: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Solve the weighted least squares of every point. Returns (N, 3, terms)."""
+        """Solve the weighted least-squares problem of every point. Returns (N, 3, terms)."""
         degrees = np.arange(self.degree + 1)
         ridge = np.diag(np.repeat(RIDGE[: self.degree + 1], 2 * degrees + 1)).astype(np.float32)
         centres = np.stack([camera.centre for camera in self.cameras])
@@ -92,10 +94,10 @@ class ColourFit:
 
 
 def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
-    """Return the cameras from which the colours of a scene are sampled.
+    """Return the cameras for which the colours of a scene are evaluated.
 
-    These are the source views and the cameras between them, or all cameras if the scene has no source views. A scene
-    without cameras is sampled from all sides.
+    These cameras are the source views and cameras between them. If the scene has no source views, they are all cameras
+    of the scene. For a scene without cameras, viewpoints on a sphere around the scene are used.
     """
     cameras = manifest.source_cameras or manifest.cameras
     if cameras:
@@ -106,7 +108,7 @@ def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
 def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camera]:
     """Return cameras halfway between each camera and its nearest cameras, without duplicates.
 
-    The new cameras look at ``focus`` and have the intrinsics of one of their two neighbours.
+    The new cameras look at ``focus``. Each has the intrinsics of one of the two cameras between which it lies.
     """
     pairs = set()
     for index, camera in enumerate(cameras):
@@ -122,7 +124,7 @@ def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camer
 
 
 def _all_sides(manifest: SceneManifest) -> tuple[Camera, ...]:
-    """Return cameras on a sphere around the bounds, at the points of a spherical Fibonacci lattice."""
+    """Return cameras on a sphere around the bounds. Their centres form a spherical Fibonacci lattice."""
     lower, upper = (np.asarray(corner) for corner in manifest.bounds)
     centre, radius = (lower + upper) / 2, max(float(np.linalg.norm(upper - lower)), 1e-3)
     size, intrinsics = 256, np.array([[256.0, 0, 128], [0, 256.0, 128], [0, 0, 1]])

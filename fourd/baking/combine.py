@@ -1,4 +1,4 @@
-"""Combining a frame's dynamic points with the background of a full scene and the shadow on that background."""
+"""Combination of a frame's dynamic points with the background of a full scene and with the shadow on the background."""
 
 from __future__ import annotations
 
@@ -8,14 +8,15 @@ from numpy.typing import NDArray
 from fourd.baking.scene import SHADOW_IDENTITY, BakedFrame, make_frame
 
 _ROWS = 2048
-"""Number of points whose colours are multiplied by the shadow at a time. The data of these points fits in the L2
+"""Number of points whose colours are multiplied by the shadow in one block. The data of one block fits in the L2
 cache."""
 
 
 def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> BakedFrame:
     """Concatenate dynamic and background points, in this order, into one frame with new read-only arrays.
 
-    The combined frame refers to ``background``, so that a renderer can recognize a background that is already uploaded.
+    The combined frame keeps a reference to ``background``. A renderer can thereby recognize a background that was
+    already uploaded.
 
     Args:
         dynamic: the N dynamic points of the frame.
@@ -49,7 +50,7 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
 def _cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> None:
     """Multiply colours (M, V, 3) by factors (M,) in place. Results are rounded half up and clipped at 255.
 
-    Points with factor 1 are skipped. Most factors are 1.
+    Points with factor 1 are skipped, because most factors are 1.
     """
     points, views, channels = rgb.shape
     rows = rgb.reshape(points, views * channels)
@@ -58,6 +59,6 @@ def _cast_shadow(rgb: NDArray[np.uint8], shadow: NDArray[np.uint8]) -> None:
     for start in range(0, len(changed), _ROWS):
         chunk = changed[start : start + _ROWS]
         products = rows[chunk] * factors[start : start + _ROWS]
-        products += SHADOW_IDENTITY // 2  # The sum is at most 255 * 255 + 64 and fits 16 bits.
+        products += SHADOW_IDENTITY // 2  # The sum is at most 255 * 255 + 64, which fits in 16 bits.
         products //= SHADOW_IDENTITY
         rows[chunk] = np.minimum(products, 255, out=products)

@@ -1,11 +1,12 @@
-"""The `.4dv` file: a ZIP64 with manifest.json and one member per frame and attribute. A member is a file inside the
-ZIP.
+"""The `.4dv` file: a ZIP64 archive with manifest.json and one member per frame and attribute. A member is a file inside
+the archive.
 
-A full scene also stores the attributes of its background once. A full scene can also store one shadow per frame.
+The archive of a full scene also contains each attribute of the background, once for all frames. It can also contain one
+shadow per frame.
 
-Members are stored uncompressed, so that a seek or an HTTP range request can read one frame. The reader treats the file
-as untrusted: before it allocates memory, it compares the members' sizes with the manifest. The reader skips unknown
-members.
+Members are stored uncompressed, so that one frame can be read with a seek or an HTTP range request. The reader treats
+the file as untrusted: it compares the members' sizes with the manifest before it allocates memory. Members that the
+reader does not know are skipped.
 """
 
 from __future__ import annotations
@@ -45,21 +46,21 @@ def member_name(frame: int, attribute: str) -> str:
 
 
 class SceneWriter:
-    """Writes a scene frame by frame. Memory use does not grow with the number of frames.
+    """Writes a scene to a file, one frame after the other. Memory use does not grow with the number of frames.
 
     Use the writer as a context manager: the complete file appears at ``path`` when the block ends. If the block raises
-    an exception, an existing file at ``path`` is kept and no partial file remains.
+    an exception, no partial file remains, and an existing file at ``path`` is unchanged.
 
     Args:
-        path: path of the `.4dv`. A missing folder is created.
+        path: path of the `.4dv`. Missing folders of ``path`` are created.
         manifest: manifest of the scene. The writer sets ``points``, ``background``, ``version`` and
             ``optional_attributes`` from the added frames.
 
     Raises:
         UserError: if the disk is full or the path cannot be written.
-        ValueError: if frames are not added in order, if they do not match the manifest or each other, if they contain
-            values that :data:`fourd.baking.attributes.ATTRIBUTES` excludes, or if the background of a full scene is not
-            added exactly once.
+        ValueError: if frames are not added in order, do not match the manifest or each other, or contain values that
+            :data:`fourd.baking.attributes.ATTRIBUTES` excludes. Also if the background of a full scene is not added
+            exactly once.
     """
 
     def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
@@ -183,7 +184,7 @@ class SceneWriter:
 
 
 class SceneReader:
-    """Reads a `.4dv`. Every call reads the requested frame from the file. Only the background is cached.
+    """Reads a `.4dv`. Each call reads the requested frame from the file. Only the background is kept in memory.
 
     Several threads may use one instance.
 
@@ -214,14 +215,14 @@ class SceneReader:
     def read(self, index: int) -> BakedFrame:
         """Read frame ``index``, from 0: the dynamic points, followed by the background points with the frame's shadow.
 
-        The arrays are read-only. Raises IndexError if the scene has no such frame.
+        The arrays are read-only. Raises IndexError if the scene has no frame ``index``.
         """
         dynamic = self.read_dynamic(index)
         background = self.read_background()
         return dynamic if background is None else combine_frames(dynamic, background, self.read_shadow(index))
 
     def read_dynamic(self, index: int) -> BakedFrame:
-        """Read the dynamic points of frame ``index``. Raises IndexError if the scene has no such frame."""
+        """Read the dynamic points of frame ``index``. Raises IndexError if the scene has no frame ``index``."""
         self._require_frame(index)
         encoding = self.manifest.encoding
         return self._read(
@@ -244,7 +245,7 @@ class SceneReader:
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:
         """Read a frame's shadow factors, (M,) uint8 in units of 1/128. Returns None if the scene has no shadows.
 
-        Raises IndexError if the scene has no such frame.
+        Raises IndexError if the scene has no frame ``index``.
         """
         self._require_frame(index)
         if self.manifest.background is None or not self.manifest.background.shadow:
@@ -278,7 +279,7 @@ class SceneReader:
         return arrays
 
     def _unpack(self, folder: str, points: int, encoding: CloudEncoding) -> dict[str, NDArray[Any]]:
-        """Decode the members of a packed cloud."""
+        """Decode the members of a packed cloud of points."""
         views = self.manifest.view_count
         members = {name: self.read_member(f"{folder}/{name}") for name in packed_names(self.manifest)}
         with self._decoding(folder):
@@ -292,7 +293,7 @@ class SceneReader:
 
     @contextmanager
     def _decoding(self, name: str) -> Iterator[None]:
-        """Raise a UserError that names the file if the block finds a damaged member."""
+        """Raise a UserError that names the file if the code in the block finds a damaged member."""
         try:
             yield
         except StreamError as error:
@@ -300,7 +301,8 @@ class SceneReader:
             raise damaged(self.path, f"{expected} in {name}", got) from error
 
     def read_member(self, name: str) -> bytes:
-        """Return the stored bytes of a member. Raises KeyError if there is no such member, and UserError."""
+        """Return the bytes of a member as they are stored. Raises KeyError if there is no such member, and UserError if
+        the member is damaged or cannot be read."""
         if self._zip.fp is None:
             raise ValueError(f"{self.path}: expected an open scene, got a closed one")
         try:
@@ -338,7 +340,7 @@ def frame_folder(index: int) -> str:
 
 
 def _member_sizes(manifest: SceneManifest) -> Iterator[tuple[str, int | None]]:
-    """Yield the names of all members of a scene and their sizes in bytes, or None for compressed members."""
+    """Yield the name of each member of a scene and its size in bytes. The size is None for compressed members."""
     packed = manifest.encoding is not None
     folders = [(frame_folder(index), points) for index, points in enumerate(manifest.points)]
     if manifest.background is not None:

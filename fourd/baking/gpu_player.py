@@ -1,6 +1,6 @@
 """Rendering of baked frames on a GPU.
 
-The images match those of :mod:`fourd.baking.player`. Frames and images are stored in device memory.
+The images match those that :mod:`fourd.baking.player` draws on the CPU. Frames and images are stored in device memory.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class GpuFrame:
 
 
 class GpuPlayer:
-    """Draws frames on a CUDA device. For tests, a CPU device runs the CUDA kernels in an emulator."""
+    """Draws frames on a CUDA device. For tests, an emulator runs the CUDA kernels on the CPU."""
 
     def __init__(self, device: torch.device) -> None:
         """Raises ImportError if the device's kernels are not built."""
@@ -66,9 +66,10 @@ class GpuPlayer:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         out: Tensor | None = None,
     ) -> Tensor:
-        """Draw the same image as :meth:`fourd.baking.player.Player.draw`. Each byte differs by at most 1.
+        """Draw the same image as :meth:`fourd.baking.player.Player.draw`. Each byte differs from that image by at most
+        1.
 
-        The kernels are queued on torch's current stream. The call returns before the image is complete.
+        The work is queued on torch's current CUDA stream. The call returns before the image is complete.
 
         Returns:
             image (H, W, 4) uint8 on the device. If ``out`` is given, the image is drawn into ``out`` and ``out`` is
@@ -93,6 +94,6 @@ class GpuPlayer:
         )
 
     def shade(self, frame: GpuFrame, camera: Camera, manifest: SceneManifest) -> Tensor:
-        """Compute the colours of :func:`fourd.baking.shade.shade`, (N, 3) float32 on the device."""
+        """Compute the same colours as :func:`fourd.baking.shade.shade`, (N, 3) float32 on the device."""
         arrays = (frame.xyz, frame.sh, frame.blend_weights, frame.rgb)
         return shade_points_gpu(*arrays, make_shading(camera, manifest))

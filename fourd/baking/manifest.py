@@ -1,6 +1,7 @@
 """Conversion of SceneManifest to and from the manifest.json of a `.4dv`.
 
-The parser treats the file as untrusted: it checks the type, range and finiteness of every field. It skips unknown keys.
+The parser treats the file as untrusted: it checks the type, range and finiteness of every field. Unknown keys are
+skipped.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ KINDS: tuple[SceneKind, ...] = ("object", "full")
 
 
 class NewerVersionError(ManifestError):
-    """The manifest has a newer version than this program supports."""
+    """Error that is raised if the manifest has a newer version than this program supports."""
 
 
 def manifest_to_json(manifest: SceneManifest) -> bytes:
@@ -142,7 +143,8 @@ def _bounds(node: JsonNode) -> tuple[tuple[float, float, float], tuple[float, fl
 
 
 def _check_attributes(node: JsonNode) -> tuple[str, ...]:
-    """Check the known attributes and return the names of the optional attributes. Unknown attributes are skipped."""
+    """Check the attributes that this program knows, and return the names of the optional attributes. Unknown attributes
+    are skipped."""
     optional = []
     for attribute in ATTRIBUTES:
         if attribute.is_optional:

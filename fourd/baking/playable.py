@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Playable(Protocol):
-    """Renders frames by index."""
+    """Renders frames that are given by their indices."""
 
     @property
     def views(self) -> dict[str, Camera]:
@@ -30,7 +30,7 @@ class Playable(Protocol):
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """Centre of the scene, (3,), in world units."""
+        """Centre of the scene in world units, (3,)."""
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
@@ -46,7 +46,7 @@ class Playable(Protocol):
         """Render a frame (index from 0): RGB (H, W, 3) float32 in [0, 1].
 
         Args:
-            layers: K, the maximum number of points that a pixel composites. If ``layers`` is None, the value of the
+            layers: maximum number K of points that are composited per pixel. If ``layers`` is None, the value of the
                 scene or run is used.
             background: (3,) colour in [0, 1] behind the points.
         """
@@ -83,7 +83,7 @@ class PlayableScene:
 
 @dataclass(frozen=True)
 class PlayableRun:
-    """A trained run. Rendering evaluates the run's networks."""
+    """A trained run. Rendering evaluates the networks of the run."""
 
     trained: TrainedRun
 
@@ -138,8 +138,8 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    ``selection`` is A:B or A:B:S, which selects the frames from A to B - 1 with step S. None selects all frames. Raises
-    UserError.
+    The text ``selection`` is A:B or A:B:S. It selects the frames A, A + S, A + 2 S, ... below B. The default step S is
+    1. If ``selection`` is None, all frames are selected. Raises UserError.
     """
     numbers = playable.frame_numbers
     if selection is None:
@@ -152,5 +152,6 @@ def select_frames(playable: Playable, selection: str | None) -> list[int]:
 
 
 def selected_rate(playable: Playable, frames: Sequence[int]) -> float:
-    """Frames per second at which the evenly spaced frame indices ``frames`` play at the speed of the recording."""
+    """Frames per second at which the evenly spaced frames with the indices ``frames`` play at the speed of the
+    recording."""
     return playable.fps if len(frames) < 2 else playable.fps / (frames[1] - frames[0])

@@ -35,15 +35,15 @@ class Player:
         """Draw the frame from ``camera`` as an (H, W, 4) uint8 image. The channels are RGB over the background, and
         alpha.
 
-        The image differs from the image of :meth:`fourd.baking.rendering.Scene.render` in only two ways. Values are
-        rounded to bytes, and the compositing of a pixel ends when the pixel's transmittance falls below
+        The image differs in only two ways from the image that :meth:`fourd.baking.rendering.Scene.render` returns.
+        Values are rounded to bytes. Compositing of a pixel ends when the pixel's transmittance falls below
         :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
             camera: a pinhole camera without lens distortion.
-            layers: K, the maximum number of points that a pixel composites. If ``layers`` is None, the manifest's value
-                is used.
+            layers: maximum number K of points that are composited per pixel. If ``layers`` is None, the manifest's
+                value is used.
             background: RGB colour behind the points, in [0, 1].
             threads: number of threads. 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
             out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is created.

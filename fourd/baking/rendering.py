@@ -1,4 +1,4 @@
-"""Opening of baked scenes, and rendering of their frames with NumPy and the native kernels, without torch."""
+"""Opening of baked scenes, and rendering of their frames with NumPy and native kernels, without torch."""
 
 from __future__ import annotations
 
@@ -29,22 +29,23 @@ class RenderedImage:
     depth: NDArray[np.float32]
 
     def to_uint8(self) -> NDArray[np.uint8]:
-        """Convert ``rgb`` to (H, W, 3) uint8, rounded to nearest."""
+        """Convert ``rgb`` to (H, W, 3) uint8. Values are rounded to the nearest integer."""
         return np.round(self.rgb * 255).astype(np.uint8)
 
 
 class Scene:
     """An open baked scene. Several threads may use one instance.
 
-    Use the scene as a context manager, or call :meth:`close` at the end. The most recently used frames are cached, up
-    to ``cache_bytes``.
+    Use the scene as a context manager, or call :meth:`close` when it is no longer needed. The most recently used frames
+    are cached, up to ``cache_bytes``.
     """
 
     def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
         self._reader = open_reader(Path(path))
         manifest = self._reader.manifest
         largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
-        # ``cache_bytes`` includes the background, which the reader caches. The largest frame must fit in the cache.
+        # ``cache_bytes`` includes the memory of the background, which the reader keeps. The largest frame must fit in
+        # the cache.
         size = max(cache_bytes - manifest.background_nbytes, largest)
         self._cache: LRUCache[int, BakedFrame] = LRUCache(size, getsizeof=lambda frame: frame.nbytes)
         self._lock = Lock()
@@ -102,8 +103,8 @@ class Scene:
         Args:
             camera: a pinhole camera without lens distortion.
             frame: index of the frame, from 0.
-            layers: maximum number of points that a pixel composites. If ``layers`` is None, the manifest's value is
-                used.
+            layers: maximum number of points that are composited per pixel. If ``layers`` is None, the manifest's value
+                is used.
             background: (3,) RGB colour in [0, 1] behind the points, or None for black.
             threads: number of threads. 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 

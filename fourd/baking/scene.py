@@ -15,22 +15,22 @@ from fourd.cameras import Camera
 
 FORMAT_NAME = "fourd-scene"
 FORMAT_VERSION = 3
-"""The newest version of the file format that this program reads."""
+"""The newest version of the file format that this program can read."""
 OBJECT_VERSION, FULL_VERSION, PACKED_VERSION = 1, 2, 3
-"""Format versions of object scenes, of full scenes and of packed scenes. Object scenes keep version 1, so that older
-programs can read them."""
+"""Format versions that are written for object scenes, full scenes and packed scenes. Object scenes keep version 1, so
+that older programs can read them."""
 SHADOW_IDENTITY = 128
-"""The shadow value that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
+"""The shadow factor that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
 BAKED_LAYERS = 12
-"""Number of points that a pixel of an exported scene composites, unless the user chooses another number."""
+"""Default maximum number of points that are composited per pixel of an exported scene."""
 
 SceneKind = Literal["object", "full"]
 
 
 @dataclass(frozen=True, eq=False)
 class BakedFrame:
-    """The N points of one frame and their data in V source views. All arrays are C-contiguous.
+    """The N points of one frame, with their colours in V source views. All arrays are C-contiguous.
 
     Attributes:
         xyz: (N, 3) float32, world units.
@@ -39,7 +39,7 @@ class BakedFrame:
         sh: (N, 3, 16) float16, degree-3 spherical harmonics of red, green and blue.
         blend_weights: (N, V) float16, 0 or more. Shading normalizes the blend weights over the selected views.
         rgb: (N, V, 3) uint8, the point's colour in every source view.
-        background: the M background points, which are the last M points of this frame. All frames share the same
+        background: the M background points, which are also the last M points of this frame. All frames share the same
             background object. None if the frame has no background points.
         has_shadow: whether a shadow has been multiplied into the ``rgb`` of the last M points.
 
@@ -141,19 +141,19 @@ class SceneManifest:
         source_names, source_cameras: names and cameras of the V source views, in the order of the frames' arrays.
         focus: (x, y, z) in world units of the point at which angles between views are measured.
         bounds: lower and upper corner, in world units, of the box that contains the dynamic points.
-        frame_numbers: number of each frame in the capture.
+        frame_numbers: number in the capture of each frame.
         points: number of dynamic points of each frame; set by the writer.
         other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Other views
             are not source views, but images can be rendered from their cameras by name.
         fps: playback rate, frames per second.
-        is_fps_known: whether ``fps`` is the recording's frame rate or was set by the user.
-        layers: maximum number of points that a pixel composites (K in 4K4D).
-        neighbours: number of source views that are blended for an image (N' in 4K4D).
+        is_fps_known: whether ``fps`` is known to be the rate of the recording, or was set by the user.
+        layers: maximum number of points that are composited per pixel (K in 4K4D).
+        neighbours: number of source views that are blended for a viewing camera (N' in 4K4D).
         fade_views: whether the weight of a source view decreases with its angle to the viewing camera; see
             :func:`fourd.cameras.fading_weights`.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.
-        near: camera depth in world units below which points are culled.
+        near: depth in world units of the near plane. Points with a smaller depth are not rendered.
         kind: "object" (on black) or "full" (with a static background).
         background: static points of a full scene; set by the writer.
         producer: program and version that wrote the scene.
@@ -219,7 +219,7 @@ class SceneManifest:
         return self.source_cameras + self.other_cameras
 
     def camera(self, name: str) -> Camera:
-        """The camera with this name. Raises KeyError if there is no such camera."""
+        """The camera with the name ``name``. Raises KeyError if there is no such camera."""
         if name not in self.names:
             raise KeyError(name)
         return self.cameras[self.names.index(name)]
@@ -249,6 +249,6 @@ def select_attributes(optional: Iterable[str]) -> tuple[Attribute, ...]:
 
 
 def to_triple(values: Sequence[float] | NDArray[np.floating]) -> tuple[float, float, float]:
-    """Convert three numbers to a tuple of Python floats, the type that the manifest stores."""
+    """Convert three numbers to a tuple of Python floats, because the manifest stores this type."""
     x, y, z = (float(value) for value in values)
     return x, y, z

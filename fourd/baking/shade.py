@@ -13,9 +13,10 @@ from fourd.ops.shade.shading import Shading
 
 
 def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads: int = 0) -> NDArray[np.float32]:
-    """Compute the RGB colour of every point for the viewpoint of ``camera``, as (N, 3) float32 that is not clamped.
+    """Compute the RGB colour of every point as seen by ``camera``, (N, 3) float32. Colours are not clamped.
 
-    :func:`select_source_views` selects the source views. The formula is in :func:`fourd.ops.shade.op.shade_points`.
+    The source views are those that :func:`select_source_views` selects. The formula is in
+    :func:`fourd.ops.shade.op.shade_points`.
 
     Args:
         frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
@@ -26,13 +27,13 @@ def shade(frame: BakedFrame, camera: Camera, manifest: SceneManifest, *, threads
 
 
 def shade_reference(frame: BakedFrame, camera: Camera, manifest: SceneManifest) -> NDArray[np.float32]:
-    """Compute the same colours as :func:`shade`, with a slow and simple reference in NumPy."""
+    """Compute the same colours as :func:`shade`, with a slow, simple NumPy implementation."""
     arrays = (frame.xyz, frame.sh, frame.blend_weights, frame.rgb)
     return shade_points_reference(*arrays, make_shading(camera, manifest))
 
 
 def make_shading(camera: Camera, manifest: SceneManifest) -> Shading:
-    """Return the inputs that the kernels need to shade a scene's points for ``camera``."""
+    """Return the inputs from which the kernels compute the colours of a scene's points for ``camera``."""
     views = select_source_views(camera, manifest)
     indices = np.asarray(views.indices, dtype=np.int32)
     centre = np.ascontiguousarray(camera.centre)
@@ -40,10 +41,10 @@ def make_shading(camera: Camera, manifest: SceneManifest) -> Shading:
 
 
 def select_source_views(camera: Camera, manifest: SceneManifest) -> SelectedViews:
-    """Select the source views nearest to ``camera``, measured by the angle at the focus. ``manifest.neighbours`` is the
-    number of returned views.
+    """Select the source views with the smallest angles to ``camera``, measured at the focus. ``manifest.neighbours`` is
+    the number of returned views.
 
-    A scene without source views has no selected views.
+    If a scene has no source views, none are selected.
     """
     focus = np.asarray(manifest.focus)
     return select_views(camera, manifest.source_cameras, manifest.neighbours, focus, fade=manifest.fade_views)

@@ -1,4 +1,4 @@
-"""The container of binary glTF 2.0 files (GLB): a header, a JSON part and a binary part."""
+"""The container format of binary glTF 2.0 files (GLB): a header, a JSON part and a binary part."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
 def up_rotation(up: Array) -> list[float]:
-    """Unit quaternion (x, y, z, w) of the shortest rotation of ``up`` (3,), not zero, to the axis +y."""
+    """Unit quaternion (x, y, z, w) of the smallest rotation that maps the direction ``up`` (3,) to the +y axis. ``up``
+    must not be zero."""
     x, y, z = np.asarray(up, np.float64) / np.linalg.norm(up)
     if y < -1 + 1e-12:
         return [1.0, 0.0, 0.0, 0.0]
@@ -34,14 +35,15 @@ def up_rotation(up: Array) -> list[float]:
 
 
 def srgb_to_linear(values: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Convert sRGB colours in [0, 1] to linear colours in [0, 1] (IEC 61966-2-1), which glTF demands of vertices."""
+    """Convert sRGB colours in [0, 1] to linear colours in [0, 1] (IEC 61966-2-1). glTF requires linear vertex
+    colours."""
     return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
 
 
 def float_accessor(view: int, array: NDArray[np.floating[Any]], *, has_limits: bool = False) -> dict[str, Any]:
-    """The accessor of an array (N, 1 to 4) that the buffer view ``view`` stores as float32.
+    """The glTF accessor of an array (N, 1 to 4) that is stored as float32 in the buffer view ``view``.
 
-    With ``has_limits``, it states the smallest and largest values, as glTF demands of positions.
+    If ``has_limits`` is true, the accessor contains the smallest and largest values, which glTF requires for positions.
     """
     accessor = {"bufferView": view, "componentType": FLOAT, "count": len(array), "type": _TYPES[array.shape[1]]}
     if has_limits and len(array):
@@ -50,11 +52,11 @@ def float_accessor(view: int, array: NDArray[np.floating[Any]], *, has_limits: b
 
 
 def write_parts(path: Path, document: Mapping[str, Any], parts: Sequence[bytes], targets: Sequence[int | None]) -> None:
-    """Write a GLB file atomically. Part i becomes the buffer view i of the document.
+    """Write a GLB file atomically. ``parts[i]`` becomes the document's buffer view i.
 
     Args:
         path: the file.
-        document: the glTF document without buffers and buffer views.
+        document: the glTF document, without buffers and buffer views, which are added here.
         parts: contents of the buffer views.
         targets: for each part, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, or None for images.
 
@@ -75,15 +77,17 @@ def write_parts(path: Path, document: Mapping[str, Any], parts: Sequence[bytes],
 
 
 def pad(part: bytes, filler: bytes) -> bytes:
-    """Append ``filler`` until the length is a multiple of 4, which glTF demands of every part."""
+    """Append the byte ``filler`` until the length is a multiple of 4. glTF requires such lengths for every part."""
     return part + filler * (-len(part) % 4)
 
 
 def write_header(stream: BinaryIO, document: Mapping[str, Any], binary_length: int, name: str) -> None:
-    """Write everything before the binary part, whose length in bytes is a multiple of 4.
+    """Write everything before the binary part. ``binary_length``, the length of the binary part in bytes, must be a
+    multiple of 4.
 
     Raises:
-        UserError: if the file would be larger than 4 GiB, the limit of the format. ``name`` is used in the message.
+        UserError: if the file would be larger than 4 GiB, the limit of the format. The error message starts with
+            ``name``.
     """
     content = pad(json.dumps(document, separators=(",", ":")).encode("utf-8"), b" ")
     total = 12 + 8 + len(content) + 8 + binary_length

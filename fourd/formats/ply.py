@@ -58,8 +58,8 @@ def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
     """Write vertices as binary PLY, atomically.
 
     Args:
-        rows: structured array (N,). Its fields are little-endian float32 or uint8, and become properties of the same
-            names.
+        rows: structured array (N,), one field for each vertex property. The fields are little-endian float32 or uint8.
+            Each field becomes a PLY property with the field's name.
     """
     assert rows.dtype.names is not None
     words = {np.dtype("<f4"): "float", np.dtype("u1"): "uchar"}
@@ -73,8 +73,8 @@ def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
 def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours may have the type uchar, or float with values in [0, 1]. Points without colours become mid
-    grey. Other properties of vertices, and elements after the vertices, are skipped.
+    Colours may have the type uchar, or float with values in [0, 1]. Points without colours get a medium grey. Other
+    properties of vertices, and elements after the vertices, are skipped.
 
     Raises:
         UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
@@ -95,7 +95,7 @@ def read_vertices(path: Path) -> NDArray[Any]:
 
 
 def read_header(path: Path) -> PlyHeader:
-    """Read the header of a PLY file. Raises UserError if it is not valid."""
+    """Read the header of a PLY file. Raises UserError if the header is not valid."""
     return _read(path, 0)[0]
 
 
@@ -104,7 +104,7 @@ class PlyHeader:
     """The header of a PLY file.
 
     Attributes:
-        order: NumPy's sign of the byte order, or None for ASCII files.
+        order: NumPy's character for the byte order ("<" or ">"), or None for ASCII files.
         count: number of vertices that the header declares.
         properties: names and NumPy types of the vertices' properties.
     """

@@ -36,22 +36,24 @@ SUFFIXES: dict[Format, str] = {
     "ply": ".ply",
 }
 Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
-"""Formats of files with +y up. The other formats of splats have -y up."""
+"""Formats of files with +y up. The other formats of splats have -y up. The format "ply" keeps the axes of the scene."""
 MEASURED_VIEWS, MEASURED_FRAMES = 4, 3
-"""Largest numbers of viewpoints and frames from which the loss of an export is measured."""
+"""Maximum numbers of viewpoints and of frames for which the PSNR of an export is measured."""
 
 
 @dataclass(frozen=True)
 class ExportSettings:
-    """What is written.
+    """Settings of an export.
 
     Attributes:
         format: "ply-sequence": Gaussian splats in the PLY files of 3D Gaussian Splatting. "splat", "spz", "glb" and
             "usd": Gaussian splats in these formats. "ply": coloured points.
         frames: indices of the frames, from 0.
-        degree: largest degree of the spherical harmonics, 0 to 3. The formats "splat" and "ply" have only degree 0.
-        keep_axes: keep the scene's coordinates. Otherwise, the scene is rotated so that its up direction is the one
-            that programs expect of the format: +y for :data:`Y_UP`, and -y for the others. "ply" is never rotated.
+        degree: largest degree of the spherical harmonics, 0 to 3. The formats "splat" and "ply" can only store degree
+            0.
+        keep_axes: whether the files keep the scene's axes. If false, the scene is rotated to the up direction of the
+            format: +y for the formats in :data:`Y_UP`, and -y for other formats of splats. Scenes in the format "ply"
+            are never rotated.
     """
 
     format: Format
@@ -62,13 +64,15 @@ class ExportSettings:
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written.
+    """Result of an export.
 
     Attributes:
-        files: the files, one for each frame. For "usd", the file that plays the frames comes last.
-        bytes_per_frame: mean size of a frame's file.
-        psnr: mean PSNR in dB between the scene and the exported colours, at the pixels that show the scene. Both are
-            rendered as points of fourd, from the capture's cameras and from cameras between them. None without points.
+        files: the written files, one for each frame. For "usd", the last file is the additional file that plays the
+            frames.
+        bytes_per_frame: mean size of a frame's file in bytes.
+        psnr: PSNR in dB between renderings with the scene's colours and with the exported colours, averaged over the
+            measured images. Only pixels that show the scene are compared. Both renderings use fourd's points, the
+            capture's cameras and cameras between them. None if no image shows a point.
     """
 
     files: tuple[Path, ...]
@@ -106,9 +110,10 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
 
 
 def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
-    """The files of the frames: ``out`` itself if it has the suffix of the format, otherwise files in this folder.
+    """The files of the frames. This is ``out`` if ``out`` has the suffix of the format. Otherwise, these are files in
+    the folder ``out``, or in ``out/frames`` for USD.
 
-    The names end in the frames' numbers in the capture, so that other programs find the sequence.
+    Each name ends in the frame's number in the capture, so that other programs recognize the sequence.
     """
     suffix = SUFFIXES[settings.format]
     if out.suffix.lower() == suffix:
@@ -143,7 +148,7 @@ def _write_points(path: Path, cloud: SplatCloud) -> None:
 
 
 def _rotation(manifest: SceneManifest, settings: ExportSettings) -> NDArray[np.float64] | None:
-    """The rotation (3, 3) of the scene to the axes of the format, or None for none."""
+    """The rotation (3, 3) from the scene's axes to the axes of the format, or None if no rotation is needed."""
     from scipy.spatial.transform import Rotation
 
     if settings.keep_axes or settings.format == "ply" or not manifest.cameras:
@@ -156,7 +161,7 @@ def _rotation(manifest: SceneManifest, settings: ExportSettings) -> NDArray[np.f
 
 
 class _LossMeter:
-    """Measures the PSNR between a scene and its exported colours on some frames, from some viewpoints."""
+    """Measures the PSNR between a scene and its exported colours, for some frames and viewpoints."""
 
     def __init__(self, manifest: SceneManifest, frames: Sequence[int]) -> None:
         self._manifest = replace(
@@ -175,11 +180,12 @@ class _LossMeter:
 
     @property
     def psnr(self) -> float | None:
-        """Mean over the measured images; None if no image shows a point."""
+        """Mean PSNR in dB over the measured images; None if no image shows a point."""
         return float(np.mean(self._values)) if self._values else None
 
     def measure(self, scene: Scene, index: int, cloud: SplatCloud) -> None:
-        """Measure frame ``index``, if it is one of the measured frames. ``cloud`` has the scene's coordinates."""
+        """Measure frame ``index`` if it belongs to the frames that are measured. ``cloud`` must have the scene's
+        axes."""
         if index not in self._frames:
             return
         frame = frame_from_splats(cloud)

@@ -1,6 +1,6 @@
-"""Gaussian splats in GLB files, by the extension KHR_gaussian_splatting of glTF 2.0.
+"""Gaussian splats in GLB files, with the glTF 2.0 extension KHR_gaussian_splatting.
 
-Programs without the extension show coloured points.
+Programs that do not support the extension show coloured points.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ POINTS = 0
 
 
 def write_splat_glb(path: Path, cloud: SplatCloud) -> None:
-    """Write a cloud, atomically. The cloud has +y up, as glTF demands.
+    """Write a cloud of splats, atomically. The cloud must have +y up, as glTF requires.
 
     Raises UserError if the file would be larger than 4 GiB.
     """
@@ -41,7 +41,7 @@ def write_splat_glb(path: Path, cloud: SplatCloud) -> None:
 
 
 def _columns(cloud: SplatCloud) -> dict[str, NDArray[np.float32]]:
-    """The attributes of the primitive by name."""
+    """The attributes of the glTF primitive, with the attributes' names as keys."""
     linear = srgb_to_linear(cloud.base_colour).astype(np.float32)
     columns = {
         "POSITION": cloud.xyz,

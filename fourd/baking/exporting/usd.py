@@ -1,7 +1,7 @@
-"""Gaussian splats in USD files, by the schema ParticleField3DGaussianSplat of the package usd-core.
+"""Gaussian splats in USD files, with the schema ParticleField3DGaussianSplat of the package usd-core.
 
-Each frame is a file of its own. The file ``scene.usda`` plays the frames as value clips, so neither the writer nor a
-program that plays the scene holds all frames in memory.
+Each frame is stored in a separate file. The file ``scene.usda`` plays these files as value clips. Therefore, neither
+the writer nor a program that plays the scene must hold all frames in memory.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ def require_usd(path: Path) -> None:
 
 
 def write_splat_usd(path: Path, cloud: SplatCloud, time: float) -> None:
-    """Write one frame as a binary USD file (`.usdc`), atomically. Its values are samples at the time code ``time``.
+    """Write one frame as a binary USD file (`.usdc`), atomically. The attribute values are time samples at the time
+    code ``time``.
 
-    The cloud has +y up.
+    The cloud must have +y up.
     """
     from pxr import Usd, UsdGeom, UsdVol, Vt
 
@@ -63,7 +64,7 @@ def write_splat_usd(path: Path, cloud: SplatCloud, time: float) -> None:
 def write_usd_scene(folder: Path, frames: Sequence[str], degree: int, fps: float) -> None:
     """Write ``scene.usda``, which plays the files ``frames`` of ``folder`` at ``fps`` frames per second, atomically.
 
-    The time codes of the frames are 0, 1, 2 and so on.
+    The frames have the time codes 0, 1, 2 and so on.
     """
     from pxr import Usd, UsdGeom, UsdVol
 
@@ -100,7 +101,8 @@ def _animated(field: Any) -> list[Any]:
 
 
 def _extent(cloud: SplatCloud) -> NDArray[np.float32]:
-    """Lower and upper corner (2, 3) of the splats, three standard deviations wide."""
+    """Lower and upper corner (2, 3) of a box around the splats. The box extends three standard deviations beyond each
+    centre."""
     margin = 3 * cloud.scale.max(axis=1, keepdims=True)
     if len(cloud) == 0:
         return np.zeros((2, 3), np.float32)

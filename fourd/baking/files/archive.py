@@ -1,6 +1,7 @@
 """The ZIP archive of a `.4dv`: checks of its members, and errors that the user can fix.
 
-Members are stored without compression by the archive itself. The archive is untrusted input.
+The archive stores the bytes of members without compression. Members of packed scenes are compressed before they are
+stored. The archive is untrusted input.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ ZIP_ERRORS = (
 
 
 def make_member(name: str) -> zipfile.ZipInfo:
-    """Return the description of a member. Equal contents give equal archives, because the time is constant."""
+    """Return the ZIP entry of a member. The entry has a constant time, so that equal contents give equal archives."""
     info = zipfile.ZipInfo(name, _TIMESTAMP)
     info.external_attr = 0o644 << 16
     return info
@@ -55,7 +56,7 @@ def open_zip(path: Path) -> zipfile.ZipFile:
 
 
 def check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
-    """Check the names and sizes of the members, and return the members by name. Raises UserError."""
+    """Check the names and sizes of the members, and return the ZIP entries of the members by name. Raises UserError."""
     members: dict[str, zipfile.ZipInfo] = {}
     size, total = path.stat().st_size, 0
     for info in archive.infolist():
@@ -80,13 +81,13 @@ def check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
 
 
 def damaged(path: Path, expected: str, got: str) -> UserError:
-    """Return the error of a damaged file."""
+    """Return the error that is raised for a damaged file."""
     return UserError(f"{path}: expected {expected}, got {got}; the file is damaged: copy or export it again")
 
 
 @contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Raise a UserError that names ``path`` if the block cannot write to the disk."""
+    """Raise a UserError that names ``path`` if the code in the block cannot write to the disk."""
     try:
         yield
     except OSError as error:

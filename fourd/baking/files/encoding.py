@@ -1,4 +1,4 @@
-"""How a packed scene quantises its points."""
+"""Quantisation parameters of the points of a packed scene."""
 
 from __future__ import annotations
 
@@ -11,37 +11,40 @@ from numpy.typing import NDArray
 from fourd.ops.shade.harmonics import SH_TERMS
 
 Tier = Literal["full", "stream", "light"]
-"""How much a packed scene keeps. "full" looks like the unpacked scene. "stream" has coarser steps. "light" has no
-source views: all colour is in spherical harmonics."""
+"""Quality of a packed scene. "full" looks like the unpacked scene. "stream" has coarser quantisation steps than "full".
+"light" has no source views: all colours are stored as spherical harmonics."""
 TIERS: tuple[Tier, ...] = ("full", "stream", "light")
 
 SH_NUMBERS = 3 * SH_TERMS
 MAX_COLOUR_STEP = 127
 MAX_CODE = 255
-"""Largest code of a density or of a blend weight."""
+"""Maximum code of a density or of a blend weight."""
 
 
 @dataclass(frozen=True, eq=False)
 class CloudEncoding:
-    """How the points of one cloud are quantised. All frames share one encoding, and the background has its own.
+    """Parameters by which the points of one cloud are quantised. The dynamic points of all frames share one encoding,
+    and the background has a separate encoding.
 
     Attributes:
         lower: (3,) float64, smallest coordinates in world units.
-        position_step: distance between neighbouring positions of an axis, in world units.
+        position_step: quantisation step of the coordinates, in world units.
         position_bits: number of bits per coordinate, 1 to 21.
-        radius_lower: radius of the code 1, in world units. The code 0 is the radius 0.
-        radius_steps: number of codes from a radius to twice this radius.
-        density_levels: code of the density 1, at most 255.
-        sh_basis: (K, 48) float32, orthonormal rows. The coefficients of spherical harmonics of a point are ``sh_mean``
-            plus the sum of the rows, each multiplied by a factor. The 48 numbers are 16 terms for red, then for green,
-            then for blue.
-        sh_mean: (48,) float32.
+        radius_lower: radius in world units that the code 1 stands for. The code 0 stands for the radius 0.
+        radius_steps: number of codes per factor of 2 in the radius.
+        density_levels: code that stands for the density 1, at most 255.
+        sh_basis: (K, 48) float32, orthonormal basis vectors as rows. The spherical-harmonics coefficients of a point
+            are ``sh_mean`` plus the sum of the rows, where each row is multiplied by a factor of the point. The 48
+            numbers of a row are 16 coefficients for red, then 16 for green, then 16 for blue.
+        sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
-        weight_steps: number of codes from a blend weight to half this weight. The code 1 is the largest weight of the
-            point, and the code 0 is the weight 0.
-        colour_step: quantisation step of colours in source views, in units of 1/255, at most MAX_COLOUR_STEP.
-        every_point_has_colours: whether colours are stored for all source views of a point, or only for the views with
-            a blend weight above 0. Without a stored colour, a point has its mean colour.
+        weight_steps: number of codes per factor of 2 in the blend weight. The code 1 stands for the largest weight of
+            the point, and the code 0 stands for the weight 0.
+        colour_step: quantisation step of the colours in the source views, in units of 1/255. The step is at most
+            MAX_COLOUR_STEP.
+        every_point_has_colours: whether colours are stored for all source views of each point. If false, colours are
+            stored only for the views in which the point's blend weight is above 0. In views without a stored colour, a
+            point gets its mean colour.
     """
 
     lower: NDArray[np.float64]
@@ -59,7 +62,7 @@ class CloudEncoding:
 
     @property
     def code_bytes(self) -> int:
-        """Number of bytes of the Morton code of a position."""
+        """Number of bytes of the Morton code of a point's position."""
         return (3 * self.position_bits + 7) // 8
 
 

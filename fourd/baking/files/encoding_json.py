@@ -18,7 +18,7 @@ from fourd.baking.files.json_node import JsonNode
 from fourd.morton import MAX_BITS
 
 MAX_STEPS = 1 << 16
-"""Largest number of radius codes or weight codes per factor of 2."""
+"""Maximum number of codes per factor of 2, for radii and for weights."""
 
 
 def encoding_to_json(encoding: SceneEncoding) -> dict[str, Any]:
@@ -70,5 +70,5 @@ def _cloud_from_json(node: JsonNode) -> CloudEncoding:
 
 
 def _floats(values: np.ndarray[Any, np.dtype[np.float32]]) -> list[float]:
-    """Return the shortest decimal numbers that give the same float32 values."""
+    """Return the shortest decimal numbers that are read as the same float32 values."""
     return [float(str(value)) for value in values.ravel()]

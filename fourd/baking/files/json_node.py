@@ -14,7 +14,7 @@ Option = TypeVar("Option", bound=str)
 
 
 class ManifestError(ValueError):
-    """An invalid manifest. The message has the form "where: expected ..., got ..."."""
+    """Error that is raised for an invalid manifest. The message has the form "where: expected ..., got ..."."""
 
 
 class JsonNode:
@@ -50,7 +50,7 @@ class JsonNode:
         return value
 
     def choice(self, key: str, options: Sequence[Option]) -> Option:
-        """The text of a key, which must be one of the options."""
+        """The text of a key, which must be one of ``options``."""
         text = self.text(key)
         for option in options:
             if text == option:

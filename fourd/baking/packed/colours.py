@@ -1,4 +1,4 @@
-"""Colours of points in the source views that do not see them."""
+"""Colours of points in source views that do not see the points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fourd.baking.scene import BakedFrame
 def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
     """Return the mean colours (N, 3) over the source views, weighted by the blend weights.
 
-    A point whose blend weights are all 0 has the mean over all source views.
+    For a point whose blend weights are all 0, the colour is the mean over all source views with equal weights.
     """
     weights = frame.blend_weights.astype(np.float32)
     weights[~weights.any(axis=1)] = 1
@@ -22,10 +22,10 @@ def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
 
 
 def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
-    """Return the frame with the mean colours of the points in all views in which their blend weight is 0.
+    """Return the frame, where each point has its mean colour in all views in which its blend weight is 0.
 
-    A view with a blend weight of 0 does not see the point, so its colour is that of another surface. Shading uses these
-    colours only where the blend weights of all selected views are 0.
+    A view with a blend weight of 0 does not see the point. The stored colour in this view belongs to another surface.
+    Shading uses such a colour only where the blend weights of all selected views are 0.
     """
     if frame.view_count == 0:
         return frame
@@ -34,5 +34,6 @@ def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
 
 
 def has_own_unseen_colours(frame: BakedFrame) -> bool:
-    """Return whether the colour of some point, in a view with a blend weight of 0, differs from its mean colour."""
+    """Return whether any point has a colour that differs from its mean colour in a view in which its blend weight is
+    0."""
     return frame.view_count > 0 and not np.array_equal(fill_unseen_colours(frame).rgb, frame.rgb)

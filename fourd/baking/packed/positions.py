@@ -1,4 +1,4 @@
-"""Quantised positions as sorted Morton codes (Morton 1966)."""
+"""Quantised positions, stored as sorted Morton codes (Morton 1966)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from fourd.morton import morton_codes
 
 
 def encode_positions(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArray[np.uint64]:
-    """Return the Morton codes (N,) of positions (N, 3). Coordinates outside the encoding's range are clamped to it."""
+    """Return the Morton codes (N,) of positions (N, 3). Coordinates outside the range of the encoding are clamped to
+    this range."""
     largest = 2**encoding.position_bits - 1
     cells = np.rint((xyz - encoding.lower) / encoding.position_step)
     return morton_codes(np.clip(cells, 0, largest).astype(np.uint64))

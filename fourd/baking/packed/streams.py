@@ -1,6 +1,6 @@
-"""Members of a packed scene: byte planes under Zstandard (RFC 8878) or zlib (RFC 1950).
+"""Members of a packed scene: byte planes compressed with Zstandard (RFC 8878) or zlib (RFC 1950).
 
-Web browsers decompress zlib, but not Zstandard. The first bytes of a member state its compression.
+Web browsers decompress zlib, but not Zstandard. The first bytes of a member show which compression was used.
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import zstandard
 from numpy.typing import NDArray
 
 Compression = Literal["zstd", "zlib"]
-"""How the members of a file are compressed."""
+"""Compression format of the members of a file."""
 
 LEVEL, ZLIB_LEVEL = 19, 9
-"""Compression levels. The level hardly changes the time of decompression."""
+"""Compression levels of Zstandard and zlib. The level hardly changes the time of decompression."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
@@ -32,15 +32,15 @@ def compress(content: bytes, compression: Compression = "zstd") -> bytes:
 
 
 def stored(content: bytes) -> bytes:
-    """Compress a member's content fast, without making it much smaller. For checks in memory."""
+    """Compress a member's content fast, with little reduction in size. This function is used for checks in memory."""
     return zstandard.ZstdCompressor(level=-5, write_content_size=True).compress(content)
 
 
 def decompress(member: bytes, largest: int) -> NDArray[np.uint8]:
     """Return the content of a member as bytes (N,).
 
-    At most ``largest`` bytes are decompressed. The size that a Zstandard member declares is checked before memory is
-    allocated.
+    At most ``largest`` bytes are decompressed. The size that is declared in a Zstandard member is checked before memory
+    is allocated.
 
     Raises:
         StreamError: if the member is damaged, declares no size or has more than ``largest`` bytes.
@@ -84,14 +84,15 @@ def decompress_exactly(member: bytes, size: int) -> NDArray[np.uint8]:
 
 
 def split_planes(values: NDArray[np.unsignedinteger], planes: int) -> bytes:
-    """Return the lowest byte of all values, then the next byte of all values, and so on, for ``planes`` bytes."""
+    """Return the lowest bytes of all values, then the next bytes of all values, and so on, for ``planes`` bytes per
+    value."""
     return b"".join((values >> np.array(8 * plane, values.dtype)).astype(np.uint8).tobytes() for plane in range(planes))
 
 
 def join_planes(
     content: NDArray[np.uint8], planes: int, dtype: type[np.unsignedinteger]
 ) -> NDArray[np.unsignedinteger]:
-    """Return the values of :func:`split_planes`. ``content`` has ``planes`` times as many bytes as values."""
+    """Inverse of :func:`split_planes`: return the values. ``content`` contains ``planes`` bytes for each value."""
     rows = content.reshape(planes, -1)
     values = rows[0].astype(dtype)
     for plane in range(1, planes):
@@ -100,5 +101,5 @@ def join_planes(
 
 
 def zigzag(values: NDArray[np.int16]) -> NDArray[np.uint16]:
-    """Map 0, -1, 1, -2, 2, ... to 0, 1, 2, 3, 4, ..., so that small values have a high byte of 0."""
+    """Map the integers 0, -1, 1, -2, 2, ... to 0, 1, 2, 3, 4, ..., so that the high byte of small values is 0."""
     return ((values << 1) ^ (values >> 15)).view(np.uint16)

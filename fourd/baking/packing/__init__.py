@@ -1,1 +1,2 @@
-"""Writing of packed scenes: quantised and compressed frames, each of which decodes alone."""
+"""Writing of packed scenes, whose frames are quantised and compressed. Each frame can be decoded without the other
+frames."""

@@ -1,4 +1,4 @@
-"""Checks that a packed cloud differs from its source only by the rounding errors of its encoding."""
+"""Checks that a packed cloud differs from its source only by rounding errors of the encoding."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from fourd.baking.packed.streams import stored
 from fourd.baking.scene import BakedFrame
 
 HALF_PRECISION = 2.0**-11
-"""Largest relative rounding error of a float16."""
+"""Maximum relative rounding error of a float16."""
 
 
 def check_bounds(cloud: BakedFrame, members: Mapping[str, bytes], encoding: CloudEncoding) -> None:
     """Decode ``members`` and compare the result with ``cloud``, whose points are in the same order.
 
     Raises:
-        RuntimeError: if an error exceeds the bound that follows from the encoding's steps. The message names the
-            attribute.
+        RuntimeError: if an error exceeds the bound that follows from the encoding's quantisation steps. The error
+            message names the attribute.
     """
     compressed = {name: stored(content) for name, content in members.items()}
     decoded = decode_cloud(compressed, cloud.point_count, cloud.view_count, encoding)
@@ -40,8 +40,8 @@ def check_bounds(cloud: BakedFrame, members: Mapping[str, bytes], encoding: Clou
 
 
 def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: CloudEncoding) -> None:
-    """Check the root mean square error. Single points can have larger errors, because the basis contains only
-    components that a sampled point needs."""
+    """Check the root mean square error of the spherical-harmonics coefficients. Single points can have larger errors,
+    because the basis was computed from a sample of the points."""
     difference = decoded.astype(np.float32) - sh.astype(np.float32)
     rms = np.sqrt(np.square(difference).sum(axis=(1, 2)).mean() / SH_NUMBERS)
     magnitude = np.abs(sh.astype(np.float32)).max(initial=0)

@@ -1,4 +1,4 @@
-"""Chooses the steps of an encoding from samples of a scene's points."""
+"""Chooses the quantisation steps of an encoding from samples of a scene's points."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ from fourd.baking.scene import BakedFrame
 from fourd.morton import MAX_BITS
 
 SAMPLES, SAMPLES_PER_FRAME = 200_000, 2000
-"""Maximum number of points, in total and per frame, from which the basis of the spherical harmonics is computed."""
+"""Maximum number of points, in total and per frame, from which the basis of the spherical-harmonics coefficients is
+computed."""
 
 _SMALLEST = 1e-9
-"""Smaller numbers of the basis are set to 0, because arithmetic with subnormal numbers is slow."""
+"""Numbers in the basis whose absolute value is below this threshold are set to 0, because arithmetic with subnormal
+numbers is slow."""
 
 
 @dataclass(frozen=True)
 class Precision:
-    """Steps of a tier. See :class:`fourd.baking.files.encoding.CloudEncoding`.
+    """Quantisation steps of a tier. The fields correspond to those of
+    :class:`fourd.baking.files.encoding.CloudEncoding`.
 
-    ``positions_per_radius`` is the number of position steps per median radius. ``keeps_unseen_colours`` states whether
-    the colours of a point are kept in views with a blend weight of 0.
+    ``positions_per_radius`` is the number of position steps per median radius of the points. ``keeps_unseen_colours``
+    states whether a point's colours are also kept for views in which its blend weight is 0.
     """
 
     positions_per_radius: int
@@ -37,7 +40,7 @@ class Precision:
     keeps_unseen_colours: bool
 
     def coarser(self, factor: int) -> Precision:
-        """Return the precision with all steps multiplied by ``factor``."""
+        """Return the precision with all quantisation steps multiplied by ``factor``."""
         return Precision(
             max(self.positions_per_radius // factor, 1),
             max(self.radius_steps // factor, 1),
@@ -58,13 +61,13 @@ PRECISIONS: dict[Tier, Precision] = {
 
 @dataclass(frozen=True, eq=False)
 class CloudSamples:
-    """Extremes and samples of the points of a cloud.
+    """Extreme values and samples of the points of a cloud.
 
     Attributes:
         lower, upper: (3,) float64, smallest and largest coordinates.
         radius_lower: smallest radius above 0.
         radii: sampled radii.
-        sh: (S, 48) float32, sampled coefficients.
+        sh: (S, 48) float32, sampled spherical-harmonics coefficients.
         has_own_unseen_colours: see :func:`fourd.baking.packed.colours.has_own_unseen_colours`.
     """
 
@@ -90,8 +93,8 @@ def merge_samples(samples: Iterable[CloudSamples]) -> CloudSamples:
 
 
 def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
-    """Sample the points of one frame at equal distances in the order of its points. ``frames`` is the number of frames
-    that are sampled in total."""
+    """Sample the points of one frame at equal distances in their order. ``frames`` is the total number of frames that
+    are sampled."""
     if frame.point_count == 0:
         nothing = np.zeros(0, np.float32)
         return CloudSamples(
@@ -112,7 +115,7 @@ def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
 
 
 def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
-    """Return the encoding of a cloud for a precision."""
+    """Return the encoding of a cloud for the quantisation steps in ``precision``."""
     basis, mean = _sh_basis(samples.sh, precision.sh_step)
     radius = float(np.median(samples.radii)) if len(samples.radii) else 0.0
     side = float((samples.upper - samples.lower).max()) if np.isfinite(samples.lower).all() else 0.0
@@ -137,7 +140,8 @@ def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
 def _sh_basis(sh: NDArray[np.float32], step: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the principal components (K, 48) of the coefficients, and the mean (48,) of the coefficients.
 
-    Components that are at most half a step in all samples are left out, because they would be rounded to 0.
+    Components that are at most half a quantisation step in all samples are left out, because they would be rounded to
+    0.
     """
     if len(sh) == 0:
         return np.zeros((0, SH_NUMBERS), np.float32), np.zeros(SH_NUMBERS, np.float32)

@@ -1,4 +1,5 @@
-"""Light scenes: all colour as low-degree spherical harmonics, fitted to what the full scene shows."""
+"""Light scenes: all colours are stored as low-degree spherical harmonics, which are fitted to the colours of the full
+scene."""
 
 from __future__ import annotations
 
@@ -14,12 +15,12 @@ from fourd.ops.shade.harmonics import SH_TERMS
 LIGHT_SH_BASE, LIGHT_SH_RANGE = 0.5, 1.0
 """Constants of the colour ``base + range * tanh(sh . Y(d))`` in light scenes."""
 LIGHT_DEGREE = 2
-"""Largest degree of the spherical harmonics that are fitted."""
+"""Maximum degree of the fitted spherical harmonics."""
 MAX_TANH = 0.95
 
 
 class LightFit:
-    """Fits the points of a scene's clouds."""
+    """Fits spherical harmonics to the points of a scene, for a light scene."""
 
     def __init__(self, manifest: SceneManifest) -> None:
         self._fit = ColourFit(manifest, _before_tanh, LIGHT_DEGREE)

@@ -1,4 +1,4 @@
-"""Packing: convert a scene to version 3 of the `.4dv`."""
+"""Packing: conversion of a scene to version 3 of the `.4dv` format."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class PackReport:
 
     Attributes:
         bytes: size of the file.
-        parts: mean compressed bytes per frame of each kind of member, such as "points" or "views". "background" is the
-            size of the background, which is stored once.
-        streamed: mean compressed bytes per frame that a player fetches for one viewer: all members, but only
-            ``neighbours`` source views.
+        parts: mean compressed size per frame, in bytes, of each kind of member, such as "points" or "views".
+            "background" is the total size of the background, which is stored once.
+        streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera.
+            The player fetches all members except the views, of which it fetches only ``neighbours``.
     """
 
     bytes: int
@@ -48,14 +48,15 @@ def pack_scene(
     coarseness: int = 1,
     storage: Storage | None = None,
 ) -> PackReport:
-    """Write the scene ``source`` as a packed scene of a tier. Frames are read twice, one at a time.
+    """Write the scene ``source`` as a packed scene of a tier. Each frame is read twice, and only one frame is kept in
+    memory.
 
     Args:
         source: a `.4dv` of any version.
         out: path of the packed scene. ``out`` may be the same path as ``source``.
         tier: see :data:`fourd.baking.files.encoding.Tier`.
         track: reports progress.
-        coarseness: factor by which all steps are larger than those of the tier.
+        coarseness: factor by which the quantisation steps of the tier are multiplied.
         storage: compression and order of the members.
 
     Raises:
@@ -70,9 +71,9 @@ def pack_scene(
 
 
 def measure_frames(reader: SceneReader, frames: Sequence[int], tier: Tier, coarseness: int) -> float:
-    """Return the mean bytes per frame that a player fetches for one viewer, measured on some of the frames.
+    """Return the mean bytes per frame that a player fetches for one viewing camera. The mean is over ``frames``.
 
-    ``frames`` are indices of frames. The background is not included, because it is fetched once.
+    ``frames`` are frame indices. The background is not included, because it is fetched once.
     """
     packer = _Packer(reader, tier, coarseness, frames, untracked)
     sizes = {
@@ -84,7 +85,7 @@ def measure_frames(reader: SceneReader, frames: Sequence[int], tier: Tier, coars
 
 
 class _Packer:
-    """Packs the frames of a scene with one encoding, which is fitted to some of the frames."""
+    """Packs the frames of a scene with one encoding, which is chosen from samples of some frames."""
 
     def __init__(self, reader: SceneReader, tier: Tier, coarseness: int, frames: Sequence[int], track: Track) -> None:
         if not frames:
@@ -104,7 +105,7 @@ class _Packer:
         self.manifest = replace(manifest, encoding=self.encoding)
 
     def frame_members(self, index: int) -> dict[str, bytes]:
-        """Return the content of the members of a frame, without its shadow."""
+        """Return the contents of the members of a frame, without the frame's shadow."""
         frame = self.convert(self.reader.read_dynamic(index))
         return _members(frame, self.encoding.dynamic, morton_sorted(frame, self.encoding.dynamic))
 
@@ -124,7 +125,7 @@ class _Packer:
 
 
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
-    """Return the function that prepares a cloud for the tier, and the manifest of the result."""
+    """Return the function that converts a cloud for the tier, and the manifest of the packed scene."""
     if tier != "light" or manifest.view_count == 0:
         return lambda cloud: cloud, manifest
     fit = LightFit(manifest)
@@ -141,7 +142,7 @@ def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFra
 
 
 def _members(cloud: BakedFrame, encoding: CloudEncoding, order: NDArray[np.int64]) -> dict[str, bytes]:
-    """Encode a cloud in the given order, and check the errors of the result."""
+    """Encode a cloud whose points are already in storage order, and check the errors of the result."""
     ordered = make_frame({name: array[order] for name, array in cloud.arrays.items()})
     members = encode_cloud(ordered, encoding)
     check_bounds(ordered, members, encoding)

@@ -1,4 +1,4 @@
-"""Chooses the tier of a packed scene that a network connection can play without pauses."""
+"""Selects the best tier of a packed scene that plays without pauses over a given network connection."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from fourd.baking.packing.pack import measure_frames
 from fourd.errors import UserError
 
 SAMPLED_FRAMES = 3
-"""Number of frames from which the bytes of a tier are estimated."""
+"""Number of frames from which the bytes per frame of a tier are estimated."""
 MARGIN = 0.95
-"""Share of the connection's rate that the estimated rate may use. The rest is for frames that are larger than the
-mean."""
+"""Share of the connection's data rate that the estimated data rate may use. The rest is for frames that are larger than
+the mean."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A tier, the factor by which its steps are coarser, and its estimated rate in megabits per second."""
+    """A tier, the factor that multiplies its quantisation steps, and its estimated data rate in megabits per second."""
 
     tier: Tier
     coarseness: int
@@ -34,16 +34,17 @@ CANDIDATES: tuple[tuple[Tier, int], ...] = (
     ("light", 2),
     ("light", 4),
 )
-"""Tiers and coarsenesses from best to smallest."""
+"""Pairs of a tier and the factor that multiplies its quantisation steps, from the best to the smallest scene."""
 
 
 def choose_tier(source: Path, max_mbps: float, name: Path) -> Choice:
-    """Return the best tier whose frames, as fetched for one viewer, fit ``max_mbps`` megabits per second.
+    """Return the best candidate whose data rate for one viewing camera is at most ``MARGIN * max_mbps`` megabits per
+    second.
 
-    ``name`` is the file that the error message names, because ``source`` may be a temporary file.
+    ``name`` is the file name in the error message, because ``source`` may be a temporary file.
 
     Raises:
-        UserError: if even the smallest tier needs more, or if ``source`` is not a valid scene.
+        UserError: if even the smallest candidate has a higher data rate, or if ``source`` is not a valid scene.
     """
     reader = SceneReader(source)
     try:

@@ -1,4 +1,4 @@
-"""Packs a scene as the user asked, and prints the sizes of its parts."""
+"""Packs a scene with the user's settings, and prints the sizes of its parts."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ CONTENTS = {
     "shadow": "shadows on the background",
     "optional": "optional attributes",
 }
-"""What the members of each kind contain."""
+"""Description of each kind of member, for the printed table."""
 
 
 @dataclass(frozen=True)
 class PackSettings:
-    """The tier, or the rate of a connection in megabits per second.
+    """The tier of a packed scene, or the data rate of a connection in megabits per second.
 
-    If a rate is given, the best tier for this rate is chosen, and ``tier`` is ignored.
+    If ``max_mbps`` is given, the best tier for this rate is chosen, and ``tier`` is ignored.
     """
 
     tier: Tier
@@ -38,9 +38,9 @@ class PackSettings:
 def pack_and_report(
     source: Path, out: Path, settings: PackSettings, console: Console, name: Path | None = None
 ) -> None:
-    """Pack ``source`` as ``out``, and print the sizes. Raises UserError.
+    """Pack ``source`` as ``out``, and print the sizes of the parts. Raises UserError.
 
-    ``name`` is the file that error messages name, by default ``source``.
+    ``name`` is the file name in error messages; None stands for ``source``.
     """
     tier, coarseness = settings.tier, 1
     if settings.max_mbps is not None:
@@ -52,7 +52,7 @@ def pack_and_report(
 
 
 def print_sizes(console: Console, report: PackReport) -> None:
-    """Print a table of bytes per frame."""
+    """Print a table with the bytes per frame of each part."""
     table = Table(box=None, pad_edge=False)
     table.add_column("part")
     table.add_column("kB per frame", justify="right")

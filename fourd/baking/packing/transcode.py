@@ -1,4 +1,5 @@
-"""Copies packed scenes with another compression of their members. The points are not quantised again."""
+"""Copies packed scenes and compresses their members with another method. The points are not quantised again, so no
+precision is lost."""
 
 from __future__ import annotations
 
@@ -14,7 +15,8 @@ from fourd.progress import Track, untracked
 
 
 def transcode_scene(source: Path, out: Path, storage: Storage, track: Track = untracked) -> None:
-    """Write the packed scene ``source`` as ``out`` with another compression and order of members. Frames are checked.
+    """Write the packed scene ``source`` as ``out``, with another compression and another order of the members. The
+    frames of ``source`` are checked.
 
     Raises:
         UserError: if ``source`` is damaged or is not a packed scene, or if ``out`` cannot be written.
@@ -40,7 +42,7 @@ def transcode_scene(source: Path, out: Path, storage: Storage, track: Track = un
 
 
 def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEncoding) -> dict[str, bytes]:
-    """Return the decompressed content of the members of a cloud, which the reader has checked."""
+    """Return the decompressed contents of a cloud's members. The reader must have checked the members before."""
     manifest = reader.manifest
     optional = [item.nbytes(points, manifest.view_count) for item in manifest.attributes if item.is_optional]
     largest = max(points * max(encoding.code_bytes + 3, 2 * SH_NUMBERS), *optional, 0)

@@ -1,6 +1,7 @@
-"""Writes packed scenes. The first member of the file is the manifest, which also has the offsets of all other members.
+"""Writes packed scenes. The first member of the file is the manifest. The manifest contains the offsets of all other
+members.
 
-A player that reads the file over a network can therefore fetch any frame after one request.
+Therefore, after it has fetched the manifest, a player on a network can fetch any frame.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from fourd.baking.scene import PACKED_VERSION, SceneManifest
 from fourd.files import atomic_path
 
 _BYTES_PER_MEMBER = 64
-"""Room in the manifest for the name, the offset and the size of a member."""
+"""Bytes that are reserved in the manifest for the name, the offset and the size of one member."""
 _BYTES_PER_FRAME = 64
-"""Room in the manifest for the number and the point count of a frame."""
+"""Bytes that are reserved in the manifest for the number and the point count of one frame."""
 _LOCAL_HEADER = struct.Struct("<4s5H3L2H")
 _CRC_OFFSET = 14
-"""Position of the checksum in the local header of a member (ZIP appnote 4.3.7)."""
+"""Offset of the CRC-32 checksum in the local header of a member, in bytes (ZIP appnote 4.3.7)."""
 
 
 @dataclass(frozen=True)
 class Storage:
-    """How a packed scene is stored.
+    """Compression and order of the members of a packed scene.
 
     Attributes:
-        compression: compression of all members. Web browsers read "zlib" alone.
-        view_order: order of the source views inside each cloud's part of the file. Players on a network read views that
-            are neighbours in the file with one request. Empty for the order of the manifest.
+        compression: compression of all members. Web browsers can only decompress "zlib".
+        view_order: order of the source views inside each cloud's part of the file. A player on a network reads views
+            that are adjacent in the file with one request. If empty, the views have the order of the manifest.
     """
 
     compression: Compression = "zstd"
@@ -47,13 +48,13 @@ class Storage:
 
 
 class PackedWriter:
-    """Writes a packed scene member by member. Memory use does not grow with the number of frames.
+    """Writes a packed scene, one member after the other. Memory use does not grow with the number of frames.
 
     Use the writer as a context manager: the complete file appears at ``path`` when the block ends. If the block raises
-    an exception, an existing file at ``path`` is kept and no partial file remains.
+    an exception, no partial file remains, and an existing file at ``path`` is unchanged.
 
     Args:
-        path: path of the `.4dv`. A missing folder is created.
+        path: path of the `.4dv`. Missing folders of ``path`` are created.
         manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``.
         storage: compression and order of the members.
 
@@ -89,7 +90,7 @@ class PackedWriter:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """The compressed size of every member so far, in bytes."""
+        """The compressed size in bytes of each member that was written so far."""
         return dict(self._sizes)
 
     def __exit__(
@@ -103,7 +104,7 @@ class PackedWriter:
             return
         with disk_errors(self.path), self._stack:
             manifest = self._complete_manifest()
-            # The central directory repeats the checksum of the manifest.
+            # The central directory of the ZIP repeats the checksum of the manifest.
             self._zip.getinfo(MANIFEST_NAME).CRC = zlib.crc32(manifest)
             self._zip.close()
             self._overwrite_manifest(manifest)
@@ -141,7 +142,7 @@ class PackedWriter:
         return text.ljust(self._manifest_room())
 
     def _overwrite_manifest(self, manifest: bytes) -> None:
-        """Replace the spaces that :meth:`__enter__` wrote, and their checksum."""
+        """Replace the spaces that :meth:`__enter__` wrote by the manifest, and correct the manifest's checksum."""
         with open_zip(self._temporary) as archive:
             header = archive.getinfo(MANIFEST_NAME).header_offset
         with self._temporary.open("rb+") as stream:

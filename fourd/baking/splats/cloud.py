@@ -1,4 +1,4 @@
-"""Gaussian splats: the points of one frame as other programs of the field store them."""
+"""Gaussian splats: the points of one frame in the form that other programs use."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS, directional_terms
 
 LARGEST = 1e9
-"""Largest absolute value of a splat's numbers."""
+"""Maximum absolute value of the numbers of a splat."""
 SMALLEST_SCALE = 1e-10
 TERMS_BY_DEGREE = (1, 4, 9, 16)
-"""Number of spherical harmonics up to degrees 0 to 3."""
+"""Number of spherical harmonics of degrees 0 to D, for D = 0, 1, 2 and 3."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,9 +24,9 @@ class SplatCloud:
         xyz: (N, 3) float32, centres in world units.
         scale: (N, 3) float32, standard deviations along the splat's axes in world units, above 0.
         rotation: (N, 4) float32, unit quaternions (w, x, y, z) from the splat's axes to the world.
-        opacity: (N,) float32 in [0, 1], at the centre.
-        sh: (N, 3, T) float32, T of 1, 4, 9 or 16 spherical harmonics. The colour is ``0.5 + sum(sh * Y(d))``, where d
-            is the direction from the camera to the splat.
+        opacity: (N,) float32 in [0, 1], at the centre of the splat.
+        sh: (N, 3, T) float32, spherical-harmonics coefficients, where T is 1, 4, 9 or 16. The colour is ``0.5 + sum(sh
+            * Y(d))``, where d is the direction from the camera to the splat.
 
     Raises:
         ValueError: for a wrong shape. The message names the array.
@@ -68,10 +68,11 @@ def make_valid_cloud(
     opacity: NDArray[np.float32],
     sh: NDArray[np.float32],
 ) -> SplatCloud:
-    """Make a cloud from values that were read from a file. The quaternions may have any length.
+    """Make a cloud from values that were read from a file. The quaternions need not be normalised.
 
-    Splats are left out if a value is NaN, infinite or larger than :data:`LARGEST`, if a scale is not above 0, or if the
-    quaternion is 0. Opacities are clamped to [0, 1]. Shapes are those of :class:`SplatCloud`.
+    A splat is left out if one of its values is NaN, infinite or larger than :data:`LARGEST`. A splat is also left out
+    if a scale is not above 0, or if the quaternion is 0. Opacities are clamped to [0, 1]. The arguments have the shapes
+    of the fields of :class:`SplatCloud`.
     """
     length = np.linalg.norm(rotation.astype(np.float64), axis=1, keepdims=True)
     values = np.concatenate(
@@ -88,11 +89,11 @@ def make_valid_cloud(
 
 
 def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud:
-    """Rotate a cloud about the origin.
+    """Rotate a cloud about the origin by the matrix R = ``rotation``.
 
     Args:
-        rotation: (3, 3) matrix R. A point x moves to R x, and its colour seen along R d is the colour that was seen
-            along d.
+        rotation: (3, 3) matrix R. A point x moves to R x. From the direction R d, the point has the colour that it had
+            from the direction d.
     """
     turned = _multiply(_quaternion(rotation), cloud.rotation)
     harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]
@@ -106,9 +107,11 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
 
 
 def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The matrix (16, 16) that rotates spherical harmonics coefficients. It mixes only terms of the same degree.
+    """The matrix (16, 16) that rotates the coefficients of the spherical harmonics. The matrix mixes only coefficients
+    of the same degree.
 
-    The rotated coefficients are the exact solution of a linear system over more directions than terms.
+    The colours are compared in more directions than there are coefficients. The linear system nevertheless has an exact
+    solution.
     """
     directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -130,7 +133,7 @@ def _quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _multiply(left: NDArray[np.float64], right: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The products (N, 4) of one quaternion and N quaternions, all (w, x, y, z)."""
+    """The products (N, 4) of one quaternion with N quaternions, all (w, x, y, z)."""
     w, x, y, z = left
     matrix = np.array([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]])
     return np.asarray(right @ matrix.T, np.float32)

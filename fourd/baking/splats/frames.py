@@ -1,7 +1,7 @@
 """Conversion between the frames of a scene and Gaussian splats.
 
-A point of fourd has the opacity ``density * (1 - d^2 / radius^2)`` at the distance d from its centre. A Gaussian with
-the standard deviation ``radius / 2`` and the same opacity at the centre has the same integral.
+The alpha of a fourd point is ``density * (1 - d^2 / radius^2)`` at the distance d from its centre. A Gaussian splat
+with the standard deviation ``radius / 2`` and the same alpha at the centre has the same integral over the image.
 """
 
 from __future__ import annotations
@@ -18,27 +18,27 @@ from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS
 
 RADIUS_PER_SCALE = 2.0
 SPLAT_SH_BASE, SPLAT_SH_RANGE = 0.5, 16.0
-"""Constants of the colour ``base + range * tanh(sh . Y(d))`` of frames that are made from splats. With this range, the
-formula differs from the linear formula of splats by less than 0.002 for colours in [-0.5, 1.5]."""
+"""Constants of the colour formula ``base + range * tanh(sh . Y(d))`` of frames that are made from splats. With this
+large range, the formula differs by less than 0.002 from the linear formula of splats, for colours in [-0.5, 1.5]."""
 MAX_PIECES = 8
-"""Maximum number of points that replace one elongated splat."""
+"""Maximum number of points by which one elongated splat is replaced."""
 _SAMPLES = 4096
-"""Number of points at which the spacing of coloured points is measured."""
+"""Number of coloured points from which their spacing is measured."""
 _POINT_SCALE = 0.9
-"""Standard deviation of a coloured point's splat, in multiples of the distance to the nearest point."""
+"""Standard deviation of the splat of a coloured point, as a multiple of the distance to the nearest point."""
 MAX_HALF = float(np.finfo(np.float16).max)
 _SPREAD = 2.4
-"""Distance between the outermost pieces of an elongated splat, in standard deviations of the splat."""
+"""Distance between the first and last point that replace an elongated splat, in standard deviations of the splat."""
 
 
 class SplatFit:
-    """Converts frames of a scene to splats, with colours that are fitted by least squares."""
+    """Converts frames of a scene to splats. The splats' colours are fitted by least squares."""
 
     def __init__(self, manifest: SceneManifest, degree: int) -> None:
         self._fit = ColourFit(manifest, _centred, degree)
 
     def convert(self, frame: BakedFrame) -> SplatCloud:
-        """Return one round splat for each point that is not transparent."""
+        """Return one round splat for each point that is not completely transparent."""
         sh = self._fit.fit(frame)
         radius, density = frame.radius.astype(np.float32), frame.density.astype(np.float32)
         kept = (radius > 0) & (density > 0)
@@ -50,7 +50,8 @@ class SplatFit:
 
 
 def cloud_from_points(points: ColouredPoints) -> SplatCloud:
-    """Return round, opaque splats at coloured points. Their size closes the gaps between neighbouring points."""
+    """Return round, opaque splats at coloured points. The splats are large enough to close the gaps between
+    neighbouring points."""
     xyz, rgb = points
     sample = xyz[:: max(len(xyz) // _SAMPLES, 1)]
     distances = np.asarray(cKDTree(xyz).query(sample, k=2)[0])[:, 1] if len(xyz) > 1 else np.ones(1)
@@ -63,10 +64,10 @@ def cloud_from_points(points: ColouredPoints) -> SplatCloud:
 
 
 def frame_from_splats(cloud: SplatCloud) -> BakedFrame:
-    """Return the points that show a cloud of splats in a scene without source views.
+    """Return points that look like a cloud of splats, for a scene without source views.
 
-    Points are round. A splat whose longest axis is much longer than its middle axis becomes several points along the
-    longest axis. The shortest axis is ignored, so flat splats become thicker.
+    Points of fourd are round. Therefore, a splat whose longest axis is much longer than its middle axis is replaced by
+    several points along the longest axis. The shortest axis of a splat is ignored, so flat splats become thicker.
     """
     order = np.argsort(-cloud.scale, axis=1)
     scale = np.take_along_axis(cloud.scale, order, axis=1)
@@ -95,7 +96,8 @@ def _centred(colour: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _axes(rotation: NDArray[np.float32]) -> NDArray[np.float64]:
-    """The rotation matrices (N, 3, 3) of unit quaternions (w, x, y, z). Their columns are the splats' axes."""
+    """The rotation matrices (N, 3, 3) of unit quaternions (w, x, y, z). The columns of a matrix are the axes of the
+    splat."""
     from scipy.spatial.transform import Rotation
 
     if len(rotation) == 0:

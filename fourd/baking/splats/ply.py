@@ -1,7 +1,7 @@
 """Gaussian splats in PLY files, with the properties of 3D Gaussian Splatting (Kerbl et al. 2023).
 
-Scales are logarithms, opacities are logits, rotations are quaternions (w, x, y, z), and the spherical harmonics above
-degree 0 are stored channel by channel.
+Scales are stored as logarithms, opacities as logits, and rotations as quaternions (w, x, y, z). The spherical-harmonics
+coefficients above degree 0 are stored channel by channel.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ REQUIRED = (
     *(f"rot_{axis}" for axis in range(4)),
     *(f"f_dc_{channel}" for channel in range(3)),
 )
-"""Properties that a PLY file of splats must have."""
+"""Properties that a PLY file needs to be read as splats."""
 
 
 def write_splat_ply(path: Path, cloud: SplatCloud) -> None:
@@ -47,7 +47,7 @@ def write_splat_ply(path: Path, cloud: SplatCloud) -> None:
 
 
 def is_splat_ply(path: Path) -> bool:
-    """Whether a PLY file has the properties of splats. Raises UserError if its header is not valid."""
+    """Whether a PLY file has the properties of splats. Raises UserError if the file's header is not valid."""
     return read_header(path).names >= set(REQUIRED)
 
 

@@ -1,4 +1,4 @@
-"""Scenes that are read from files of Gaussian splats or of coloured points: one file for each frame."""
+"""Reading of scenes from files of Gaussian splats or of coloured points, with one file for each frame."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ from fourd.formats.ply import read_header, read_ply
 
 SUFFIXES = (".ply", ".splat")
 SPLAT_LAYERS = 48
-"""Number of points composited per pixel. Splats are less opaque than the points of fourd, so more of them overlap."""
+"""Maximum number of points that are composited per pixel. Splats are less opaque than fourd's points, so more splats
+must be composited."""
 CAMERAS = 8
-"""Number of cameras around the splats, whose files have no cameras."""
+"""Number of cameras that are placed around the splats. Files of splats contain no cameras."""
 OUTLIERS = 2.0
-"""Percentage of the splats that may lie beyond each side of the bounds."""
+"""Percentage of the splats that may lie outside the bounds, for each of the six sides."""
 IMAGE_SIZE, FOCAL = (960, 720), 800.0
 
 
@@ -34,7 +35,7 @@ def open_reader(path: Path) -> SceneReader | SplatReader:
 
 
 def is_splats(path: Path) -> bool:
-    """Whether a path is a file of splats or points by its name, or a folder that contains such files and no run."""
+    """Whether a path names a file of splats or points, or a folder with such files that is not a run."""
     if path.is_dir():
         return not (path / "config.yaml").exists() and bool(_list_files(path))
     return path.suffix.lower() in SUFFIXES
@@ -43,9 +44,9 @@ def is_splats(path: Path) -> bool:
 class SplatReader:
     """Reads splats as a scene without source views. Every call reads the requested frame from its file.
 
-    The interface is that of :class:`fourd.baking.container.SceneReader`. The up direction of splats is -y, as programs
-    for Gaussian splats assume. The up direction of coloured points is +z. ``manifest.points`` counts the splats of the
-    files.
+    The interface is that of :class:`fourd.baking.container.SceneReader`. The up direction of splats is -y, which is the
+    convention of programs for Gaussian splats. The up direction of coloured points is +z. ``manifest.points`` contains
+    the numbers of splats in the files.
 
     Args:
         path: a `.ply` or `.splat` file, or a folder with one file for each frame.
@@ -91,18 +92,18 @@ class SplatReader:
         return frame_from_splats(_read_cloud(self._files[index]))
 
     def read_dynamic(self, index: int) -> BakedFrame:
-        """Read frame ``index``. Splats have no separate background."""
+        """Read frame ``index``. There is no separate background."""
         return self.read(index)
 
     def read_background(self) -> None:
-        """Return None: splats have no separate background."""
+        """Return None, because splats have no separate background."""
 
     def read_shadow(self, index: int) -> None:
-        """Return None: splats have no separate background."""
+        """Return None, because splats have no shadows."""
 
 
 def _list_files(folder: Path) -> list[Path]:
-    """The files of splats in a folder, in the order of the last number in their names."""
+    """The files of splats in a folder, ordered by the last number in their names."""
     files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file()]
     return sorted(files, key=lambda file: (_last_number(file), file.name))
 
@@ -136,14 +137,14 @@ def _read_cloud(file: Path) -> SplatCloud:
 
 
 def _extent(xyz: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Lower and upper corner of a box that contains most of the splats, and the median position."""
+    """Lower and upper corner of a box that contains most of the splats, and the median position of the splats."""
     points = xyz.astype(np.float64)
     lower, middle, upper = np.percentile(points, [OUTLIERS, 50, 100 - OUTLIERS], axis=0)
     return lower, upper, middle
 
 
 def _cameras(focus: NDArray[np.float64], diagonal: float, up: NDArray[np.float64]) -> tuple[Camera, ...]:
-    """Cameras in a ring around the splats. ``up`` (3,) is an axis of the world."""
+    """Cameras in a ring around the splats. ``up`` (3,) is one of the world's axes with a sign."""
     width, height = IMAGE_SIZE
     intrinsics = np.array([[FOCAL, 0, width / 2], [0, FOCAL, height / 2], [0, 0, 1]])
     distance = 1.05 * diagonal * FOCAL / height

@@ -1,4 +1,4 @@
-"""Gaussian splats in SPZ files (Niantic), by the package gsply. SPZ files have +y up."""
+"""Gaussian splats in SPZ files (Niantic), written with the package gsply. SPZ files have +y up."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MAX_FRACTIONAL_BITS = 16
 
 
 def require_gsply(path: Path) -> Any:
-    """Import the package gsply. Raises UserError if it is not installed."""
+    """Import the package gsply. Raises UserError if the package is not installed."""
     if importlib.util.find_spec("gsply") is None:
         raise UserError(
             f"{path}: SPZ files need the package gsply, which is not installed; pip install 'fourd[splats]'"
@@ -45,7 +45,7 @@ def write_spz(path: Path, cloud: SplatCloud) -> None:
 
 
 def _fractional_bits(cloud: SplatCloud) -> int:
-    """Bits after the binary point of the fixed-point positions, so that the farthest position fits."""
+    """Number of fractional bits of the fixed-point positions, such that the farthest position can be represented."""
     farthest = float(np.abs(cloud.xyz).max(initial=1e-3))
     whole = max(int(np.ceil(np.log2(farthest * 1.001))), 0) + 1
     return min(max(POSITION_BITS - 1 - whole, 0), MAX_FRACTIONAL_BITS)
