@@ -25,8 +25,8 @@ class SplatCloud:
         scale: (N, 3) float32, standard deviations along the splat's axes in world units, above 0.
         rotation: (N, 4) float32, unit quaternions (w, x, y, z) from the splat's axes to the world.
         opacity: (N,) float32 in [0, 1], at the centre of the splat.
-        sh: (N, 3, T) float32, spherical-harmonics coefficients, where T is 1, 4, 9 or 16. The colour is ``0.5 + sum(sh
-            * Y(d))``, where d is the direction from the camera to the splat.
+        sh: (N, 3, T) float32, spherical-harmonics coefficients, where T is 1, 4, 9 or 16. The colour is
+            ``0.5 + sum(sh * Y(d))``, where d is the direction from the camera to the splat.
 
     Raises:
         ValueError: for a wrong shape. The message names the array.
