@@ -7,8 +7,8 @@ modulo 256:
   codes.
 - ``sh``: zigzag-coded factors of each row of ``sh_basis``: first the low bytes of all rows, then the high bytes of all
   rows.
-- ``colour``: mean colour of each point over the source views, as three planes: green, red - green and blue - green. Each
-  plane stores the differences between successive points.
+- ``colour``: mean colour of each point over the source views, as three planes: green, red - green and blue - green.
+  Each plane stores the differences between successive points.
 - ``views/VVV``: codes of the blend weights of source view V, then the colours of the points. A colour is stored as the
   difference from the point's mean colour, in quantisation steps. The colours are three planes: green, red - green and
   blue - green. If ``every_point_has_colours`` is False, no colour is stored for points whose weight code is 0.
