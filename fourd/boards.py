@@ -41,8 +41,8 @@ class CalibrationBoard:
         double_sided: whether the back shows the mirrored pattern, so that each corner is visible at the same point from
             both sides. Only boards with markers can be double-sided, because markers distinguish the front from the
             back.
-        legacy_pattern: whether OpenCV before version 4.6 made the pattern. Its pattern is different if ``rows`` is
-            even.
+        legacy_pattern: whether OpenCV before version 4.6 made the pattern. The pattern of these versions is different
+            if ``rows`` is even.
 
     Raises:
         ValueError: if a value is invalid. The message starts with the name of the value.
@@ -196,8 +196,8 @@ def write_board(path: Path, board: CalibrationBoard) -> None:
 def ink_rectangles(board: CalibrationBoard) -> Array:
     """Rectangles (N, 4) to print in board coordinates, as x0, y0, x1, y1 in metres.
 
-    The rectangles do not overlap. They are dark on a bright ground. If the board is inverted, they are bright on a dark
-    ground.
+    The rectangles do not overlap. They are dark on a bright background or, if the board is inverted, bright on a dark
+    background.
     """
     column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     squares = np.stack([column, row], axis=-1).reshape(-1, 2).astype(np.float64)

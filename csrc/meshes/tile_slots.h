@@ -1,6 +1,6 @@
 // Numbers the triangles that are visible in a tile of an image, and sums per-triangle values over the tiles for each
 // vertex. The backward passes of several operators use this file. Sums have a fixed order, first over the pixels of a
-// tile, then over the tiles. They do not depend on the number of threads.
+// tile, then over the tiles. The sums do not depend on the number of threads.
 #pragma once
 
 #include <cstddef>

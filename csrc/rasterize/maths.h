@@ -32,7 +32,7 @@ constexpr int kPlanes = 4;  // (Weight of vertex 0) / w, (weight of vertex 1) / 
 struct Screen {
     int width, height;
     // Vertices with |x| > guard_x w or |y| > guard_y w are clipped. The guards are powers of two, so that the
-    // comparison has no rounding error. They limit pixel coordinates to +-2^16 from the centre of the image.
+    // comparison has no rounding error. The guards limit pixel coordinates to +-2^16 from the centre of the image.
     float guard_x, guard_y;
 };
 
@@ -88,7 +88,7 @@ struct Piece {
     std::uint16_t reference_x, reference_y;  // Reference pixel of the triangle's Planes.
 };
 
-// An inclusive range of pixels. It is empty if left > right or top > bottom.
+// An inclusive range of pixels. The range is empty if left > right or top > bottom.
 struct Bounds {
     int left, right, top, bottom;
 

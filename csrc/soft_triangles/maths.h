@@ -207,8 +207,8 @@ FOURD_HD static inline Number depth_weight(const Softness& softness, Number near
 }
 
 // Adds the gradient of one triangle at a pixel to `sums`, which has the members of ShapeGradient in their order. to_x
-// and to_depth are the gradients with respect to x and to the depth. They must be 0 where the triangle does not hit the
-// pixel.
+// and to_depth are the gradients with respect to x and to the depth. Both gradients must be 0 where the triangle does
+// not hit the pixel.
 template <typename Number, typename Condition>
 FOURD_HD static inline void add_gradient(const Face& face, const Softness& softness, Number pixel_x, Number pixel_y,
                                          const Coverage<Number, Condition>& at, Number to_x, Number to_depth,

@@ -2,7 +2,7 @@
 // float32 numbers in the same order, so that kernel and reference find the same hits.
 //
 // A projected triangle has the incentre s, the inradius r and the signed distances phi_k(p) of a pixel p from its three
-// edges, negative inside. This file uses
+// edges, negative inside. Because phi_k(s) = -r for every edge, this file uses
 //     a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y),
 // because phi_k(s) = -r for every edge. The window is max(min_k a_k(p), 0)^sigma. With barycentric coordinates
 // lambda_k, edge lengths l_k and the perimeter P, a_k = lambda_k P / l_k, for both orientations of the triangle.

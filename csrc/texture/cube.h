@@ -1,5 +1,5 @@
-// Geometry of cube maps, shared by every backend. The six faces look along +x, -x, +y, -y, +z and -z, and are oriented
-// as in OpenGL.
+// Geometry of cube maps, shared by every backend. The outward normals of the six faces are +x, -x, +y, -y, +z and -z.
+// The faces are oriented as in OpenGL.
 #pragma once
 
 #include "texture/maths.h"
@@ -114,8 +114,8 @@ FOURD_HD FOURD_INLINE int neighbour_texel(int face, int column, int row, int siz
     return (other * size + other_row) * size + other_column;
 }
 
-// The four texels of a bilinear lookup on a cube. At a corner of the cube, one of the four texels does not exist. Its
-// value is the mean of the other three, so its weight is divided among them.
+// The four texels of a bilinear lookup on a cube. At a corner of the cube, one of the four texels does not exist. The
+// value of the missing texel is the mean of the other three, so its weight is divided among them.
 FOURD_HD FOURD_INLINE Texels cube_texels(int face, float s, float t, int size, float is_used) {
     const Axis across = linear_axis<Boundary::cube>(s, size), down = linear_axis<Boundary::cube>(t, size);
     Texels out = texels_of(across, down, face * size * size, size, is_used);

@@ -96,7 +96,8 @@ FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
     return square == square ? level : square;
 }
 
-// The derivatives of level_of with respect to the four numbers of a footprint. They are 0 if the footprint is a point.
+// The derivatives of level_of with respect to the four numbers of a footprint. The derivatives are 0 if the footprint
+// is a point.
 FOURD_HD FOURD_INLINE Footprint level_slopes(const Footprint& d) {
     const LongerAxis axis = longer_axis(d);
     const bool is_point = !(axis.square >= kMinSquare);
@@ -180,7 +181,8 @@ FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
     }
     const Axis out = {{low, high}, {1.0f - fraction, fraction}, {-scale, scale}};
     if (boundary == Boundary::cube) return out;
-    // These are bit masks, because compilers turn selections into branches, which prevent vectorisation.
+    // The conditions are computed with bit masks. Compilers would turn selections into branches, which prevent
+    // vectorisation.
     return {{low + (size & (low >> 31)), high - (size & ((size - 1 - high) >> 31))},
             {out.weight[0], out.weight[1]},
             {out.slope[0], out.slope[1]}};

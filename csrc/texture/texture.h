@@ -14,7 +14,7 @@ constexpr int kMaxSide = 1 << (kMaxLevels - 1);
 
 FOURD_HD FOURD_INLINE int side_at(int side, int level) { return side >> level > 1 ? side >> level : 1; }
 
-// The sizes of a texture and its mip levels. Each level has half the size of the level before, rounded down, but at
+// The sizes of a texture and its mip levels. Each level has half the size of the previous level, rounded down, but at
 // least one texel.
 struct Shape {
     std::size_t items;          // Number of textures.

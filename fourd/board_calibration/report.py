@@ -24,11 +24,11 @@ MIN_TILT_DEGREES = 20.0
 """Tilt of the board against the image plane that at least a tenth of the views should exceed. Frontal views hardly
 separate the focal length from the distance."""
 MAX_FOCAL_STD = 0.005
-"""A standard deviation of the focal length above this value is reported. It is a share of the focal length."""
+"""A standard deviation of the focal length above this share of the focal length is reported."""
 MAX_CENTRE_STD_DEGREES = 0.3
 """A standard deviation of the viewing direction above this value is reported.
 
-It follows from the standard deviation of the principal point.
+The viewing direction depends on the principal point, whose standard deviation is known.
 """
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10
@@ -45,7 +45,7 @@ class CameraReport:
         views: number of frames in which the camera sees the board.
         corners: number of corners.
         fit_px: root mean square error on the frames of the fit, in pixels.
-        held_out_px: the same on held-out frames, or None if there are no held-out frames.
+        held_out_px: root mean square error on held-out frames, in pixels, or None if there are no held-out frames.
         median_px: median error over all frames, in pixels.
         coverage: share of the image's cells in which corners were seen.
         max_tilt_degrees: 90th percentile of the angle between the board's normal and the viewing direction.

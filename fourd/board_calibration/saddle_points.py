@@ -1,9 +1,9 @@
 """Sub-pixel positions of a board's inner corners, as saddle points of the brightness.
 
-A quadratic polynomial is fitted to the brightness around an inner corner. Its saddle point is the position of the
-corner (Lucchese and Mitra, Using saddle points for subpixel feature detection in camera calibration targets, APCCAS
-2002). The patch is aligned with the board's axes and ends before the nearest marker, so that markers do not shift the
-corner.
+A quadratic polynomial is fitted to the brightness around an inner corner. The saddle point of this polynomial is the
+position of the corner (Lucchese and Mitra, Using saddle points for subpixel feature detection in camera calibration
+targets, APCCAS 2002). The patch is aligned with the board's axes and ends before the nearest marker, so that markers do
+not shift the corner.
 """
 
 from __future__ import annotations

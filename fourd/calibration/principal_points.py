@@ -42,10 +42,10 @@ class MirrorChoice:
         chosen: residuals of the chosen combination.
         given_px: mean over the camera pairs of their median residuals with the given calibration, in pixels. Each
             median counts as at most MAX_PAIR_PX.
-        chosen_px: the same with the chosen combination.
-        next_px: the same with the second best combination.
+        chosen_px: the same mean with the chosen combination.
+        next_px: the same mean with the second best combination.
         given_score: median residual, and share of matches within 3 pixels, with the given calibration.
-        chosen_score: the same with the chosen combination.
+        chosen_score: the same values with the chosen combination.
         is_clear: whether the evidence is clear. Let r be the median over the camera pairs of their median residuals
             with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds
             ``chosen_px`` by at least 0.5 r. If a principal point is mirrored, ``given_px`` must also exceed

@@ -140,7 +140,7 @@ class Capture:
         """Undistorted RGB image (H, W, 3) uint8 of a camera and frame; the array is read-only.
 
         Raises:
-            UserError: if the file is damaged or has another size than the camera.
+            UserError: if the file is damaged or its size differs from the image size of the camera.
         """
         frames = self._footage[camera].images
         return self._cache.get(("image", camera, frame), lambda: self._read(frames, camera, frame))
@@ -149,7 +149,8 @@ class Capture:
         """Undistorted matte (H, W) uint8 of a camera and frame, 255 = object; the array is read-only.
 
         Raises:
-            UserError: if there are no mattes, or the file is damaged or has another size than the camera.
+            UserError: if there are no mattes, the file is damaged, or its size differs from the image size of the
+                camera.
         """
         mattes = self._footage[camera].mattes
         if mattes is None:

@@ -250,8 +250,8 @@ def first_frame(path: Path) -> tuple[int, int, int, str]:
     """Width and height in pixels of the upright first frame, its turn in degrees, and its HDR transfer function.
 
     Raises:
-        UserError: if no frame can be decoded, or the metadata mirrors the frames or turns them by another angle than a
-            multiple of 90 degrees.
+        UserError: if no frame can be decoded, or the metadata mirrors the frames or turns them by an angle that is not
+            a multiple of 90 degrees.
     """
     with av.open(str(path)) as container:
         for frame in container.decode(video=0):

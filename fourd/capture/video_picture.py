@@ -28,14 +28,20 @@ Floats = NDArray[np.float32]
 HLG, PQ = "HLG", "PQ"
 TRANSFERS = {int(ColorTrc.ARIB_STD_B67): HLG, int(ColorTrc.SMPTE2084): PQ}
 REFERENCE_WHITE = 203.0
-"""Luminance in cd/m2 of diffuse white in HDR video (ITU-R BT.2408). It is the value 1 of the linear colours."""
+"""Luminance in cd/m2 of diffuse white in HDR video (ITU-R BT.2408).
+
+Linear colours have the value 1 at this luminance.
+"""
 HLG_PEAK = 1000.0
 HLG_GAMMA = 1.2
 KNEE = 0.85
 MAX_TURN_ERROR = 1
 """Largest deviation in degrees of a display matrix from a multiple of 90 degrees."""
 LEVELS = 1 << 12
-"""Number of entries of the tables of transfer functions. HDR video has 10 or 12 bits."""
+"""Number of entries of the tables of transfer functions.
+
+The number is sufficient for HDR video, which has 10 or 12 bits.
+"""
 BT2020_LUMINANCE = (0.2627, 0.6780, 0.0593)
 BT709_FROM_BT2020 = (
     (1.660491, -0.587641, -0.072850),

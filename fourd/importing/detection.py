@@ -64,7 +64,7 @@ CALIBRATION_FORMATS = (
     CalibrationFormat("anipose", anipose.is_calibration, anipose.read),
     CalibrationFormat("easymocap", easymocap.is_calibration, easymocap.read),
 )
-"""Formats whose calibration may be in another folder than the frames. Earlier formats are preferred."""
+"""Formats whose calibration and frames may be in different folders. Earlier formats are preferred."""
 VIDEOS = "videos"
 
 

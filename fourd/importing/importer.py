@@ -218,8 +218,10 @@ def _estimate(
 
 
 def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:
-    """Add the frame rate of images. It is the value of --fps, or the rate in capture.json if the source is a
-    capture."""
+    """Add the frame rate of images.
+
+    The rate is the value of --fps, or the rate in capture.json if the source is a capture.
+    """
     if options.fps is not None and video_files(imported.cameras):
         raise UserError(f"--fps: {source}: {FPS_IS_FOR_PICTURES}")
     stored = read_rate(source) if source.is_dir() else None

@@ -27,7 +27,7 @@ CALIBRATION_SUFFIXES = (
 )
 PICKLES = (".pickle", ".pkl", ".npy")
 FRAME_STORES = ("images", "masks", "mask", "rgbs")
-"""Folders with images and mattes. They are not searched, because they contain many files and no calibration."""
+"""Folders with images and mattes. Such folders are not searched, because they contain many files and no calibration."""
 MAX_LISTED = 8
 
 

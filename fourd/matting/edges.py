@@ -150,8 +150,8 @@ def _posterior_alpha(
     ``deviation`` is the standard deviation of alpha around ``prior`` (N,).
 
     The light on the subject has a Gaussian distribution. The covariance of a colour is therefore the sum of a diagonal
-    matrix and the outer product of one vector with itself. Its inverse and its determinant follow from the
-    Sherman-Morrison formula and the matrix determinant lemma.
+    matrix and the outer product of one vector with itself. The inverse and the determinant of the covariance follow
+    from the Sherman-Morrison formula and the matrix determinant lemma.
     """
     value, front_mean, back_mean = value @ LUMA_CHROMA.T, front[0] @ LUMA_CHROMA.T, back[0] @ LUMA_CHROMA.T
     front_variance, back_variance = front[1] @ np.square(LUMA_CHROMA.T), back[1] @ np.square(LUMA_CHROMA.T)

@@ -44,7 +44,7 @@ def read_mask(path: Path, capture: Capture, camera: int) -> Picture:
     """Read a mask and undistort it: (H, W) uint8 like the capture's undistorted images, 255 = subject.
 
     Raises:
-        UserError: if the file is damaged or has another size than the camera's images.
+        UserError: if the file is damaged or its size differs from the size of the camera's images.
     """
     mask = decode_matte(path)
     stored = capture.distorted_cameras[camera]

@@ -110,7 +110,9 @@ def _is_image_network(inputs: Sequence[Any]) -> bool:
 
 
 def load_onnx(path: Path | str) -> OnnxNetwork:
-    """Load a network from an ONNX file. It runs on the GPU if onnxruntime supports the GPU, else on the CPU.
+    """Load a network from an ONNX file.
+
+    The network runs on the GPU if onnxruntime supports the GPU, and otherwise on the CPU.
 
     Raises:
         UserError: if onnxruntime is not installed, the file is missing or damaged, or the network has other inputs.

@@ -162,7 +162,7 @@ def test_colours_of_held_out_cameras_need_fitted_poses(
     line = error_line(capsys, "eval", trained.folder, "--refine-test-colours")
     assert "--refine-test-colours: expected also --refine-test, got only --refine-test-colours" in line
     line = error_line(capsys, "eval", trained.folder, "--refine-test", "--refine-test-colours", "--scene", scene)
-    assert "--refine-test-colours: expected no --scene, got both options; leave one of them out" in line
+    assert "--refine-test-colours: expected no --scene, got both options; remove one of them" in line
 
 
 def test_scores_of_fitted_cameras_are_marked(trained: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

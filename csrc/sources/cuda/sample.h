@@ -11,7 +11,7 @@ constexpr int kMaxViews = 16;  // The kernel receives the cameras by value.
 void sample(const Query& query, const Samples& out, void* stream);
 
 // `gradient` is the gradient with respect to Samples::channels. The visibility is treated as constant. Sums have no
-// fixed order.
+// fixed order, so the last bits of gradients can differ between calls.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out, void* stream);
 
 }  // namespace fourd::sources::cuda

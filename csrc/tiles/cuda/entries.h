@@ -113,7 +113,7 @@ struct EmitEntry {
     Entries<Splat> to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // This key sorts after all tiles.
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // Larger than the key of any tile.
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
             // The rank of an entry is the last rank whose first entry is at or before this entry. A rank without tiles

@@ -25,7 +25,7 @@ def board_motion(frames: Sequence[int], boards: Poses) -> Array:
     """Motion (F, 6) of the board at each frame: rotation vector and velocity of the board's origin, per frame.
 
     The motion is the derivative of the polynomial through the poses of up to five successive frames (Fornberg,
-    Generation of finite difference formulas on arbitrarily spaced grids, 1988). It is 0 for a frame without
+    Generation of finite difference formulas on arbitrarily spaced grids, 1988). The motion is 0 for a frame without
     neighbours.
 
     Args:

@@ -38,7 +38,7 @@ class Solution:
     Attributes:
         state: the adjusted rig.
         std: (C, 17) standard deviations of the cameras' parameters, in radians, metres, pixels, frames or without unit.
-            They are 0 for fixed parameters.
+            Fixed parameters have a standard deviation of 0.
     """
 
     state: RigState

@@ -94,11 +94,11 @@ class Timing:
 
     Attributes:
         delay: (C,) delays of the middle of the image in frames.
-        readout: (C,) durations of the readout in frames. They are negative if the last row is read first.
+        readout: (C,) durations of the readout in frames. A duration is negative if the last row is read first.
         phase: (C, 2) gradient of the phase per pixel along x and y. It is (0, 1 / height) if the sensor's rows are the
             image's rows, and (1 / width, 0) if the image is turned by 90 degrees.
         motion: (F, 6) rotation vector per frame and velocity in metres per frame of the board's origin, in the world,
-            at each position of the board. They are constant in an adjustment.
+            at each position of the board. The motions are constant in an adjustment.
     """
 
     delay: Array
@@ -258,7 +258,10 @@ def _apply_lenses(cameras: Sequence[Camera], camera: NDArray[np.intp], in_camera
 
 
 def reprojection_errors(state: RigState, corners: Corners) -> Array:
-    """Distances (N,) in pixels between projections and observations. They are infinite behind the camera."""
+    """Distances (N,) in pixels between projections and observations.
+
+    The distance is infinite for points behind the camera.
+    """
     found = project(state, corners)
     return np.where(found.depth > MIN_DEPTH, np.linalg.norm(found.pixels - corners.pixels, axis=1), np.inf)
 

@@ -192,7 +192,7 @@ def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
 def standard_deviations(state: RigState, corners: Corners, free: Free, errors: Errors) -> Array:
     """Standard deviations (C, 17) of the cameras' parameters, in radians, metres, pixels, frames or without unit.
 
-    They are 0 for fixed parameters.
+    Fixed parameters have a standard deviation of 0.
 
     The covariance is H^-1 G H^-1. H is the matrix of the reduced normal equations. G is the sum of the outer products
     of the frames' gradients, plus the precision of the prior (sandwich estimate with clusters, Liang and Zeger 1986).

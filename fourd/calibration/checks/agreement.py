@@ -122,7 +122,7 @@ def _match_unmatched(
     """Match each camera that matches no neighbour with all other cameras, because a wrong calibration gives wrong
     neighbours.
 
-    This is done only if at least two cameras, and at most a quarter of all cameras, match no neighbour.
+    The cameras are matched only if at least two cameras, and at most a quarter of all cameras, match no neighbour.
     """
     used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
     lone = [index for index in range(len(cameras)) if index not in used]

@@ -102,7 +102,7 @@ def _is_accepted(mixup: Mixup) -> bool:
 def _apply(
     chosen: Sequence[int], matches: Mapping[Pair, Matches], cameras: Sequence[Camera]
 ) -> tuple[dict[Pair, Matches], list[Camera]]:
-    """Turn the matches of one camera by 180 degrees, or exchange two cameras."""
+    """Turn the matches of one camera by 180 degrees, or exchange the calibrations of two cameras."""
     if len(chosen) == 2:
         exchanged = list(cameras)
         i, j = chosen

@@ -121,7 +121,7 @@ def _fit_cameras(
             "--refine-test-colours: expected also --refine-test, got only --refine-test-colours; add --refine-test"
         )
     if arguments.refine_test_colours and arguments.scene is not None:
-        raise UserError("--refine-test-colours: expected no --scene, got both options; leave one of them out")
+        raise UserError("--refine-test-colours: expected no --scene, got both options; remove one of them")
     if not arguments.refine_test:
         return {}
     layers = trained.run.config.train.layers

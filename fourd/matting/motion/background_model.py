@@ -18,7 +18,7 @@ SHADOW_BRIGHTEST = 1.1
 MIN_SHARE = 0.002
 """Lower limit of the learned shares of pixels that deviate from the background.
 
-It is above 0, because some deviations do not occur in the frames from which the shares are learned.
+The limit is above 0, because some deviations do not occur in the frames from which the shares are learned.
 """
 PRIOR_PIXELS = 500.0
 """Weight of the default shares in learned shares, as a number of pixels."""

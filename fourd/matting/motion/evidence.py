@@ -37,7 +37,10 @@ RELIABLE_SCORE = np.float32(4.0)
 """Voxels with a larger score are reliable voxels: even the view with the lowest probability shows the subject there."""
 RELIABLE_RANGE = np.float32(2.0)
 MAX_RELIABLE_LOG_ODDS = 6.0
-"""Upper limit of the evidence of reliable voxels. It is large enough for colours that subject and background share."""
+"""Upper limit of the evidence of reliable voxels.
+
+The limit is large enough for colours that occur on the subject and in the background.
+"""
 SMOOTHING = 20.0
 COLOUR_EDGE = 8.0
 

@@ -39,7 +39,8 @@ class LocalEvidence:
     Attributes:
         window: rows and columns of the image that contain the subject in all frames.
         background: colours of the known background.
-        weight: factor (h, w) in [0, WEIGHT] on the log-odds in the window. It is 0 where the background is known.
+        weight: factor (h, w) in [0, WEIGHT] on the log-odds in the window. The weight is 0 where the background is
+            known.
     """
 
     window: tuple[slice, slice]

@@ -70,9 +70,9 @@ class MatteMaker:
             small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
             if other is not None:
-                # The frames between the two frames of the optical flow are also read, in order, so that they are
-                # cached. Reading these frames later would require seeking backwards in the video and decoding from the
-                # previous keyframe.
+                # The frames between the two frames of the optical flow are also read, in ascending order, so that they
+                # are cached. Reading these frames later would require seeking backwards in the video and decoding from
+                # the previous keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))

@@ -34,7 +34,7 @@ def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: 
 class _MovingEdges(torch.autograd.Function):
     """The identity on ``color``.
 
-    Its backward pass treats each crossing as an edge that moves between two pixel centres. If the edge moves away from
+    The backward pass treats each crossing as an edge that moves between two pixel centres. If the edge moves away from
     the owner by dt, either the owner or the other pixel changes by dt (c_owner - c_other). The gradient is the mean of
     both cases.
     """

@@ -11,7 +11,7 @@ MAX_SIDE_PX = 2**15
 """Maximum width or height of an image. Subpixel positions of this range fit into the kernels' integers."""
 
 ALL_LAYERS = 2**20
-"""Maximum number of composited triangles per pixel. This value means that all triangles are composited."""
+"""Maximum number of composited triangles per pixel. With this value, all triangles are composited."""
 
 Axis = int | str
 """The size of an axis, or the letter of an axis of any size."""
@@ -34,7 +34,7 @@ def check_tensor(
             sizes.
         like: name and value of another argument. ``value`` must have its device, and its dtype if that is a
             floating-point dtype.
-        dtypes: accepted dtypes. They are ignored if ``like`` has a floating-point dtype.
+        dtypes: accepted dtypes. The dtypes are ignored if ``like`` has a floating-point dtype.
 
     Raises:
         TypeError: for a wrong type or dtype.
@@ -104,7 +104,8 @@ def check_layers(layers: int | None) -> int:
 def _value_range(values: Tensor) -> tuple[int, int]:
     """Return the smallest and the largest value of an integer tensor with at least one element."""
     if values.device.type == "cpu":
-        # torch.aminmax would start the threads of OpenMP. They keep spinning and delay the threads of the kernels.
+        # torch.aminmax would start the threads of OpenMP. OpenMP threads keep spinning and delay the threads of the
+        # kernels.
         array = values.numpy()
         return int(array.min()), int(array.max())
     low, high = torch.aminmax(values)

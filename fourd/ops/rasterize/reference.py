@@ -22,7 +22,7 @@ class Planes:
     Attributes:
         b: (T, 3, 3) weight / w of each vertex, times the largest |w| of the vertices: the value at the reference pixel,
             and the slopes per pixel along x and y.
-        depth: (T, 3) the same for z/w.
+        depth: (T, 3) z/w: the value at the reference pixel, and the slopes per pixel along x and y.
         low, high: (T,) range of z/w of the vertices, which limits z/w.
         reference: (T, 2) column and row of the reference pixel.
         is_valid: (T,) whether the triangle is not degenerate.

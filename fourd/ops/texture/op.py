@@ -13,7 +13,7 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
 def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]]:
-    """Return (height, width) of all levels. A level has half the size of the level before, but at least one texel."""
+    """Return (height, width) of all levels. A level has half the size of the previous level, but at least one texel."""
     return [(max(height >> level, 1), max(width >> level, 1)) for level in range(level_count)]
 
 
