@@ -3,9 +3,9 @@
 //
 // A projected triangle has the incentre s, the inradius r and the signed distances phi_k(p) of a pixel p from its three
 // edges, negative inside. Because phi_k(s) = -r for every edge, this file uses
-//     a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y),
-// because phi_k(s) = -r for every edge. The window is max(min_k a_k(p), 0)^sigma. With barycentric coordinates
-// lambda_k, edge lengths l_k and the perimeter P, a_k = lambda_k P / l_k, for both orientations of the triangle.
+//     a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y).
+// The window is max(min_k a_k(p), 0)^sigma. With barycentric coordinates lambda_k, edge lengths l_k and the perimeter P,
+// a_k = lambda_k P / l_k, for both orientations of the triangle.
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).

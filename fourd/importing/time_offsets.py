@@ -186,8 +186,8 @@ def correct_sound_travel(
         return estimate
     if position == "auto" and not is_metric:
         log(
-            "the travel time of sound is not corrected, because the unit of the calibration may not be metres (10 m "
-            "are 29 ms); correct it with --sound-at centre"
+            "the travel time of sound is not corrected, because the unit of the calibration is possibly not the "
+            "metre (sound needs 29 ms for 10 m); correct it with --sound-at centre"
         )
         return estimate
     placed = {camera.name: camera.calibration for camera in cameras if camera.calibration is not None}

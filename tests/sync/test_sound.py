@@ -105,7 +105,7 @@ def test_import_synchronises_by_sound(apply: bool, tmp_path: Path, rng: np.rando
     end = ", applied" if apply else ""
     assert f"b: -4 frames (-430.0 ms by sound), confidence 100%{end}" in lines
     assert f"c: +4 frames (+400.0 ms by sound), confidence 100%{end}" in lines
-    assert any("10 m are 29 ms" in line for line in lines)
+    assert any("sound needs 29 ms for 10 m" in line for line in lines)
     capture = open_capture(tmp_path / "out")
     shown = {tuple(number_of(capture.image(camera, frame)) - frame for camera in range(3)) for frame in range(5)}
     assert shown == ({(14, 14, 14)} if apply else {(10, 14, 6)})
