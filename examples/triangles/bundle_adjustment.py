@@ -106,7 +106,8 @@ def adjust(targets: Tensor, first: Scene, renderer: Renderer, arguments: Argumen
     optimizer = torch.optim.Adam([{"params": [value], "lr": rate} for value, rate in rates], betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: 0.02 ** (step / arguments.steps))
     for step in range(arguments.steps):
-        # In the first two thirds of the steps, the finest compared scale changes from the coarsest scale to pixels.
+        # In the first two thirds of the steps, the finest scale of the comparison changes from the coarsest scale to
+        # single pixels.
         finest = max(0, round(COARSEST * (1 - 1.5 * step / arguments.steps)))
         scene = Scene(rotation_matrix(turn) @ first.R_camera_world, translation, centre, log_radius.exp(), texels)
         difference = (renderer.render(scene) - targets).permute(0, 3, 1, 2)

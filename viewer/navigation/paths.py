@@ -273,8 +273,9 @@ def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
     ``knots`` (M, D) contains one camera vector per row. The samples are (steps, D).
     """
     if loop:
-        # After one loop, the quaternions can have the opposite sign, although the rotation is the same. Two loops are
-        # always periodic. The spline therefore covers two loops, and only the first loop is sampled.
+        # After one loop, the quaternions can have the opposite sign, although the rotation is the same. After two
+        # loops, the signs of the quaternions always agree. The spline therefore covers two loops, and only the first
+        # loop is sampled.
         knots = _align_signs(np.concatenate([knots, knots, knots[:1]]))
     else:
         knots = _align_signs(knots)

@@ -22,7 +22,7 @@ uniform vec3 camera_centre;
 uniform float near;
 
 uniform int blended_views[64];  // Indices of the source views to blend.
-uniform float view_weights[64];  // factors on the blend weights of these views
+uniform float view_weights[64];  // Factors that multiply the blend weights of these views.
 uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;

@@ -56,7 +56,7 @@ export class Discs {
    * @param {{points: Uint32Array, ratio: number}} order Indices of the points, nearest first, and an upper bound of
    *   radius divided by depth.
    * @param {Camera} camera
-   * @param {{layers: number[], weights: number[]}} blended Layers of the views to blend, and their view weights.
+   * @param {{layers: number[], weights: number[]}} blended Texture layers of the views to blend, and the view weights.
    * @param {boolean} hasShadow
    */
   project(textures, order, camera, blended, hasShadow) {

@@ -114,7 +114,7 @@ export class FrameStore {
     return entry;
   }
 
-  /** Whether the frame that is wanted first cannot be drawn yet. */
+  /** Whether the first wanted frame cannot be drawn yet. */
   #isUrgent() {
     const first = this.wanted.find((number) => number !== BACKGROUND);
     return first !== undefined && !this.isDrawable(first);
