@@ -88,8 +88,7 @@ export class FourdPlayer extends HTMLElement {
     }
   }
 
-  /**
-   * Moves to a camera of the capture.
+  /** Moves the view to that of a camera of the capture.
    * @param {number} index
    */
   moveToCamera(index) {

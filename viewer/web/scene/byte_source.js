@@ -21,7 +21,7 @@ export class ByteSource {
     this.stallMs = stallMs;
     /** @type {WholeFile | null} */
     this.whole = null;
-    /** Tag or date, and size of the file. @type {{tag: string | null, size: string | null} | null} */
+    /** ETag or date of the file, and its size. @type {{tag: string | null, size: string | null} | null} */
     this.version = null;
     this.bytesReceived = 0;
   }

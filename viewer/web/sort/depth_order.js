@@ -27,8 +27,8 @@ export class DepthOrder {
   }
 
   /**
-   * @param {{xyz: Float32Array, first: number, radius: number}[]} clouds Positions (N, 3), the index of the first
-   *   point, and the largest radius in world units.
+   * @param {{xyz: Float32Array, first: number, radius: number}[]} clouds For each cloud: positions (N, 3), the index of
+   * the first point, and the largest radius in world units.
    * @param {SortCamera} camera
    * @returns {import("./sorter.js").SortedPoints}
    */
