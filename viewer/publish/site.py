@@ -22,7 +22,7 @@ from fourd.viewer.navigation.paths import order_by_azimuth
 
 SCENE_NAME, PAGE_NAME, POSTER_NAME, PLAYER_FOLDER = "scene.4dv", "index.html", "poster.jpg", "player"
 _POSTER_SIDE = 960
-_NOT_SERVED = ("index.html", "page.css", "tsconfig.json", "node_modules", "package-lock.json")
+_NOT_SERVED = ("index.html", "page.css", "tsconfig.json", "examples", "node_modules", "package-lock.json")
 
 
 def write_site(source: Path, out: Path, tier: Tier, title: str | None = None, track: Track = untracked) -> None:

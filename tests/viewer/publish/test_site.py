@@ -22,13 +22,15 @@ from tests.baking.scenes import write_full_scene, write_scene
 
 
 def test_files_of_a_site(tmp_path: Path) -> None:
-    """Catches a site without the modules that its page loads, and text of the title that becomes markup."""
+    """Catches a site without the modules that its page loads, a site with the examples, and text of the title that
+    becomes markup."""
     write_scene(tmp_path / "scene.4dv")
     write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>")
     write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>")
     names = {path.relative_to(tmp_path / "site").as_posix() for path in (tmp_path / "site").rglob("*.*")}
     assert {"index.html", "page.css", "poster.jpg", SCENE_NAME, "player/fourd-player.js"} <= names
     assert {"player/decode/worker.js", "player/sort/worker.js"} <= names
+    assert not any("examples" in name for name in names)
     page = (tmp_path / "site" / "index.html").read_text()
     assert "<title>&lt;b&gt;</title>" in page
     assert "{{" not in page

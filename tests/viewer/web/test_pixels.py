@@ -69,7 +69,7 @@ def test_discs_that_are_too_large_for_sprites(object_site: Path, open_page: Call
     with serving(object_site) as server:
         page = open_page(server.url, (SIZE, SIZE))
         page.ready()
-        page.run("stage.renderer.discs.maxSprite = 0;")
+        page.run("stage.renderer.points.discs.maxSprite = 0;")
         for mode in ("sorted", "reference"):
             got, expected = images(page, object_site / SCENE_NAME, 0, mode)
             assert psnr(got, expected) >= MIN_PSNR[mode]

@@ -1,6 +1,6 @@
-import { SceneError } from "../scene/errors.js";
-import { bindTexture, makeFramebuffer, makeProgram, makeTexture } from "./gl.js";
-import { COPY_FRAGMENT, FULL_SCREEN_VERTEX, PEEL_FRAGMENT, SORTED_FRAGMENT } from "./shaders.js";
+import { bindTexture, makeProgram } from "./gl.js";
+import { COPY_FRAGMENT, FULL_SCREEN_VERTEX, NO_DEPTH, PEEL_FRAGMENT, RANK_DEPTH, SORTED_FRAGMENT } from "./shaders.js";
+import { Target, blendUnder, requireFloatTargets } from "./targets.js";
 /** @typedef {import("./discs.js").Discs} Discs */
 
 /** A rank that is larger than the rank of every layer. */
@@ -23,12 +23,15 @@ export class SortedCompositor {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {Discs} discs
+   * @param {{fragment?: string, depth?: string, outputs?: number}} [options] Fragment shader of the discs, GLSL
+   *   expression of their depth, and number of textures (RGBA16F) that the shader draws into.
    */
-  constructor(gl, discs) {
+  constructor(gl, discs, { fragment = SORTED_FRAGMENT, depth = NO_DEPTH, outputs = 1 } = {}) {
     requireFloatTargets(gl, "EXT_color_buffer_half_float");
     this.gl = gl;
     this.discs = discs;
-    this.pass = discs.makePass(SORTED_FRAGMENT);
+    this.formats = new Array(outputs).fill(gl.RGBA16F);
+    this.pass = discs.makePass(fragment, depth);
     /** @type {Target | null} */
     this.target = null;
   }
@@ -37,12 +40,26 @@ export class SortedCompositor {
    * @param {number} width
    * @param {number} height
    * @param {number} layers
+   * @param {Record<string, number | boolean>} [integers] Uniforms of the fragment shader.
+   * @param {Record<string, number | number[]>} [floats]
    */
-  draw(width, height, layers) {
+  draw(width, height, layers, integers, floats) {
+    return this.drawAll(width, height, layers, integers, floats)[0];
+  }
+
+  /**
+   * Like `draw`, but returns the textures of all outputs.
+   * @param {number} width
+   * @param {number} height
+   * @param {number} layers
+   * @param {Record<string, number | boolean>} [integers]
+   * @param {Record<string, number | number[]>} [floats]
+   */
+  drawAll(width, height, layers, integers, floats) {
     const { gl } = this;
     if (!this.target || this.target.width !== width || this.target.height !== height) {
       this.target?.release();
-      this.target = new Target(gl, width, height, [gl.RGBA16F], gl.DEPTH24_STENCIL8, gl.DEPTH_STENCIL_ATTACHMENT);
+      this.target = new Target(gl, width, height, this.formats, gl.DEPTH24_STENCIL8, gl.DEPTH_STENCIL_ATTACHMENT);
     }
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.target.framebuffer);
     gl.clearColor(0, 0, 0, 0);
@@ -52,10 +69,10 @@ export class SortedCompositor {
     gl.enable(gl.STENCIL_TEST);
     gl.stencilFunc(gl.GREATER, layers, 0xff);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
-    this.discs.draw(this.pass, width, height);
+    this.discs.draw(this.pass, width, height, integers, floats);
     gl.disable(gl.STENCIL_TEST);
     gl.disable(gl.BLEND);
-    return this.target.textures[0];
+    return this.target.textures;
   }
 
   release() {
@@ -80,7 +97,7 @@ export class PeelingCompositor {
     requireFloatTargets(gl, "EXT_color_buffer_float");
     this.gl = gl;
     this.discs = discs;
-    this.peel = discs.makePass(PEEL_FRAGMENT);
+    this.peel = discs.makePass(PEEL_FRAGMENT, RANK_DEPTH);
     this.copy = makeProgram(gl, FULL_SCREEN_VERTEX, COPY_FRAGMENT);
     this.emptyArray = gl.createVertexArray();
     /** Two targets that alternate, because each pass reads the ranks that the previous pass wrote. @type {Target[]} */
@@ -160,60 +177,6 @@ export class PeelingCompositor {
     this.sum = new Target(gl, width, height, [gl.RGBA16F]);
     return this.sum;
   }
-}
-
-/** Textures of one size, with a framebuffer that draws into them. */
-class Target {
-  /**
-   * @param {WebGL2RenderingContext} gl
-   * @param {number} width
-   * @param {number} height
-   * @param {number[]} formats
-   * @param {number} [depthFormat]
-   * @param {number} [attachment]
-   */
-  constructor(gl, width, height, formats, depthFormat, attachment) {
-    this.gl = gl;
-    this.width = width;
-    this.height = height;
-    this.textures = formats.map((format) => makeTexture(gl, format, width, height));
-    /** @type {WebGLRenderbuffer | null} */
-    this.buffer = null;
-    let depth;
-    if (depthFormat !== undefined && attachment !== undefined) {
-      this.buffer = gl.createRenderbuffer();
-      gl.bindRenderbuffer(gl.RENDERBUFFER, this.buffer);
-      gl.renderbufferStorage(gl.RENDERBUFFER, depthFormat, width, height);
-      depth = { attachment, buffer: this.buffer };
-    }
-    this.framebuffer = makeFramebuffer(gl, this.textures, depth);
-  }
-
-  release() {
-    this.gl.deleteFramebuffer(this.framebuffer);
-    this.gl.deleteRenderbuffer(this.buffer);
-    for (const texture of this.textures) this.gl.deleteTexture(texture);
-  }
-}
-
-/**
- * @param {WebGL2RenderingContext} gl
- * @param {string} extension
- */
-function requireFloatTargets(gl, extension) {
-  if (gl.getExtension("EXT_color_buffer_float") || gl.getExtension(extension)) return;
-  throw new SceneError(`WebGL: expected the extension ${extension}, got none; use a newer browser or graphics driver`);
-}
-
-/**
- * Composites premultiplied colours behind the content of the framebuffer.
- * @param {WebGL2RenderingContext} gl
- */
-function blendUnder(gl) {
-  gl.disable(gl.DEPTH_TEST);
-  gl.enable(gl.BLEND);
-  gl.blendEquation(gl.FUNC_ADD);
-  gl.blendFunc(gl.ONE_MINUS_DST_ALPHA, gl.ONE);
 }
 
 /**

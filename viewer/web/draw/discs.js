@@ -1,5 +1,5 @@
 import { bindTexture, makeProgram } from "./gl.js";
-import { MAX_BLENDED, NO_FRAGMENT, QUAD_VERTEX, SHADE_VERTEX, SPRITE_VERTEX } from "./shaders.js";
+import { MAX_BLENDED, NO_FRAGMENT, SHADE_VERTEX, quadVertex, spriteVertex } from "./shaders.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("./frame_textures.js").FrameTextures} FrameTextures */
@@ -42,12 +42,13 @@ export class Discs {
 
   /**
    * @param {string} fragment
+   * @param {string} depth GLSL expression of the discs' depth in normalised device coordinates.
    * @returns {DiscPass}
    */
-  makePass(fragment) {
+  makePass(fragment, depth) {
     const options = { attributes: ["disc", "paint"] };
-    const sprite = makeProgram(this.gl, SPRITE_VERTEX, fragment, options);
-    return { sprite, quad: makeProgram(this.gl, QUAD_VERTEX, fragment, options) };
+    const sprite = makeProgram(this.gl, spriteVertex(depth), fragment, options);
+    return { sprite, quad: makeProgram(this.gl, quadVertex(depth), fragment, options) };
   }
 
   /**
@@ -91,17 +92,18 @@ export class Discs {
    * @param {DiscPass} pass
    * @param {number} width Width of the image in pixels.
    * @param {number} height
-   * @param {Record<string, number>} [samplers] Texture units of the pass.
+   * @param {Record<string, number | boolean>} [integers] Texture units and other uniforms of the pass.
+   * @param {Record<string, number | number[]>} [floats]
    */
-  draw(pass, width, height, samplers = {}) {
+  draw(pass, width, height, integers = {}, floats = {}) {
     const { gl } = this;
     if (this.count === 0) return;
     const margin = Math.ceil(this.largestDisc) + 1;
     const isSprite = 2 * margin <= this.maxSprite && width + 2 * margin <= this.maxViewport[0] && height + 2 * margin <= this.maxViewport[1];
     const program = isSprite ? pass.sprite : pass.quad;
     program.use();
-    program.integers(samplers);
-    program.floats({ size: [width, height] });
+    program.integers(integers);
+    program.floats({ ...floats, size: [width, height] });
     if (isSprite) {
       program.floats({ margin });
       // Sprites whose centre is outside the viewport are dropped, so the viewport extends past the image.

@@ -26,7 +26,8 @@ export class FrameTextures {
   constructor(gl, manifest) {
     this.gl = gl;
     this.manifest = manifest;
-    this.dynamicRows = Math.max(rowsOf(Math.max(0, ...manifest.points)), 1);
+    this.backgroundFirst = backgroundFirst(manifest);
+    this.dynamicRows = this.backgroundFirst / TEXELS_PER_ROW;
     const backgroundRows = rowsOf(manifest.background?.points ?? 0);
     this.rows = this.dynamicRows + backgroundRows;
     this.layers = 1 + Math.min(manifest.neighbours, manifest.sources.length);
@@ -37,7 +38,7 @@ export class FrameTextures {
     this.harmonics = makeTexture(gl, gl.RGBA32UI, TEXELS_PER_ROW, BLOCKS * this.rows);
     this.shadow = makeTexture(gl, gl.R8UI, TEXELS_PER_ROW, Math.max(backgroundRows, 1));
     const factorRows = [manifest.dynamicEncoding, manifest.backgroundEncoding].map((encoding, index) =>
-      encoding ? rowsOf(encoding.shRows * (index ? (manifest.background?.points ?? 0) : Math.max(0, ...manifest.points))) : 0,
+      encoding ? rowsOf(encoding.shRows * (index ? (manifest.background?.points ?? 0) : manifest.mostPoints)) : 0,
     );
     this.factors = makeTexture(gl, gl.R16I, TEXELS_PER_ROW, Math.max(...factorRows, 1));
     this.target = makeFramebuffer(gl, [this.harmonics]);
@@ -53,11 +54,6 @@ export class FrameTextures {
     this.layerViews = new Array(this.layers).fill(-1);
     /** @type {Uint8Array | null} */
     this.loadedShadow = null;
-  }
-
-  /** Index of the first background point. */
-  get backgroundFirst() {
-    return this.dynamicRows * TEXELS_PER_ROW;
   }
 
   /**
@@ -211,6 +207,14 @@ export class FrameTextures {
       else gl.texSubImage3D(target, 0, 0, y, layer, width, height, 1, format, type, part);
     }
   }
+}
+
+/**
+ * Index of the first background point among the points of a frame and the background.
+ * @param {Manifest} manifest
+ */
+export function backgroundFirst(manifest) {
+  return TEXELS_PER_ROW * Math.max(rowsOf(manifest.mostPoints), 1);
 }
 
 /** @param {number} texels */

@@ -111,7 +111,7 @@ export function makeTexture(gl, format, width, height, layers) {
 /**
  * @param {GL} gl
  * @param {number} unit
- * @param {WebGLTexture} texture
+ * @param {WebGLTexture | null} texture
  * @param {number} [target]
  */
 export function bindTexture(gl, unit, texture, target = gl.TEXTURE_2D) {
@@ -139,4 +139,27 @@ export function makeFramebuffer(gl, textures, depth) {
     throw new SceneError(`WebGL: expected a complete framebuffer, got status ${status}; update the graphics driver`);
   }
   return framebuffer;
+}
+
+/**
+ * Sets the state of WebGL that the player's drawing depends on, after another program has changed it.
+ * @param {GL} gl
+ */
+export function setInitialState(gl) {
+  for (const test of [gl.BLEND, gl.CULL_FACE, gl.DEPTH_TEST, gl.DITHER, gl.POLYGON_OFFSET_FILL, gl.RASTERIZER_DISCARD]) {
+    gl.disable(test);
+  }
+  for (const test of [gl.SAMPLE_ALPHA_TO_COVERAGE, gl.SAMPLE_COVERAGE, gl.SCISSOR_TEST, gl.STENCIL_TEST]) gl.disable(test);
+  gl.colorMask(true, true, true, true);
+  gl.depthMask(true);
+  gl.depthRange(0, 1);
+  gl.stencilMask(0xff);
+  gl.bindVertexArray(null);
+  for (const name of [gl.UNPACK_FLIP_Y_WEBGL, gl.UNPACK_PREMULTIPLY_ALPHA_WEBGL]) gl.pixelStorei(name, false);
+  for (const name of [gl.UNPACK_ROW_LENGTH, gl.UNPACK_IMAGE_HEIGHT, gl.UNPACK_SKIP_PIXELS, gl.UNPACK_SKIP_ROWS]) {
+    gl.pixelStorei(name, 0);
+  }
+  gl.pixelStorei(gl.UNPACK_SKIP_IMAGES, 0);
+  gl.bindBuffer(gl.PIXEL_UNPACK_BUFFER, null);
+  for (let unit = 0; unit < 5; unit++) gl.bindSampler(unit, null);
 }

@@ -1,29 +1,15 @@
 import { SceneError } from "../scene/errors.js";
 import { PeelingCompositor, SortedCompositor } from "./compositors.js";
-import { Discs } from "./discs.js";
-import { FrameTextures } from "./frame_textures.js";
 import { bindTexture, makeProgram } from "./gl.js";
+import { ProjectedPoints } from "./projected_points.js";
 import { FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT } from "./shaders.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
-/** @typedef {import("../scene/manifest.js").Camera} Camera */
-/** @typedef {import("./frame_textures.js").Cloud} Cloud */
+/** @typedef {import("./projected_points.js").Picture} Picture */
 
 /** @typedef {"sorted" | "reference"} Mode Compositing in one pass, or exact depth peeling. */
 
-/**
- * What an image shows.
- * @typedef {object} Picture
- * @property {(Cloud | null)[]} clouds Dynamic points and background.
- * @property {Uint8Array | null} shadow
- * @property {import("../sort/sorter.js").SortedPoints} order
- * @property {Camera} camera The size of the camera is that of the image before the image is scaled to the canvas.
- * @property {{views: number[], weights: number[]}} selection Source views and their view weights.
- * @property {number} layers K, the maximum number of points that are composited per pixel.
- * @property {[number, number, number]} background Colour in [0, 1].
- */
-
 /** Draws pictures into a canvas with WebGL 2. */
-export class Renderer {
+export class CanvasRenderer {
   /**
    * @param {HTMLCanvasElement | OffscreenCanvas} canvas
    * @param {Manifest} manifest
@@ -36,8 +22,7 @@ export class Renderer {
     }
     this.gl = gl;
     this.canvas = canvas;
-    this.textures = new FrameTextures(gl, manifest);
-    this.discs = new Discs(gl, manifest);
+    this.points = new ProjectedPoints(gl, manifest);
     this.overBackground = makeProgram(gl, FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT);
     this.emptyArray = gl.createVertexArray();
     /** @type {Partial<Record<Mode, SortedCompositor | PeelingCompositor>>} */
@@ -48,26 +33,15 @@ export class Renderer {
    * Draws a picture into the canvas. If their sizes differ, the picture is scaled.
    * @param {Picture} picture
    * @param {Mode} mode
+   * @param {[number, number, number]} background Colour in [0, 1].
    */
-  draw(picture, mode) {
+  draw(picture, mode, background) {
     const { gl } = this;
     if (gl.isContextLost()) return;
-    const { views, weights } = picture.selection;
-    const layers = this.textures.load(picture.clouds, picture.shadow, views);
-    const loaded = views.map((view, index) => ({ layer: layers.get(view), weight: weights[index] }));
-    const usable = /** @type {{layer: number, weight: number}[]} */ (loaded.filter(({ layer }) => layer !== undefined));
-    // Until the first view has arrived, points have their mean colours, which are in layer 0.
-    const blended = usable.length ? usable : views.length ? [{ layer: 0, weight: 1 }] : [];
-    this.discs.project(
-      this.textures,
-      picture.order,
-      picture.camera,
-      { layers: blended.map(({ layer }) => layer), weights: blended.map(({ weight }) => weight) },
-      picture.shadow !== null,
-    );
+    this.points.project(picture);
     const { width, height } = picture.camera;
     const image = this.#compositor(mode).draw(width, height, picture.layers);
-    this.#present(image, picture.background);
+    this.#present(image, background);
   }
 
   /**
@@ -90,16 +64,15 @@ export class Renderer {
   /** Deletes all WebGL objects. The WebGL context of the canvas is kept. */
   release() {
     for (const compositor of Object.values(this.compositors)) compositor.release();
-    this.textures.release();
-    this.discs.release();
+    this.points.release();
     this.overBackground.release();
     this.gl.deleteVertexArray(this.emptyArray);
   }
 
   /** @param {Mode} mode */
   #compositor(mode) {
-    this.compositors[mode] ??=
-      mode === "sorted" ? new SortedCompositor(this.gl, this.discs) : new PeelingCompositor(this.gl, this.discs);
+    const { discs } = this.points;
+    this.compositors[mode] ??= mode === "sorted" ? new SortedCompositor(this.gl, discs) : new PeelingCompositor(this.gl, discs);
     return this.compositors[mode];
   }
 

@@ -7,7 +7,8 @@ export const TEXELS_PER_ROW = 4096;
 /** Largest number of source views that are blended. */
 export const MAX_BLENDED = 64;
 
-const HEADER = `#version 300 es
+/** Start of every shader. */
+export const HEADER = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp sampler2D;
@@ -82,7 +83,7 @@ uniform float sh_range;
 uniform float sh_base;
 
 in uint point;
-out vec4 disc;   // Centre (u, v), 1 / rho^2 and rho, in pixels.
+out vec4 disc;   // Centre (u, v) in pixels, depth in world units, and radius rho in pixels.
 out vec4 paint;  // Red, green, blue and density.
 
 ivec2 at(int texel) { return ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW); }
@@ -151,12 +152,12 @@ void main() {
   gl_Position = vec4(0.0);
   gl_PointSize = 1.0;
   if (!(p.z >= near && density > 0.0 && rho > 0.0 && rho < 1e18)) {
-    disc = vec4(-1.0, -1.0, 1.0, 0.0);
+    disc = vec4(-1.0, -1.0, near, 0.0);
     paint = vec4(0.0);
     return;
   }
   disc = vec4((intrinsics_x.x * p.x + intrinsics_x.y * p.y) / p.z + intrinsics_x.z,
-              (intrinsics_y.x * p.x + intrinsics_y.y * p.y) / p.z + intrinsics_y.z, 1.0 / (rho * rho), rho);
+              (intrinsics_y.x * p.x + intrinsics_y.y * p.y) / p.z + intrinsics_y.z, p.z, rho);
   vec3 ray = world - camera_centre;
   vec3 direction = ray / max(length(ray), 1e-12);
   vec3 view_dependent = sh_base + sh_range * tanh(spherical_harmonics(index, direction));
@@ -170,50 +171,66 @@ out vec4 nothing;
 void main() { nothing = vec4(0.0); }
 `;
 
-/** Draws the bounding square of a disc as two triangles. Row 0 of the image is at the bottom of the framebuffer. */
-export const QUAD_VERTEX = `${HEADER}
+/** Depth of discs that are peeled by their rank. */
+export const RANK_DEPTH = "2.0 * (rank - 0.5) / 16777216.0 - 1.0";
+/** Depth of discs that are neither tested nor stored. */
+export const NO_DEPTH = "0.0";
+
+const SHARED_DISC_VERTEX = `
 uniform vec2 size;
 in vec4 disc;
 in vec4 paint;
 flat out vec3 disc_centre;
+flat out float disc_depth;
 flat out vec4 tint;
 flat out float rank;
-const float RANKS = 16777216.0;
 
-void main() {
-  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
-  vec2 pixel = clamp(disc.xy + corner * (disc.w * 1.00001 + 0.001), vec2(-16.0), size + 16.0);
-  vec2 position = 2.0 * pixel / size - 1.0;
-  disc_centre = disc.xyz;
+void pass_on(int index) {
+  disc_centre = vec3(disc.xy, disc.w > 0.0 ? 1.0 / (disc.w * disc.w) : 1.0);
+  disc_depth = disc.z;
   tint = paint;
-  rank = float(gl_InstanceID + 1);
-  gl_Position = vec4(position, 2.0 * (rank - 0.5) / RANKS - 1.0, 1.0);
+  rank = float(index + 1);
 }
 `;
 
-/** Draws the bounding square of a disc as a point sprite. The viewport extends past the image by \`margin\`. */
-export const SPRITE_VERTEX = `${HEADER}
-uniform vec2 size;
-uniform float margin;
-in vec4 disc;
-in vec4 paint;
-flat out vec3 disc_centre;
-flat out vec4 tint;
-flat out float rank;
-const float RANKS = 16777216.0;
-
+/**
+ * Draws the bounding square of a disc as two triangles. Row 0 of the image is at the bottom of the framebuffer.
+ * @param {string} depth GLSL expression of the depth in normalised device coordinates.
+ */
+export function quadVertex(depth) {
+  return `${HEADER}
+uniform vec2 depth_range;
+${SHARED_DISC_VERTEX}
 void main() {
-  vec2 position = 2.0 * (disc.xy + margin) / (size + 2.0 * margin) - 1.0;
-  disc_centre = disc.xyz;
-  tint = paint;
-  rank = float(gl_VertexID + 1);
-  gl_Position = vec4(position, 2.0 * (rank - 0.5) / RANKS - 1.0, 1.0);
+  pass_on(gl_InstanceID);
+  vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
+  vec2 pixel = clamp(disc.xy + corner * (disc.w * 1.00001 + 0.001), vec2(-16.0), size + 16.0);
+  gl_Position = vec4(2.0 * pixel / size - 1.0, ${depth}, 1.0);
+}
+`;
+}
+
+/**
+ * Draws the bounding square of a disc as a point sprite. The viewport extends past the image by `margin`.
+ * @param {string} depth GLSL expression of the depth in normalised device coordinates.
+ */
+export function spriteVertex(depth) {
+  return `${HEADER}
+uniform vec2 depth_range;
+uniform float margin;
+${SHARED_DISC_VERTEX}
+void main() {
+  pass_on(gl_VertexID);
+  gl_Position = vec4(2.0 * (disc.xy + margin) / (size + 2.0 * margin) - 1.0, ${depth}, 1.0);
   gl_PointSize = disc.w * 2.00002 + 0.02;
 }
 `;
+}
 
-const DISC = `
+/** Inputs of the fragments of a disc, and their alpha. */
+export const DISC = `
 flat in vec3 disc_centre;
+flat in float disc_depth;
 flat in vec4 tint;
 flat in float rank;
 

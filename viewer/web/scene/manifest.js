@@ -36,6 +36,7 @@ import { JsonNode } from "./json_node.js";
  * @property {NamedCamera[]} cameras Source views, then other cameras of the capture.
  * @property {number[]} focus
  * @property {number[]} points Number of dynamic points of each frame.
+ * @property {number} mostPoints Largest number of dynamic points of a frame.
  * @property {number} fps
  * @property {number} layers
  * @property {number} neighbours
@@ -68,11 +69,13 @@ export function parseManifest(text) {
   const described = full ? root.node("background") : null;
   const encoding = root.node("encoding");
   const sh = root.node("sh");
+  const points = root.nodes("frames", MAX_FRAMES).map((frame) => frame.integer("points", 0, MAX_POINTS));
   return {
     sources,
     cameras: [...sources, ...cameras(root.nodes("other_views", MAX_VIEWS))],
     focus: root.numbers("focus", 3),
-    points: root.nodes("frames", MAX_FRAMES).map((frame) => frame.integer("points", 0, MAX_POINTS)),
+    points,
+    mostPoints: points.reduce((most, count) => Math.max(most, count), 0),
     fps: root.number("fps", 1e-3, 1e4, 30),
     layers: root.integer("layers", 1, 64),
     neighbours: root.integer("neighbours", 1, 64),

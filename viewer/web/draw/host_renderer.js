@@ -1,0 +1,132 @@
+import { dot, row } from "../navigate/math.js";
+import { SortedCompositor } from "./compositors.js";
+import { bindTexture, makeProgram, setInitialState } from "./gl.js";
+import { HOST_COLOUR_FRAGMENT, HOST_DEPTH, HOST_DEPTH_FRAGMENT, HOST_DISC_FRAGMENT } from "./host_shaders.js";
+import { ProjectedPoints } from "./projected_points.js";
+import { FULL_SCREEN_VERTEX } from "./shaders.js";
+/** @typedef {import("../scene/manifest.js").Manifest} Manifest */
+/** @typedef {import("./projected_points.js").Picture} Picture */
+
+/**
+ * Where an image is drawn in the framebuffer of another program.
+ * @typedef {object} HostTarget
+ * @property {WebGLFramebuffer | null} framebuffer null is the canvas.
+ * @property {[number, number]} corner Pixel (x, y) of the framebuffer at the image's bottom left corner.
+ * @property {[number, number]} depthRange A point at depth z has the normalised device coordinate a + b / z.
+ * @property {WebGLTexture | null} depthTexture Depth of the host's objects. Its texels are the framebuffer's pixels.
+ * @property {boolean} writesDepth
+ */
+
+/** Draws pictures over the content of another program's framebuffer, with right occlusion. */
+export class HostRenderer {
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {Manifest} manifest
+   */
+  constructor(gl, manifest) {
+    setInitialState(gl);
+    this.gl = gl;
+    this.manifest = manifest;
+    this.points = new ProjectedPoints(gl, manifest);
+    this.colour = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_COLOUR_FRAGMENT);
+    this.depth = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_DEPTH_FRAGMENT);
+    this.emptyArray = gl.createVertexArray();
+    /** By number of outputs: colour, or colour and depth. @type {Map<number, SortedCompositor>} */
+    this.compositors = new Map();
+  }
+
+  /**
+   * Composites a picture over the target.
+   * @param {Picture} picture
+   * @param {HostTarget} target
+   */
+  draw(picture, target) {
+    const { gl } = this;
+    if (gl.isContextLost()) return;
+    setInitialState(gl);
+    this.points.project(picture);
+    const { width, height } = picture.camera;
+    const top = [target.corner[0], target.corner[1] + height - 1];
+    const depth = { depth_range: target.depthRange, unit_depth: this.#distanceToFocus(picture) };
+    bindTexture(gl, 1, target.depthTexture);
+    gl.activeTexture(gl.TEXTURE0); // New textures are bound to the active unit.
+    const images = this.#compositor(target.writesDepth ? 2 : 1).drawAll(
+      width,
+      height,
+      picture.layers,
+      { host_depth: 1, tests_depth: target.depthTexture !== null },
+      { ...depth, host_corner: top },
+    );
+    bindTexture(gl, 1, null);
+    gl.bindFramebuffer(gl.FRAMEBUFFER, target.framebuffer);
+    gl.viewport(target.corner[0], target.corner[1], width, height);
+    gl.bindVertexArray(this.emptyArray);
+    this.#drawColour(images[0], top);
+    if (target.writesDepth) this.#drawDepth(images[1], { ...depth, corner: top });
+    gl.bindVertexArray(null);
+    gl.useProgram(null);
+  }
+
+  /** Deletes all WebGL objects that the renderer has created. */
+  release() {
+    for (const compositor of this.compositors.values()) compositor.release();
+    this.points.release();
+    for (const program of [this.colour, this.depth]) program.release();
+    this.gl.deleteVertexArray(this.emptyArray);
+  }
+
+  /** @param {number} outputs */
+  #compositor(outputs) {
+    let compositor = this.compositors.get(outputs);
+    if (!compositor) {
+      const options = { fragment: HOST_DISC_FRAGMENT, depth: HOST_DEPTH, outputs };
+      compositor = new SortedCompositor(this.gl, this.points.discs, options);
+      this.compositors.set(outputs, compositor);
+    }
+    return compositor;
+  }
+
+  /** @param {Picture} picture */
+  #distanceToFocus({ camera }) {
+    const along = dot(row(camera.rotation, 2), this.manifest.focus) + camera.translation[2];
+    return Math.max(Math.abs(along), this.manifest.near);
+  }
+
+  /**
+   * @param {WebGLTexture} image
+   * @param {number[]} corner
+   */
+  #drawColour(image, corner) {
+    const { gl, colour } = this;
+    gl.disable(gl.DEPTH_TEST);
+    gl.depthMask(false);
+    gl.enable(gl.BLEND);
+    gl.blendEquation(gl.FUNC_ADD);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    bindTexture(gl, 0, image);
+    colour.use();
+    colour.integers({ image: 0 });
+    colour.floats({ corner });
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.disable(gl.BLEND);
+    gl.depthMask(true);
+  }
+
+  /**
+   * @param {WebGLTexture} image
+   * @param {Record<string, number | number[]>} uniforms
+   */
+  #drawDepth(image, uniforms) {
+    const { gl, depth } = this;
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.LEQUAL);
+    gl.colorMask(false, false, false, false);
+    bindTexture(gl, 0, image);
+    depth.use();
+    depth.integers({ weighted_depth: 0 });
+    depth.floats(uniforms);
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    gl.colorMask(true, true, true, true);
+    gl.disable(gl.DEPTH_TEST);
+  }
+}

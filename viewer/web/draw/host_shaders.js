@@ -1,0 +1,53 @@
+import { DISC, HEADER } from "./shaders.js";
+
+/** Depth of a disc in the host's normalised device coordinates. */
+export const HOST_DEPTH = "depth_range.x + depth_range.y / disc.z";
+
+/**
+ * Outputs the premultiplied colour of a disc, unless the disc is behind the host's depth.
+ * The second output is depth / unit_depth times alpha, and alpha. The division keeps the depth in the range of halves.
+ */
+export const HOST_DISC_FRAGMENT = `${HEADER}${DISC}
+uniform bool tests_depth;
+uniform sampler2D host_depth;
+uniform vec2 host_corner;  // Texel of the host's depth at the image's top left pixel.
+uniform float unit_depth;
+layout(location = 0) out vec4 colour;
+layout(location = 1) out vec4 weighted_depth;
+
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy);
+  ivec2 texel = ivec2(host_corner) + ivec2(pixel.x, -pixel.y);
+  if (tests_depth && gl_FragCoord.z >= texelFetch(host_depth, texel, 0).r) discard;
+  float alpha = disc_alpha();
+  colour = vec4(tint.rgb * alpha, alpha);
+  weighted_depth = vec4(disc_depth / unit_depth * alpha, 0.0, 0.0, alpha);
+}
+`;
+
+/** Outputs the premultiplied image. Row 0 of the image is its top. */
+export const HOST_COLOUR_FRAGMENT = `${HEADER}
+uniform sampler2D image;
+uniform vec2 corner;  // Pixel of the target at the image's top left pixel.
+out vec4 colour;
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy) - ivec2(corner);
+  colour = texelFetch(image, ivec2(pixel.x, -pixel.y), 0);
+}
+`;
+
+/** Outputs the mean depth of the points where they cover at least half of a pixel. */
+export const HOST_DEPTH_FRAGMENT = `${HEADER}
+uniform sampler2D weighted_depth;
+uniform vec2 corner;
+uniform vec2 depth_range;
+uniform float unit_depth;
+out vec4 nothing;
+void main() {
+  ivec2 pixel = ivec2(gl_FragCoord.xy) - ivec2(corner);
+  vec4 texel = texelFetch(weighted_depth, ivec2(pixel.x, -pixel.y), 0);
+  if (!(texel.a >= 0.5)) discard;
+  nothing = vec4(0.0);
+  gl_FragDepth = clamp(0.5 + 0.5 * (depth_range.x + depth_range.y / unit_depth * texel.a / texel.r), 0.0, 1.0);
+}
+`;

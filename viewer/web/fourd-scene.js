@@ -1,0 +1,135 @@
+import { DecodePool } from "./decode/pool.js";
+import { HostRenderer } from "./draw/host_renderer.js";
+import { hostCamera, multiply4 } from "./navigate/host_camera.js";
+import { addScaled, apply, length, transpose } from "./navigate/math.js";
+import { uprightMatrix } from "./navigate/placement.js";
+import { estimateUp } from "./navigate/pose.js";
+import { selectSourceViews } from "./navigate/source_views.js";
+import { Playback } from "./play/playback.js";
+import { ByteSource } from "./scene/byte_source.js";
+import { SceneError } from "./scene/errors.js";
+import { SceneFile } from "./scene/scene_file.js";
+
+const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
+
+/**
+ * An image to draw. Matrices are those of OpenGL, three.js and WebXR: 16 numbers, column-major.
+ * @typedef {object} View
+ * @property {ArrayLike<number>} viewMatrix Maps the host's world to camera coordinates (x right, y up, z backward).
+ * @property {ArrayLike<number>} projectionMatrix A perspective projection to the depths -1 to 1.
+ * @property {[number, number, number, number]} viewport Corner (x, y) at the bottom left, width and height, in pixels.
+ */
+
+/**
+ * A packed scene that is drawn into the WebGL 2 context of another program, such as three.js.
+ *
+ * Call `update` once per displayed image, and then `draw` for each view, after the host has drawn its opaque objects.
+ * Both calls change the state of WebGL. A host that remembers this state must reset it (in three.js:
+ * `renderer.resetState()`).
+ */
+export class FourdScene {
+  /**
+   * Opens a scene.
+   * @param {WebGL2RenderingContext} gl The context that the scene is drawn into.
+   * @param {string} url Address of a scene that `fourd web` wrote.
+   * @param {(error: unknown) => void} [failed] Called if loading or sorting fails later.
+   * @returns {Promise<FourdScene>} Rejected with a SceneError if the scene cannot be read.
+   */
+  static async open(gl, url, failed = (error) => console.error(error)) {
+    const source = new ByteSource(new URL(url, document.baseURI).href, 15000);
+    return new FourdScene(gl, await SceneFile.open(source), new DecodePool(), failed);
+  }
+
+  /**
+   * @param {WebGL2RenderingContext} gl
+   * @param {SceneFile} file
+   * @param {DecodePool} pool Released with the scene.
+   * @param {(error: unknown) => void} failed
+   */
+  constructor(gl, file, pool, failed) {
+    this.manifest = file.manifest;
+    this.pool = pool;
+    this.renderer = new HostRenderer(gl, file.manifest);
+    this.playback = new Playback(file, pool, () => {}, failed);
+    /** Maps the scene's world to the host's world: a rotation, a translation and a uniform scale. */
+    this.matrix = /** @type {ArrayLike<number>} */ (IDENTITY);
+  }
+
+  /** The time: `seconds`, `speed`, `isPlaying`, `loops`, `frame`, `seek(frame)` and `toggle()`. */
+  get clock() {
+    return this.playback.clock;
+  }
+
+  /**
+   * Places the scene upright: its focus at the host's origin, the up direction of its cameras along +y, and the viewing
+   * direction of its first camera along -z.
+   * @param {number} distance Distance of the first camera from the origin in the host's units. It sets the scale.
+   */
+  placeUpright(distance) {
+    const { cameras, focus } = this.manifest;
+    const [camera] = cameras;
+    if (!camera) throw new SceneError("The scene has no cameras; export it again");
+    const eye = apply(transpose(camera.rotation), camera.translation).map((value) => -value);
+    const forward = addScaled(focus, -1, eye);
+    this.matrix = uprightMatrix(focus, estimateUp(cameras), forward, distance / Math.max(length(forward), 1e-12));
+  }
+
+  /** Whether `draw` shows points. */
+  get isDrawable() {
+    return this.playback.order !== null;
+  }
+
+  /**
+   * Whether `draw` shows the current frame with all source views, for a view that was passed to `update`.
+   * @param {View} view
+   */
+  isSettled(view) {
+    return this.playback.isSettled(this.#host(view).camera);
+  }
+
+  /**
+   * Advances the time by `elapsed` seconds, loads frames and sorts their points for a view.
+   *
+   * The views of both eyes of a headset share one depth order. The order is exact if both eyes look in the same
+   * direction, and none is in front of the other.
+   * @param {number} elapsed
+   * @param {View} view
+   */
+  update(elapsed, view) {
+    this.playback.update(elapsed, this.#host(view).camera);
+  }
+
+  /**
+   * Composites the points over the content of a framebuffer. Colours are sRGB, as in images. At most K points per pixel
+   * are composited, nearest first, behind the points that the host's objects hide.
+   * @param {View} view
+   * @param {object} [target]
+   * @param {WebGLFramebuffer | null} [target.framebuffer] null, the default, is the canvas.
+   * @param {WebGLTexture | null} [target.depthTexture] Depth of the host's objects, which hide the points behind them.
+   *   Its texels are the pixels of the framebuffer. It is not multisampled, has no filter other than NEAREST, and is not
+   *   attached to the framebuffer.
+   * @param {boolean} [target.writesDepth] Write the mean depth of the points into the framebuffer's depth buffer, where
+   *   they cover at least half of a pixel. Objects that the host draws later are then hidden by the points.
+   * @param {View} [target.selectedFor] View for which source views are selected, the drawn view by default. The eyes of
+   *   a headset share one selection.
+   */
+  draw(view, { framebuffer = null, depthTexture = null, writesDepth = false, selectedFor = view } = {}) {
+    const { camera, depthRange } = this.#host(view);
+    const selection = selectSourceViews(this.#host(selectedFor).camera, this.manifest);
+    const picture = this.playback.picture(camera, selection);
+    const [x, y] = view.viewport;
+    if (picture) this.renderer.draw(picture, { framebuffer, corner: [x, y], depthRange, depthTexture, writesDepth });
+  }
+
+  /** Stops the workers and deletes all WebGL objects that the scene has created. */
+  release() {
+    this.playback.release();
+    this.renderer.release();
+    this.pool.release();
+  }
+
+  /** @param {View} view */
+  #host({ viewMatrix, projectionMatrix, viewport }) {
+    return hostCamera(multiply4(viewMatrix, this.matrix), projectionMatrix, viewport[2], viewport[3]);
+  }
+}
