@@ -188,7 +188,7 @@ def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
 
 
 def markdown(results: dict[str, RunQuality]) -> str:
-    """The table. Error columns are shares of the squared error in the box of unseen views."""
+    """The table. Error columns are shares of the squared error inside the matte's box of held-out views."""
     heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside", "excess", "missing"]
     heads += ["specks, per 10,000 pixels", "flicker / true change", "jump", "radii p50 / p90 / p99"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]

@@ -98,7 +98,7 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
         out.slope_x[k] = zero - edges.y[k] * out.inverse_area * unit;
         out.slope_y[k] = edges.x[k] * out.inverse_area * unit;
     }
-    // With barycentric distances, a triangle hits the pixels in a triangle that is 1 + 3 reach times as large.
+    // With barycentric distances, a triangle hits the pixels inside the triangle scaled by 1 + 3 reach.
     const Number scale = constant(softness.barycentric ? 1.0f + 3.0f * softness.reach : 1.0f, tag);
     const Number margin = constant(softness.barycentric ? 0.0f : softness.reach, tag);
     const Number left = minimum(minimum(out.u[0], out.u[1]), out.u[2]) * scale + out.x;

@@ -60,9 +60,9 @@ class DepthBins {
     Buffer<std::size_t> tile_begin_;
 };
 
-// Assigns a slot to each (primitive, tile) entry. The tile of an entry writes its result for the primitive into the
-// slot. The slots of a primitive are adjacent and are reduced in a fixed order, so the result does not depend on which
-// thread filled them.
+// Assigns a slot to each (primitive, tile) entry. When a tile is processed, its result for the primitive is written
+// into the slot. The slots of a primitive are adjacent and are reduced in a fixed order, so the result does not depend
+// on which thread filled them.
 class Slots {
   public:
     // Assigns the slots of `count` primitives, and returns the number of slots.

@@ -229,7 +229,7 @@ def _contains(name: str, other: str, largest: int) -> bool:
 
 
 def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """Search the images for a chessboard. Returns its numbers of squares, as keys of the board's file."""
+    """Search the images for a chessboard. Returns the chessboard's numbers of squares, as keys of the board's file."""
     for picture in pictures:
         zoom = min(1.0, MAX_PX / max(picture.shape))
         reduced = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA), np.uint8)

@@ -21,8 +21,10 @@ CELLS = (8, 6)
 FEW_VIEWS = 15
 LOW_COVERAGE = 0.5
 MIN_TILT_DEGREES = 20.0
-"""Tilt of the board against the image plane that at least a tenth of the views should exceed. Frontal views hardly
-separate the focal length from the distance."""
+"""Tilt of the board against the image plane that at least a tenth of the views should exceed.
+
+Frontal views hardly determine the focal length and the distance separately.
+"""
 MAX_FOCAL_STD = 0.005
 """A standard deviation of the focal length above this share of the focal length is reported."""
 MAX_CENTRE_STD_DEGREES = 0.3

@@ -103,7 +103,7 @@ def estimate_offsets_of(
 def _from_sound(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], rate: float, track: Track
 ) -> Estimate:
-    """Estimate the delays from the soundtracks. Raises NoCommonSoundError if the delay of a camera is unsure."""
+    """Estimate the delays from the soundtracks. Raises NoCommonSoundError if the delay of a camera is uncertain."""
     files = video_files(cameras)
     if len(files) < len(cameras):
         raise NoCommonSoundError("--sync-by sound: expected videos with sound, got images; use --sync-by motion")

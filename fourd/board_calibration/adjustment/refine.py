@@ -1,4 +1,4 @@
-"""Adjustment of a rig together with the motion of the board and the sizes of the errors."""
+"""Adjustment of a rig together with the motion of the board and the standard deviations of the errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,9 @@ class Solution:
 
 
 def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: Free, corner_px: Array) -> Solution:
-    """Adjust a rig in rounds, in which the motion of the board and the sizes of the errors are estimated again.
+    """Adjust a rig in rounds.
+
+    Each round estimates the motion of the board and the standard deviations of the errors again.
 
     Args:
         start: a rig that is correct up to a few pixels.

@@ -42,9 +42,9 @@ MIN_REGION_PIXELS = 20
 moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""The subject colours of each camera are mixed with those of all cameras, which have this weight in [0, 1].
+"""The subject colours of each camera are mixed with the pooled subject colours of all cameras.
 
-Mixing helps where a part of the subject is static in one view.
+The pooled colours have this weight, in [0, 1]. Mixing helps where a part of the subject is static in one view.
 """
 
 
