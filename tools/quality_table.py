@@ -72,7 +72,7 @@ class ViewQuality:
 class RunQuality:
     """Mean values of a run. :func:`markdown` names the columns.
 
-    Radii are in spacings, at the measured frames.
+    Radii are in multiples of the point spacing, over the measured frames.
     """
 
     unseen: ViewQuality

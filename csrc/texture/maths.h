@@ -136,7 +136,7 @@ FOURD_HD FOURD_INLINE Levels levels_at(float clamped, int level_count, Filter fi
 struct Axis {
     int index[2];
     float weight[2];
-    float slope[2];  // Derivatives of the weights by the coordinate.
+    float slope[2];  // Derivatives of the weights with respect to the coordinate.
 };
 
 FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
@@ -207,8 +207,8 @@ FOURD_HD FOURD_INLINE Axis axis_at(float u, int size) {
 struct Texels {
     int index[4];       // Index of the texel in its level, always inside the level.
     float weight[4];    // A texel outside the texture has the weight 0.
-    float along_s[4];  // Derivatives of the weights by the horizontal coordinate.
-    float along_t[4];
+    float along_s[4];  // Derivatives of the weights with respect to the horizontal coordinate.
+    float along_t[4];  // Derivatives of the weights with respect to the vertical coordinate.
 };
 
 // The texels of a lookup whose axes are independent. `first` is the index of the first texel of the image, and

@@ -1,4 +1,7 @@
-"""The computations of the benchmarks with other libraries, for comparison. The other libraries are optional."""
+"""The computations of the benchmarks, implemented with other libraries for comparison.
+
+The other libraries are optional.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Why a board is not found: other marker dictionaries, other numbers of squares, negative and mirrored images."""
+"""Reasons why a board is not found: other markers, other numbers of squares, negative or mirrored images."""
 
 from __future__ import annotations
 

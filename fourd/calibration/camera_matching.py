@@ -50,7 +50,8 @@ def match_cameras(
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.
-        cameras: the approximate calibration; it guides the search for matches but does not determine their positions.
+        cameras: the approximate calibration; it guides the search for matches but does not determine the positions of
+            the matches.
         track: progress callback.
 
     Returns:

@@ -25,7 +25,7 @@ MAX_PAIR_PX = 30.0
 """Larger residuals of a camera pair count as this value in pixels. The matches of such a pair are wrong, and its
 residual changes at random with the principal points."""
 MIN_GAIN = 2.0
-"""Minimum decrease of the mean residual by mirrored principal points, as a multiple of the typical residual."""
+"""Minimum decrease of the mean residual due to mirrored principal points, as a multiple of the typical residual."""
 MIN_LEAD = 0.5
 """Minimum difference between the residuals of the second best and the best combination, as a multiple of the typical
 residual."""

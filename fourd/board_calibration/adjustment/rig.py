@@ -275,7 +275,7 @@ def lens_vector(camera: Camera) -> Array:
 
 
 def cross_matrices(vectors: Array) -> Array:
-    """Matrices (N, 3, 3) with which the product with a vector u is the cross product v x u, for vectors v (N, 3)."""
+    """Cross-product matrices (N, 3, 3) of vectors v (N, 3): the matrix of v times a vector u is v x u."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
     return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=1)

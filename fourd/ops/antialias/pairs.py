@@ -1,4 +1,4 @@
-"""Pairs of neighbouring pixels with different triangles, and where silhouette edges cross them, in plain torch."""
+"""Pairs of neighbouring pixels that show different triangles, and crossings of silhouette edges, in plain torch."""
 
 from __future__ import annotations
 

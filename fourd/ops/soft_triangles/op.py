@@ -30,7 +30,7 @@ def rasterize(
 ) -> tuple[Tensor, Tensor]:
     """Render features (H, W, C) and alpha (H, W).
 
-    ``camera`` is the result of ``pack_camera``, and ``softness`` of ``Softness.pack``.
+    ``camera`` is the result of ``pack_camera``, and ``softness`` is the result of ``Softness.pack``.
     """
     out = (features.new_empty(height, width, features.shape[1]), features.new_empty(height, width))
     inputs = (xyz, tri, features)
