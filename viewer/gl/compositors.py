@@ -192,7 +192,7 @@ class DualDepthPeeling:
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
         """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        With ``clear_back``, layers that the layers in front hide also count. ``clear_back`` also clears the layers
+        With ``clear_back``, layers count even if the layers in front hide them. ``clear_back`` also clears the layers
         composited from the back, in each pixel where the pass has found a layer.
         """
         targets = self._targets

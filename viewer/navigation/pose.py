@@ -68,7 +68,8 @@ class Pose:
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # The tilt axis is horizontal. For a rolled camera, a rotation about the image's x axis could pass the pole.
+        # The tilt axis is horizontal. For a rolled camera, a rotation about the image's x axis could go past the
+        # vertical.
         level = level / length if length > 1e-6 else self.rotation[0]
         if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down

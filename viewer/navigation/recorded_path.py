@@ -44,7 +44,7 @@ class RecordedPath:
 
 
 class PathRecorder:
-    """Records RECORDED_FPS samples per second, independent of how often :meth:`advance` is called."""
+    """Records RECORDED_FPS samples per second, no matter how often :meth:`advance` is called."""
 
     def __init__(self) -> None:
         self._samples: list[PathSample] = []

@@ -101,7 +101,7 @@ def _lower_priority() -> None:
 
 
 def open_frame_source(path: Path) -> BakedFrameSource:
-    """Open a `.4dv` file, a run's folder, a file of Gaussian splats or a folder of them.
+    """Open a `.4dv` file, a run's folder, a file of Gaussian splats or a folder of such files.
 
     Raises UserError with a message that names the file and the fix.
     """

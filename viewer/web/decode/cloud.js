@@ -109,8 +109,8 @@ function countNonzero(codes) {
 }
 
 /**
- * Sums the differences of Morton codes and gathers the bits of each coordinate. The codes have up to 63 bits, so sums
- * use three limbs of 24 bits, which are 8 bits of each coordinate.
+ * Sums the differences of Morton codes and gathers the bits of each coordinate. The codes have up to 63 bits, so a sum
+ * is stored in three integers of 24 bits. Each integer has 8 bits of each coordinate.
  * @param {Uint8Array} content
  * @param {number} points
  * @param {CloudEncoding} encoding

@@ -16,7 +16,7 @@ const NONE = 1e9;
 /**
  * Composites up to K discs per pixel in one pass. The discs are drawn from the nearest to the farthest. Each disc is
  * blended behind the discs drawn before it. The stencil buffer counts the discs of each pixel, so that exactly the K
- * nearest are composited.
+ * nearest discs are composited.
  * @implements {Compositor}
  */
 export class SortedCompositor {

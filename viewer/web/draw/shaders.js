@@ -24,7 +24,7 @@ void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 -
 `;
 
 /**
- * Multiplies the factors of a cloud with the basis of its spherical harmonics. Each fragment computes 8 of the 48
+ * Multiplies the factors of a cloud by the basis of its spherical harmonics. Each fragment computes 8 of the 48
  * coefficients of a point and packs them as halves. Block b of the target has the coefficients 8 b to 8 b + 7.
  */
 export const HARMONICS_FRAGMENT = `${HEADER}

@@ -131,7 +131,7 @@ export function poseFromCamera(camera, focus, up, width, height) {
 }
 
 /**
- * The mean of the cameras' up directions, or that of the first camera if they cancel out.
+ * The mean of the cameras' up directions. If the directions cancel out, the up direction of the first camera.
  * @param {Camera[]} cameras At least one.
  * @returns {number[]}
  */

@@ -24,8 +24,8 @@ export function selectSourceViews(camera, manifest) {
 }
 
 /**
- * A view at the angle a has the weight 1 - a / b. To find b, take the views that are not selected and that have no
- * smaller angle than any selected view: b is the smallest of their angles.
+ * A view at the angle a has the weight 1 - a / b. To find b, take the views that are not selected and whose angle is at
+ * least that of every selected view: b is the smallest of their angles.
  * @param {number[]} views
  * @param {number[]} angles
  */

@@ -4,7 +4,7 @@ const LOWEST = 0.4;
 const STEP = 0.8;
 const IMAGES = 6;
 
-/** Chooses the resolution of images from the time that they take, while the view moves or the scene plays. */
+/** Chooses the resolution of the images from their drawing times, while the view moves or the scene plays. */
 export class Quality {
   constructor() {
     /** Fraction of the full width and height. */
