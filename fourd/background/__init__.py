@@ -1,1 +1,1 @@
-"""Initial points of a static background from clean plates."""
+"""Initial points of a static background, computed from clean plates."""

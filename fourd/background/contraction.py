@@ -1,4 +1,4 @@
-"""Scene contraction of unbounded space into a ball (mip-NeRF 360, Barron et al. 2022, eq. 10)."""
+"""Contraction of unbounded space into a ball (mip-NeRF 360, Barron et al. 2022, eq. 10)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CONTRACTED_RADIUS = 2.0
-"""Radius of the ball. Points at infinity map to the ball's surface. The contraction is the identity within radius 1."""
+"""Radius of the ball in contracted space. Points at infinity map to the ball's surface. Inside radius 1, the
+contraction is the identity."""
 
 
 @dataclass(frozen=True)
@@ -29,19 +30,21 @@ class Contraction:
     radius: float
 
     def __call__(self, xyz: Tensor) -> Tensor:
-        """Map world points (..., 3) into a ball of radius 2; differentiable."""
+        """Map world points (..., 3) into a ball of radius 2. The map is differentiable."""
         centre = torch.tensor(self.centre, dtype=xyz.dtype, device=xyz.device)
         near = (xyz - centre) / self.radius
         length = torch.linalg.vector_norm(near, dim=-1, keepdim=True).clamp(min=1.0)
         return near * ((CONTRACTED_RADIUS - 1 / length) / length)
 
     def to_unit(self, xyz: Tensor) -> Tensor:
-        """Map world points (..., 3) into the unit cube, with each coordinate in [0, 1]; differentiable."""
+        """Map world points (..., 3) into the unit cube, where each coordinate is in [0, 1]. The map is
+        differentiable."""
         return (self(xyz) + CONTRACTED_RADIUS) / (2 * CONTRACTED_RADIUS)
 
 
 def contraction_around(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> Contraction:
-    """Create a contraction about the viewing centre ``focus`` (3,) whose inner region contains all cameras."""
+    """Create a contraction about the viewing centre ``focus`` (3,). The contraction's inner region contains all
+    cameras."""
     distances = [float(np.linalg.norm(camera.centre - focus)) for camera in cameras]
     x, y, z = (float(value) for value in focus)
     return Contraction((x, y, z), max(*distances, 1e-6))

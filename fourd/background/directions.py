@@ -16,8 +16,8 @@ Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
 FAR_QUANTILE = 0.8
-"""The distance of a cell is this quantile of the distances of its points. A high quantile ignores objects in front of
-the far wall."""
+"""The distance assigned to a cell is this quantile of the distances of the points in the cell. With a high quantile,
+objects in front of the farthest wall do not count."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,8 +25,8 @@ class DirectionGrid:
     """A grid of directions around a point. Rows are elevations and columns are azimuths.
 
     Attributes:
-        centre: (3,) world point from which the directions start.
-        R_world_sphere: (3, 3) rotation from the grid's axes to the world; the third axis points up.
+        centre: (3,) world point at which the directions start.
+        R_world_sphere: (3, 3) rotation from the grid's axes to the world. The third axis of the grid points up.
         rows: number of rows.
         columns: number of columns.
     """
@@ -37,7 +37,8 @@ class DirectionGrid:
     columns: int
 
     def cells(self, xyz: Array) -> tuple[NDArray[np.intp], Array]:
-        """Flat cell indices (N,) of world points (N, 3), and their distances (N,) from the centre."""
+        """Flat indices (N,) of the cells that contain world points (N, 3), and distances (N,) of the points from the
+        centre."""
         local = (xyz - self.centre) @ self.R_world_sphere
         distance = np.maximum(np.linalg.norm(local, axis=1), 1e-12)
         elevation = np.arcsin(np.clip(local[:, 2] / distance, -1, 1))
@@ -47,7 +48,8 @@ class DirectionGrid:
         return row * self.columns + column, distance
 
     def directions(self) -> Array:
-        """(rows * columns, 3) unit vectors in the world at the cells' centres; odd rows are offset by half a cell."""
+        """(rows * columns, 3) unit vectors in world coordinates at the cells' centres. Cells in odd rows are offset by
+        half a cell."""
         elevation = ((np.arange(self.rows) + 0.5) / self.rows - 0.5) * np.pi
         azimuth = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) * 2 * np.pi
         e, a = np.meshgrid(elevation, azimuth, indexing="ij")
@@ -57,7 +59,8 @@ class DirectionGrid:
 
 
 def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: int = 1) -> DirectionGrid:
-    """Create a grid around a world point (3,) with one column per degree and the cameras' mean up direction as up."""
+    """Create a grid around a world point (3,). The grid has one column per degree, and its up direction is the mean up
+    direction of the cameras."""
     up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
@@ -95,13 +98,13 @@ def summarize_cells(
 def interpolate_harmonic(
     grid: DirectionGrid, known: NDArray[np.bool_], values: Array, horizontal_weight: float
 ) -> Array:
-    """Interpolate harmonically: each unknown cell gets the weighted mean of its neighbours.
+    """Interpolate harmonically: each unknown cell gets the weighted mean of its neighbours' values.
 
     Args:
         grid: the grid of directions.
-        known: (cells,) bool, whether a cell's value is given. The interpolation keeps given values.
+        known: (cells,) bool, true for cells with a given value. Given values are not changed.
         values: (cells, C) values. The values of unknown cells are ignored.
-        horizontal_weight: weight of horizontal neighbours; vertical neighbours have weight 1.
+        horizontal_weight: weight of the neighbours in the same row. Neighbours in the same column have weight 1.
     """
     number = np.arange(grid.rows * grid.columns).reshape(grid.rows, grid.columns)
     level = (number.ravel(), np.roll(number, -1, axis=1).ravel())

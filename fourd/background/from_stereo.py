@@ -1,7 +1,7 @@
-"""Background points from clean plates by stereo.
+"""Computation of background points from clean plates by stereo.
 
-Sparse features initialise the plates' depth maps. Depths that disagree between plates are removed. Points are sampled
-on the surfaces of the remaining depths.
+Triangulated sparse features initialise the depth maps of the plates. Depths that disagree between plates are removed.
+Points are then sampled on the surfaces that the remaining depths describe.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 MIN_SHARE = 0.1
-"""Minimum share of the plates' visible depth-map pixels that have a measured depth."""
+"""Minimum share of the visible cells of all depth maps that have a measured depth."""
 
 
 def seed_from_stereo(
@@ -33,16 +33,17 @@ def seed_from_stereo(
     """Create coloured points of a static background, evenly spread over the plates' images.
 
     COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The depth map
-    of each plate is initialised from the triangulated features and from dominant planes through them. PatchMatch then
-    optimises the depth map. A depth is kept if another plate confirms it and no plate contradicts it. The same input
-    and seed give the same points.
+    of each plate is initialised from the triangulated features and from dominant planes that are fitted to these
+    features. Then PatchMatch optimises the depth map. A depth is kept if another plate confirms it and no plate
+    contradicts it. The same input and seed give the same points.
 
     Args:
         plates: clean plates of at least two cameras.
-        points: requested number of points, at least 1. Plates with few visible pixels give fewer points.
-        fill: whether to extrapolate depth into areas without a stereo match.
-        seed: random seed.
-        workers: number of processes.
+        points: requested number of points, at least 1. If the plates have few visible pixels, fewer points are
+            returned.
+        fill: whether to extrapolate depth into areas in which stereo finds no match.
+        seed: seed of the random numbers.
+        workers: number of worker processes.
         log: reports the number of features and of points.
         track: progress callback.
 

@@ -1,4 +1,4 @@
-"""Detection of backgrounds that are not static: images are compared with the clean plates outside the mattes."""
+"""Detection of backgrounds that are not static, by comparing images with the clean plates outside the mattes."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from fourd.capture.layout import sample_indices
 FRAMES = 6
 """Number of compared frames per camera. The compared frames are evenly spaced over the capture."""
 MAX_DIFFERENCE = 24.0
-"""Largest colour difference of an unchanged pixel in 8-bit levels, after blurring and exposure compensation."""
+"""Maximum colour difference of an unchanged pixel in 8-bit levels. The images are compared after blurring and exposure
+compensation."""
 BLUR_PX = 2.0
 MARGIN = 1 / 50
-"""Width of a band around the matte, as a fraction of the image's longer side. The band is not compared, because it
-contains soft edges and shadows."""
+"""Width of a band around the matte, as a share of the image's longer side. Pixels in the band are not compared, because
+the band contains soft edges and shadows."""
 MAX_CHANGED_SHARE = 0.02
-"""Largest share of the visible background that may differ because of noise."""
+"""Maximum share of the visible background that may differ from the plate because of noise."""
 
 
 def find_changing_backgrounds(
     capture: Capture, cameras: Sequence[int], plates: Sequence[PlateView]
 ) -> dict[str, float]:
-    """Find the cameras whose background differs from the plate in more than 2% of its area in at least one frame.
+    """Find the cameras whose background differs from the plate. A camera is returned if more than 2% of the
+    background's area differs in at least one frame.
 
     Args:
         capture: a capture with mattes.
-        cameras: index of each plate's camera in the capture.
+        cameras: index in the capture of each plate's camera.
         plates: clean plates.
 
-    Returns:
-        by camera name, the share in [0, 1] of the background that changed, in the frame with the largest change.
+    Returns: camera name -> share in [0, 1] of the background that changed, in the frame with the largest change.
     """
     shares = {
         plate.name: max(

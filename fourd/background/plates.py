@@ -1,4 +1,5 @@
-"""Clean plates for background seeding. The user provides the plates, or ``fourd matte`` makes them."""
+"""Clean plates from which the background's points are computed. The user provides the plates, or ``fourd matte`` makes
+them."""
 
 from __future__ import annotations
 
@@ -22,21 +23,22 @@ from fourd.progress import Log
 Picture = NDArray[np.uint8]
 
 USER_FOLDER = "bgs"
-"""Folder in a capture for the user's plates. The files are CAM.png or CAM.jpg and have the frames' lens distortion."""
+"""Folder in a capture with plates that the user provides. The files are CAM.png or CAM.jpg. They have the same lens
+distortion as the frames."""
 MIN_SEEN_SHARE = 0.5
 MIN_CAMERAS = 2
 
 
 @dataclass(frozen=True, eq=False)
 class PlateView:
-    """One camera's background without the subject.
+    """Image of the background as one camera sees it without the subject.
 
     Attributes:
         name: name of the camera.
         camera: pinhole camera of the undistorted plate.
         rgb: (H, W, 3) uint8 colours; undefined in holes.
-        seen: (H, W) bool, whether the background is visible. Holes and pixels outside the lens's field of view are
-            False.
+        seen: (H, W) bool, true where the background is visible. Holes and pixels outside the lens's field of view are
+            false.
     """
 
     name: str
@@ -46,7 +48,7 @@ class PlateView:
 
 
 def has_plate(path: Path, name: str) -> bool:
-    """Whether a capture's folder contains a clean plate of a camera, provided by the user or made by fourd."""
+    """Whether a capture's folder contains a clean plate of a camera. The plate may come from the user or from fourd."""
     return name in find_pictures(path / USER_FOLDER) or (path / FOLDER / f"{name}.png").exists()
 
 
@@ -56,15 +58,15 @@ def read_plates(
     """Read the plates of some cameras of a capture. The plates are undistorted and resized to match
     ``capture.cameras``.
 
-    A plate from the user, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, has priority. The user's plate must have the full size
-    and the lens distortion of the frames. Pixels of the user's plate that are not opaque are holes. If the user
-    provides no plate, the plate ``.fourd/plates/CAM.png`` from :mod:`fourd.matting.plates` is read.
+    If the user provides a plate, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, this plate is used. The user's plate must have the
+    full size of the frames and their lens distortion. Pixels of the user's plate that are not opaque are holes. If the
+    user provides no plate, the plate ``.fourd/plates/CAM.png`` from :mod:`fourd.matting.plates` is read.
 
     Args:
         capture: the capture.
         cameras: indices of at least two cameras.
         log: reports plates that are mostly holes.
-        made: folder of plates in fourd's format, instead of the capture's ``.fourd/plates``.
+        made: folder with plates that fourd made; if None, the capture's folder ``.fourd/plates`` is used.
 
     Returns:
         one view per camera, in the order of ``cameras``.
@@ -97,7 +99,7 @@ def read_plates(
 
 @dataclass(frozen=True)
 class _File:
-    """Path of a plate, and whether fourd made the plate. Plates made by fourd are undistorted."""
+    """Path of a plate, and whether fourd made this plate. Plates that fourd made are undistorted."""
 
     path: Path
     made: bool
@@ -125,7 +127,8 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
 
 
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
-    """The cameras by name, with lens distortion and at the full size of the frames."""
+    """The cameras ``names``, with the names as keys. These cameras have lens distortion and the full size of the
+    frames."""
     whole = open_capture(capture.path, views=names, frames="0:1", mattes=False)
     calibrations = read_calibration(capture.path)
     return {
@@ -136,7 +139,7 @@ def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """An image in memory that the frame reader treats as a video with one frame."""
+    """Make an image in memory look like a video with one frame to the frame reader."""
 
     path: Path
     picture: Picture
@@ -160,8 +163,8 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
             f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # In plates made by fourd, pixels outside the lens's field of view are black and opaque. An opaque matte is
-        # undistorted to find the pixels outside the field of view.
+        # In plates that fourd made, pixels outside the lens's field of view are black and opaque. To find these pixels,
+        # an opaque matte is undistorted.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)
@@ -177,7 +180,7 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
 def _undistort(
     capture: Capture, name: str, lens: Camera, path: Path, rgb: Picture, matte: Picture
 ) -> tuple[Picture, Picture]:
-    """Undistort a plate and its matte with the code that undistorts the capture's frames."""
+    """Undistort a plate and its matte with the same code as the capture's frames."""
     footage = Footage(_Still(path, rgb), Mattes(_Still(path, matte), is_generated=False), (lens.width, lens.height))
     alone = Capture(capture.path, [name], [lens], [footage], ["plate"], [0], 1, scale=1.0, cache_mb=0)
     return alone.image(0, 0), alone.mask(0, 0)

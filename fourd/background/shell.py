@@ -1,4 +1,5 @@
-"""Background shell: points in the directions that no plate shows, so that rendered views have no empty areas."""
+"""The background's shell: points in the directions that no plate shows. Without these points, rendered views would have
+empty areas."""
 
 from __future__ import annotations
 
@@ -15,30 +16,32 @@ from fourd.formats.ply import ColouredPoints
 Array = NDArray[np.float64]
 
 HORIZONTAL_WEIGHT = 6.0
-"""Weight of horizontal neighbours in the interpolation; vertical neighbours have weight 1. Floors, walls and skies
-vary less along the horizon."""
+"""Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. Floors, walls and skies vary
+less in the horizontal direction than in the vertical direction."""
 SMALL_GAP_DEG = 1.5
-"""Gaps of at most this size in degrees are the usual distance between points, so they are closed."""
+"""Gaps of at most this size in degrees are closed, because neighbouring points usually have such distances."""
 RIM_FACTOR = 0.985
-"""Factor on the inverse distances of the shell's rim, which consists of known cells beside unknown cells. The factor
-places the rim slightly behind the known points."""
+"""Factor that multiplies the inverse distances of the shell's rim. The rim consists of known cells beside unknown
+cells. The factor places the rim slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
-"""Angle in degrees from the nearest known cell beyond which only one cell in sixteen gets a point."""
+"""Angle in degrees. Only one in sixteen of the cells whose angle from the nearest known cell is larger gets a point."""
 OCCLUSION_RATIO = 0.9
-"""A shell point occludes a known point if its depth is less than this fraction of the known point's depth."""
+"""A shell point occludes a known point if the shell point's depth is less than this share of the known point's
+depth."""
 DEPTH_CELL_PX = 6.0
 
 
 def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
-    """Build points in the directions that have no background points.
+    """Build points in the directions in which there are no background points.
 
-    Inverse distance and colour are interpolated harmonically between the known directions, with a larger weight along
-    the horizon. Up is the cameras' mean up direction. Points that would occlude known points in a camera are dropped.
+    Inverse distance and colour are interpolated harmonically between the known directions. Horizontal neighbours have a
+    larger weight. The up direction is the mean up direction of the cameras. Points that would occlude known points in a
+    camera are dropped.
 
     Args:
-        points: background points from the plates.
+        points: background points that were computed from the plates.
         cameras: cameras of the scene.
-        centre: (3,) world point from which the directions start.
+        centre: (3,) world point at which the directions start.
     """
     sphere = direction_grid(cameras, centre)
     cells, distance = sphere.cells(points.xyz.astype(np.float64))
@@ -47,20 +50,20 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
     chosen = _select_cells(sphere, known)
-    # The rim of the shell is placed behind known points. Without an overlap between the shell and the known points,
-    # other viewpoints would show a slit.
+    # The rim of the shell overlaps the known points, and is placed behind them. Without this overlap, a slit would be
+    # visible between shell and known points from other viewpoints.
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Shell points nearer to the centre than the median camera are dropped. Some cameras see the space near the centre,
-    # so gaps near the centre come from sparse points and need no shell.
+    # Shell points whose distance from the centre is smaller than the median distance of the cameras are dropped. Some
+    # cameras see the space near the centre. Gaps in this space are caused by sparse points, and need no shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
 
 
 def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
-    """Share in [0, 1] of the directions around ``centre`` that have points; small gaps count as covered."""
+    """Share in [0, 1] of the directions around ``centre`` that have points. Small gaps count as covered."""
     sphere = direction_grid(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))
     known = np.zeros(sphere.rows * sphere.columns, bool)
@@ -72,7 +75,8 @@ def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[
 
 
 def viewing_centre(cameras: Sequence[Camera]) -> Array:
-    """World point (3,) nearest to the cameras' optical axes; the mean camera centre if the axes are parallel."""
+    """World point (3,) with the smallest sum of squared distances to the cameras' optical axes. If the axes are
+    parallel, the mean camera centre is returned."""
     centres = np.stack([camera.centre for camera in cameras])
     projectors = np.stack([np.eye(3) - np.outer(camera.forward, camera.forward) for camera in cameras])
     normal = projectors.sum(axis=0)
@@ -84,7 +88,7 @@ def viewing_centre(cameras: Sequence[Camera]) -> Array:
 def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Select the cells that get a shell point: unknown cells and a rim of known cells.
 
-    The selected cells are evenly dense over the sphere, but sparser far from known cells.
+    The density of selected cells is uniform over the sphere, but lower far from known cells.
     """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
@@ -95,16 +99,17 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
     step = np.where(degrees > NEAR_GAP_DEG, 4 * step, step)
     level = np.where(degrees > NEAR_GAP_DEG, row % 4 == 0, True)
-    # Every second sparse row is offset by half a step. A hexagonal layout covers the sphere most evenly.
+    # In the sparse area, every second row is offset by half a step. The resulting hexagonal layout covers the sphere
+    # most evenly.
     offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
     return np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
 
 
 def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
-    """Close small gaps between known cells. Returns the known cells (rows, columns) and the angle in degrees between
-    each cell and the nearest cell that was known before."""
+    """Close small gaps between known cells. Returns the known cells after closing (rows, columns), and the angle in
+    degrees between each cell and the nearest cell that was known before closing."""
     known = _dilate_rows(sphere, known)
-    # Three copies side by side make the distance transform periodic in azimuth.
+    # Three copies of the grid side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
     middle = (slice(sphere.rows, 2 * sphere.rows), slice(sphere.columns, 2 * sphere.columns))
     degrees = distance_transform_edt(~tiled) * CELL_DEG
@@ -113,8 +118,8 @@ def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArra
 
 
 def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Known cells (rows, columns), dilated along rows by one degree on the sphere. One degree spans more cells near the
-    poles than at the equator."""
+    """Known cells (rows, columns), dilated along the rows by one degree on the sphere. One degree spans more cells near
+    the poles than at the equator."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
     for row in range(sphere.rows):
         elevation = ((row + 0.5) / sphere.rows - 0.5) * np.pi
@@ -125,7 +130,8 @@ def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.
 
 
 def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """(N,) bool: which points (N, 3) occlude at least one of the points ``seen`` (M, 3) in a camera."""
+    """(N,) bool, true for points (N, 3) that occlude at least one of the points ``seen`` (M, 3) in at least one
+    camera."""
     hides = np.zeros(len(xyz), np.bool_)
     for camera in cameras:
         columns = int(camera.width / DEPTH_CELL_PX) + 1

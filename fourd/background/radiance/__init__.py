@@ -1,1 +1,1 @@
-"""A radiance field of a static background, optimised on clean plates (Instant-NGP, Mueller et al. 2022)."""
+"""A radiance field of a static background, optimised to match the clean plates (Instant-NGP, Mueller et al. 2022)."""

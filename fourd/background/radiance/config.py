@@ -9,7 +9,8 @@ from fourd.ops.hashgrid.shape import HashGridShape
 
 @dataclass(frozen=True)
 class RadianceConfig:
-    """Settings of the radiance field (Instant-NGP, Mueller et al. 2022) that creates points with ``seeding: ngp``."""
+    """Settings of the radiance field (Instant-NGP, Mueller et al. 2022) from which points are computed with ``seeding:
+    ngp``."""
 
     levels: int = 16
     """Number of resolution levels of the hash grid, 1 to 32."""
@@ -34,14 +35,14 @@ class RadianceConfig:
     rate: float = 1e-2
     """Initial learning rate. The learning rate decays exponentially to a tenth of this value."""
     measured: float = 1.0
-    """Weight of the depth loss at pixels with a depth measured by stereo."""
+    """Weight of the depth loss at pixels whose depth was measured by stereo."""
     continued: float = 0.2
-    """Weight of the depth loss at pixels with an extrapolated depth."""
+    """Weight of the depth loss at pixels whose depth was extrapolated."""
     distortion: float = 3e-3
     """Weight of the distortion loss."""
 
     def __post_init__(self) -> None:
-        """Check all fields; raises ValueError for values out of range."""
+        """Check all fields. Raises ValueError for values out of range."""
         _ = self.grid
         for name in ("hidden", "occupancy", "steps", "rays", "samples"):
             if getattr(self, name) < 1:

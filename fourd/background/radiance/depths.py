@@ -1,6 +1,7 @@
-"""Depth maps of the plates, rendered from an optimised field and filtered by consistency between plates.
+"""Depth maps of the plates, rendered from an optimised field. Only depths that are consistent between plates are kept.
 
-A cell is one sample of a plate's depth map. The support of a cell is the number of other plates that confirm its depth.
+In this module, a cell is one sample of a plate's depth map. The support of a cell is the number of other plates that
+confirm its depth.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ SAMPLES = 64
 RAYS = 4096
 """Number of rays per batch."""
 MAX_QUARTILE_RATIO = 1.25
-"""Maximum ratio of two distances on a ray. The cumulative rendering weight reaches 3/4 at the first distance and 1/4 at
-the second. If the ratio is larger, the weights are too spread out for a surface."""
+"""Maximum ratio of two distances along a ray. The cumulative rendering weight reaches 3/4 at the first distance and 1/4
+at the second. If the ratio is larger, the weights are too spread out along the ray to describe a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If the distance is larger, the
-ray counts as hitting no surface."""
+"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If the distance is larger, no
+surface is assumed on the ray."""
 
 
 def add_field_depths(
@@ -41,13 +42,13 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Fill the unknown cells of measured surfaces with the field's median depths if another plate confirms these
+    """Fill the unknown cells of measured surfaces with the median depths of the field, if another plate confirms these
     depths.
 
-    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. In addition, the cell
-    must not occlude more surfaces than agree with it. Confirmed cells get support 1. Unconfirmed cells take the
-    extrapolated depth of ``continued``. If only one plate sees a surface, colours do not determine the surface's depth,
-    and the field's depth of the surface is noise around the prior.
+    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. In addition, the number
+    of surfaces that the cell occludes must not exceed the number of surfaces that agree with it. Confirmed cells get
+    support 1. Unconfirmed cells take the extrapolated depth of ``continued``. Colours do not determine the depth of a
+    surface that only one plate sees. There, the depth of the field is noise around the extrapolated depth.
 
     Args:
         field: the optimised field.
@@ -62,7 +63,7 @@ def add_field_depths(
 
 
 def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface) -> Surface:
-    """Fill the unknown cells of a measured surface with the field's median depths."""
+    """Fill the unknown cells of a measured surface with the median depths of the field."""
     grid = measured.depths.grid
     inverse = measured.depths.inverse_depth.astype(np.float64)
     unknown = ~measured.known
@@ -75,7 +76,7 @@ def _merge_depths(field: OptimizedField, plate: ReducedPlate, measured: Surface)
 
 
 def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array) -> Array:
-    """Inverse depths (M,) at which the cumulative rendering weight of the rays through ``xy`` (M, 2) reaches 1/2.
+    """Inverse depths (M,) at which the cumulative rendering weight along the rays through ``xy`` (M, 2) reaches 1/2.
 
     ``xy`` are pixel indices. The value is 0 for rays without a surface.
     """
@@ -93,7 +94,8 @@ def median_inverse_depths(field: OptimizedField, plate: ReducedPlate, xy: Array)
 
 
 def _keep_confirmed(index: int, merged: Sequence[Surface], measured: Surface, continued: Surface) -> Surface:
-    """Keep the measured cells and the confirmed cells of a merged surface. Take all other cells from ``continued``."""
+    """Return a surface with the measured cells and the confirmed cells of ``merged[index]``. All other cells are taken
+    from ``continued``."""
     surface = merged[index]
     cells = np.flatnonzero(surface.known & ~measured.known)
     agreeing, occluded = count_agreement(index, merged, cells)

@@ -19,13 +19,13 @@ MAX_LOG_DENSITY = 11.0
 class RadianceField(nn.Module):
     """Density and view-independent colour of points in space.
 
-    If the colour depended on the view, the field could reproduce each plate by radiance that only the plate's own
-    camera sees. The unit of length of densities and of distances along rays is :attr:`Contraction.radius`.
+    If the colour depended on the view, the field could reproduce each plate with radiance that only the camera of this
+    plate sees. Densities and distances along rays are measured in units of :attr:`Contraction.radius`.
     """
 
     def __init__(self, shape: HashGridShape, contraction: Contraction, hidden: int) -> None:
-        """Initialise the field randomly with a low density. ``hidden`` is the width of the hidden layer in both
-        networks."""
+        """Initialise the field with random values and with a low density. ``hidden`` is the width of the hidden layer
+        in both networks."""
         super().__init__()
         self.shape = shape
         self.contraction = contraction
@@ -40,19 +40,19 @@ class RadianceField(nn.Module):
         )
 
     def density(self, xyz: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute densities (N,) and geometry features (N, 15) of world points (N, 3) for :meth:`colour`."""
+        """Compute densities (N,) of world points (N, 3), and geometry features (N, 15) for :meth:`colour`."""
         output = self.density_layers(encode_hash_grid(self.contraction.to_unit(xyz), self.table, self.shape))
         return bounded_exp(output[:, 0] + INITIAL_LOG_DENSITY), output[:, 1:]
 
     def colour(self, features: Tensor) -> Tensor:
-        """Compute RGB colours (N, 3) in [0, 1] from geometry features (N, 15) of :meth:`density`."""
+        """Compute RGB colours (N, 3) in [0, 1] from geometry features (N, 15) that :meth:`density` returned."""
         return torch.sigmoid(self.colour_layers(features))
 
 
 def bounded_exp(log_density: Tensor) -> Tensor:
     """The exponential function, clamped at exp(11).
 
-    Clamped values have a nonzero gradient, so that high densities can decrease.
+    The gradient is not zero where the value is clamped, so that high densities can still decrease.
     """
     return torch.Tensor(_BoundedExp.apply(log_density))
 

@@ -1,4 +1,4 @@
-"""Background points from clean plates by a radiance field that is supervised with stereo depths."""
+"""Computation of background points from clean plates by a radiance field that is supervised with stereo depths."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
-"""Share of the visible depth-map pixels with a confirmed depth, below which the log calls the result a rough
+"""Share of the visible depth-map cells with a confirmed depth. Below this share, the log calls the result a rough
 estimate."""
 MIN_SHARE = 0.01
-"""Minimum share of the visible depth-map pixels with a confirmed depth. Below this share, seeding fails."""
+"""Minimum share of the visible depth-map cells with a confirmed depth. Below this share, the computation fails with an
+error."""
 
 
 def seed_from_radiance(
@@ -46,18 +47,19 @@ def seed_from_radiance(
 ) -> ColouredPoints:
     """Create coloured points of a static background, evenly spread over the plates' images.
 
-    Stereo measures depths where two plates match (:mod:`fourd.background.stereo`). Depths are extrapolated in areas
-    where no plates match. A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on the
-    measured and extrapolated depths. Colours alone are not enough: if cameras are 20 degrees apart, a field optimised
-    only on colours reproduces each plate by radiance that only one camera sees. In cells without a stereo depth, the
-    field's median depth is used if another plate confirms this depth. The same input, seed and number of torch threads
-    give the same points.
+    Stereo measures depths in areas where two plates match (:mod:`fourd.background.stereo`). In areas without a match,
+    depths are extrapolated. A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on the
+    measured and extrapolated depths. Colours are not enough: if cameras are 20 degrees apart, a field that was
+    optimised only on colours reproduces each plate with radiance that only one camera sees. In cells without stereo
+    depth, the median depth of the field is used if another plate confirms this depth. The same input, seed and number
+    of torch threads give the same points.
 
     Args:
         plates: clean plates of at least two cameras.
-        points: requested number of points, at least 1. Plates with few visible pixels give fewer points.
-        config: settings of the field.
-        seed: random seed.
+        points: requested number of points, at least 1. If the plates have few visible pixels, fewer points are
+            returned.
+        config: settings of the radiance field.
+        seed: seed of the random numbers.
         workers: number of processes for stereo.
         log: reports how many points are measured and how many are extrapolated.
         track: progress callback.
@@ -93,7 +95,8 @@ def seed_from_radiance(
 
 
 def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """Create a surface for each plate. The surface's depths are measured, rendered from the field or extrapolated."""
+    """Create a surface for each plate. The depths of the surface are measured, rendered from the field or
+    extrapolated."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)
@@ -105,8 +108,8 @@ def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, 
 
 
 def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array, seed: int) -> list[Surface]:
-    """Extrapolate depths into unmeasured cells. If few cells are measured, a rough shape of the room guides the
-    extrapolation."""
+    """Extrapolate depths into cells without a measured depth. If few cells are measured, a rough shape of the room
+    guides the extrapolation."""
     room = Room.from_surfaces(stereo.surfaces, centre) if stereo.measured_share < FEW_SHARE else None
     if room is None:
         return complete_surfaces(stereo.surfaces, views, seed)
@@ -115,7 +118,8 @@ def _extrapolate(stereo: StereoResult, views: Sequence[GreyView], centre: Array,
 
 
 def _point_summary(measured: Sequence[Surface], surfaces: Sequence[Surface], cells: Sequence[NDArray[np.intp]]) -> str:
-    """Describe how many points have measured depths, depths from the field and extrapolated depths."""
+    """Describe how many points have measured depths, how many have depths from the field, and how many have
+    extrapolated depths."""
     total = sum(len(own) for own in cells)
     by_stereo = sum(int(surface.known[own].sum()) for surface, own in zip(measured, cells, strict=True))
     extrapolated = sum(int((surface.support[own] == 0).sum()) for surface, own in zip(surfaces, cells, strict=True))

@@ -1,4 +1,4 @@
-"""An occupancy grid that stores recent densities, for importance sampling along rays."""
+"""An occupancy grid that stores recent densities. The densities are used for importance sampling along rays."""
 
 from __future__ import annotations
 
@@ -12,38 +12,41 @@ from fourd.background.radiance.volume_rendering import rendering_weights
 
 DECAY = 0.95
 UNIFORM_WEIGHT = 0.1
-"""Total weight of uniform sampling in a ray's histogram. The weights computed from the grid's densities sum to at most
-1. Uniform samples find surfaces that are missing in the grid."""
+"""Total weight of uniform sampling in the histogram of sampling weights of a ray. The weights computed from the grid's
+densities sum to at most
+1. With uniform samples, surfaces are found that are missing in the grid."""
 BINS = 96
 """Number of bins in the histogram of sampling weights along a ray."""
 HINT_WEIGHTS = (0.25, 0.5, 0.25)
-"""Weights that a hint adds to a ray's histogram: to the bin before the hint, the hint's bin and the bin after it. A
-hint is a distance at which the ray is expected to hit a surface, for example the depth of a training pixel."""
+"""Weights that a hint adds to the histogram of a ray: to the bin before the hint, to the hint's bin and to the bin
+after it. A hint is a distance at which the ray is expected to hit a surface, for example the depth of a training
+pixel."""
 
 
 class OccupancyGrid:
     """Densities on a grid over contracted space. Dense cells get more samples than empty cells.
 
-    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in even steps. In this class, a histogram of
-    volume rendering weights is computed from the grid's densities along each ray, and a fixed number of samples is
-    drawn from the histogram.
+    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. This class instead computes a
+    histogram of volume rendering weights along each ray from the grid's densities. A fixed number of samples is drawn
+    from this histogram.
     """
 
     def __init__(self, contraction: Contraction, cells: int) -> None:
-        """Create an empty grid with ``cells`` cells per side."""
+        """Create an empty grid with ``cells`` cells along each side."""
         self.contraction = contraction
         self.cells = cells
         self.density = torch.zeros(cells**3)
         self.edges = torch.linspace(0, 1, BINS + 1)
 
     def sample(self, rays: Rays, count: int, jitter: Tensor | None, hint: Tensor | None = None) -> Tensor:
-        """Sample the edges of intervals along rays.
+        """Sample the edges of the intervals along rays.
 
         Args:
             rays: R rays.
-            count: intervals per ray.
-            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). None gives deterministic edges.
-            hint: (R,) normalised distances near which samples are added, or NaN for rays without a hint.
+            count: number of intervals per ray.
+            jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, each edge
+                is at the centre of its stratum.
+            hint: (R,) normalised distances near which more samples are placed, or NaN for rays without a hint.
 
         Returns:
             (R, count + 1) normalised distances of the intervals' edges.
@@ -61,8 +64,8 @@ class OccupancyGrid:
         return resample_edges(self.edges, histogram, count, jitter)
 
     def update(self, xyz: Tensor, density: Tensor) -> None:
-        """Update the cells at world points (N, 3) with a new ``density`` (N,). Each cell keeps the larger of its
-        decayed old density and the new density."""
+        """Update the cells that contain world points (N, 3) with a new ``density`` (N,). The new value of a cell is the
+        larger of the decayed old density and ``density``."""
         cells = self.cell_of(xyz)
         self.density[cells] = self.density[cells] * DECAY
         self.density.scatter_reduce_(0, cells, density, "amax")

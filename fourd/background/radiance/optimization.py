@@ -20,8 +20,8 @@ from fourd.progress import Track, untracked
 FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
-"""Length of each ray's last interval, in units of the contraction's radius. The large length makes every ray opaque.
-Otherwise, fog would appear in front of the lens."""
+"""Length of each ray's last interval, in units of the contraction's radius. With this length, the last interval makes
+every ray opaque. Otherwise, fog would appear in front of the cameras."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +34,13 @@ class OptimizedField:
     def render(
         self, rays: Rays, samples: int, generator: torch.Generator | None = None, hint: Tensor | None = None
     ) -> RenderedRays:
-        """Render rays; differentiable in the field's parameters.
+        """Render rays. The result is differentiable in the field's parameters.
 
         Args:
             rays: R rays.
-            samples: S, samples per ray.
-            generator: source of the random jitter of the samples. None gives samples without jitter.
-            hint: (R,) normalised distances near which samples are added, or NaN for rays without a hint.
+            samples: number S of samples per ray.
+            generator: random generator of the samples' jitter. If ``generator`` is None, the samples have no jitter.
+            hint: (R,) normalised distances near which more samples are placed, or NaN for rays without a hint.
         """
         with torch.no_grad():
             jitter = None if generator is None else torch.rand(len(rays), samples + 1, generator=generator)
@@ -63,7 +63,7 @@ class RenderedRays:
     Attributes:
         edges: (R, S + 1) normalised distances of the interval edges.
         weights: (R, S) volume rendering weights.
-        rgb: (R, 3) composited colours.
+        rgb: (R, 3) composited RGB colours in [0, 1].
         xyz: (R S, 3) world points of the samples.
         density: (R S,) densities of the samples.
     """
@@ -81,10 +81,10 @@ def optimize_field(
     """Optimise a radiance field on pixels of plates.
 
     The loss is a weighted sum of the squared colour error, a depth loss and the distortion loss (Barron et al. 2022,
-    eq. 15). The depth loss applies to pixels with a depth, as in Depth-supervised NeRF (Deng et al. 2022). The depth
-    loss of a ray is a weighted sum over the samples. Each term is the absolute difference between the normalised
-    distances of a sample and of the surface, and each weight is the sample's rendering weight. The same input, seed and
-    number of torch threads give the same field.
+    eq. 15). The depth loss applies to pixels with a known depth, as in Depth-supervised NeRF (Deng et al. 2022). The
+    depth loss of a ray is a weighted sum over the samples. Each term is the absolute difference between the normalised
+    distances of a sample and of the surface. The weight of a term is the sample's rendering weight. The same input,
+    seed and number of torch threads give the same field.
     """
     generator = torch.Generator().manual_seed(seed)
     with torch.random.fork_rng(devices=[]):
@@ -106,7 +106,7 @@ def optimize_field(
 
 
 def _rate_factor(step: int, steps: int) -> float:
-    """Factor of the learning rate: it rises linearly over the first 50 steps and decays exponentially to a tenth."""
+    """Factor of the learning rate, which rises linearly over the first 50 steps and decays exponentially to a tenth."""
     return min(1.0, (step + 1) / WARM_UP) * float(FINAL_RATE_FACTOR ** (step / steps))
 
 

@@ -1,6 +1,6 @@
 """The training pixels of all plates, with measured or extrapolated depths.
 
-A cell is one sample of a plate's depth map. Each cell covers several pixels and stores a plane.
+In this module, a cell is one sample of a plate's depth map. Each cell covers several pixels and stores a plane.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
 """Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. If the cell's plane is
-seen almost edge-on, the ratio can fall below this minimum, and the depth of the pixel is not used."""
+seen almost edge-on, the ratio can fall below this minimum. Then the depth of the pixel is not used."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,8 +31,8 @@ class Batch:
     Attributes:
         rays: the rays in world coordinates.
         rgb: (R, 3) colours in [0, 1].
-        surface: (R,) normalised distance of the surface, or NaN if the distance is unknown.
-        measured: (R,) bool, whether stereo measured the distance.
+        surface: (R,) normalised distance of the surface along the ray, or NaN if the distance is unknown.
+        measured: (R,) bool, true if stereo measured the distance.
     """
 
     rays: Rays
@@ -47,12 +47,12 @@ class Pixels:
 
     Attributes:
         plate: (P,) int16 index of each pixel's plate.
-        xy: (P, 2) int16 column and row.
+        xy: (P, 2) int16 column and row of each pixel.
         rgb: (P, 3) uint8 colours.
-        surface: (P,) normalised distance of the surface, or NaN if the distance is unknown.
-        measured: (P,) bool, whether stereo measured the distance.
-        centres: (V, 3) float32 camera centres in the world.
-        matrices: (V, 3, 3) float32 matrices that map (x, y, 1) in pixels to directions in the world.
+        surface: (P,) normalised distance of the surface along the ray, or NaN if the distance is unknown.
+        measured: (P,) bool, true if stereo measured the distance.
+        centres: (V, 3) float32 camera centres in world coordinates.
+        matrices: (V, 3, 3) float32 matrices that map pixels (x, y, 1) to ray directions in world coordinates.
     """
 
     plate: Tensor

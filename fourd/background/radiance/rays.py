@@ -15,8 +15,8 @@ from fourd.cameras import Camera
 NEAR = 0.05
 """Distance at which rays start. All distances along rays are in units of the contraction's radius."""
 LINEAR_UP_TO = 2.0
-"""Distance up to which normalised distance is linear in distance. At larger distances, normalised distance is linear in
-inverse distance."""
+"""Distance up to which the normalised distance is a linear function of distance. Beyond this distance, the normalised
+distance is a linear function of inverse distance."""
 FAR = 200.0
 """Distance at which rays end."""
 
@@ -42,7 +42,7 @@ class Rays:
 
 
 def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
-    """Create rays of an undistorted pinhole camera through image positions (R, 2), x and y in pixels."""
+    """Create the rays of an undistorted pinhole camera through image positions (R, 2), given as x and y in pixels."""
     to_world = torch.from_numpy(ray_matrix(camera))
     directions = functional.pad(pixels.double(), (0, 1), value=1.0) @ to_world.T
     origins = torch.tensor(camera.centre).expand_as(directions)
@@ -50,15 +50,16 @@ def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
 
 
 def ray_matrix(camera: Camera) -> NDArray[np.float64]:
-    """(3, 3) matrix that maps (x, y, 1) in pixels to the ray's direction in the world, scaled to depth 1."""
+    """(3, 3) matrix that maps a pixel (x, y, 1) to the direction of its ray in world coordinates. The direction has
+    depth 1 in the camera's frame."""
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
 def to_distance(normalized: Tensor) -> Tensor:
     """Convert normalised distances in [0, 1] to distances.
 
-    The range [0, 0.5] maps linearly to distances from 0.05 to 2. The range [0.5, 1] maps to distances from 2 to 200,
-    linearly in inverse distance.
+    Normalised distances in [0, 0.5] are mapped linearly to distances from 0.05 to 2. Normalised distances in [0.5, 1]
+    are mapped to distances from 2 to 200. In this range, inverse distance changes linearly.
     """
     near = NEAR + 2 * normalized * (LINEAR_UP_TO - NEAR)
     inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)
@@ -73,16 +74,16 @@ def to_normalized(distance: Tensor) -> Tensor:
 
 
 def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | None) -> Tensor:
-    """Sample interval edges (R, count + 1) from histograms, so that the intervals have about equal weight.
+    """Sample interval edges (R, count + 1) from histograms, such that all intervals have about the same weight.
 
     This is stratified inverse transform sampling.
 
     Args:
         edges: (C + 1,) ascending edges of the histogram's bins.
-        weights: (R, C) weights of the bins, at least 0 and with a positive sum per row.
-        count: number of intervals.
-        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, every edge is
-            at the centre of its stratum.
+        weights: (R, C) weights of the bins. Each weight is at least 0, and each row has a positive sum.
+        count: number of intervals per ray.
+        jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, each edge is at
+            the centre of its stratum.
     """
     cumulative = functional.pad(weights.cumsum(1), (1, 0))
     cumulative = cumulative / cumulative[:, -1:]

@@ -1,6 +1,7 @@
 """A rough shape of the room that guides the extrapolation of depths.
 
-The shape is a distance for each direction. Unknown distances are interpolated, mainly along the horizon.
+The shape is stored as one distance per direction. Unknown distances are interpolated, mainly in the horizontal
+direction.
 """
 
 from __future__ import annotations
@@ -19,32 +20,32 @@ from fourd.cameras import Camera
 Array = NDArray[np.float64]
 
 HORIZONTAL_WEIGHT = 100.0
-"""Weight of horizontal neighbours in the interpolation; vertical neighbours have weight 1. A large weight keeps floors
+"""Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. A large weight keeps floors
 horizontal and walls vertical."""
 ROWS_PER_DEGREE = 4
-"""Number of grid rows per degree of elevation. The resolution is high because the far half of a floor, seen from a low
-centre, spans few degrees."""
+"""Number of grid rows per degree of elevation. The resolution must be high: seen from a low centre, the far half of a
+floor spans only a few degrees."""
 NEAR, FAR = 0.02, 100.0
-"""First and last depth of ray marching, relative to the camera's distance from the centre."""
+"""First and last depth of ray marching, as multiples of the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Share of known depth-map cells below which the room's shape is unreliable. If fewer cells are known, the room is
-enlarged until it contains a hall. The hall is a ball around the centre without the part below the floor."""
+"""Minimum share of depth-map cells with known depth. With a smaller share, the room's shape is unreliable. The room is
+then enlarged until it contains a hall. The hall is a ball around the centre without the part below the floor."""
 HALL_RADIUS = 1.5
-"""Radius of the hall, relative to the farthest camera's distance from the centre."""
+"""Radius of the hall, as a multiple of the farthest camera's distance from the centre."""
 FLOOR_PERCENTILE = 2.0
-"""Percentile of the measured heights that is taken as the floor."""
+"""Percentile of the measured heights that is used as the height of the floor."""
 STEPS = 32
 BISECTION_STEPS = 8
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """Distance from a point to the surrounding surfaces in all directions.
+    """Distance from the room's centre to the surrounding surfaces in all directions.
 
     Attributes:
-        sphere: the grid of directions around the point.
-        inverse_distance: (rows, columns) inverse distance to the surface; bilinear interpolation gives values between
-            cell centres.
+        sphere: the grid of directions around the centre.
+        inverse_distance: (rows, columns) inverse distance to the surface. Between cell centres, values are interpolated
+            bilinearly.
     """
 
     sphere: DirectionGrid
@@ -52,7 +53,7 @@ class Room:
 
     @staticmethod
     def from_surfaces(surfaces: Sequence[Surface], centre: Array) -> Room | None:
-        """Create the room around the world point ``centre`` (3,) from the known cells of the surfaces. Returns None if
+        """Create the room around the world point ``centre`` (3,) from the known cells of ``surfaces``. Returns None if
         no cell is known."""
         xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
         if not len(xyz):
@@ -80,8 +81,8 @@ class Room:
     def inverse_depths(self, camera: Camera, xy: Array) -> Array:
         """Inverse depths (M,) at which the rays through pixel indices (M, 2) leave the room.
 
-        If a ray does not leave the room, for example because the ray never enters the room, its depth is 1.5 times the
-        camera's distance from the room's centre.
+        If a ray does not leave the room, for example because it never enters the room, its depth is set to 1.5 times
+        the camera's distance from the room's centre.
         """
         rays = np.column_stack([xy, np.ones(len(xy))]) @ np.linalg.inv(index_intrinsics(camera)).T @ camera.rotation
         reach = max(float(np.linalg.norm(camera.centre - self.sphere.centre)), 1e-6)
@@ -101,7 +102,7 @@ class Room:
         return np.asarray(1 / np.sqrt(low * high))
 
     def _is_outside(self, xyz: Array) -> NDArray[np.bool_]:
-        """(M,) bool: whether a world point is farther from the room's centre than the surface in the point's
+        """(M,) bool, true for world points that are farther from the room's centre than the surface in the same
         direction."""
         sphere = self.sphere
         local = (xyz - sphere.centre) @ sphere.R_world_sphere
@@ -119,6 +120,6 @@ class Room:
 
 def _hall_inverse_distance(sphere: DirectionGrid, radius: float, depth: float) -> Array:
     """Inverse distances (cells,) from the centre to the surface of the hall: a ball around the centre without the part
-    below the floor. The floor is ``depth`` below the centre."""
+    below the floor. The floor is at the distance ``depth`` below the centre."""
     down = -(sphere.directions() @ sphere.R_world_sphere[:, 2])
     return np.asarray(np.maximum(1 / radius, down / depth if depth > 0 else 0 * down))

@@ -1,4 +1,4 @@
-"""Volume rendering weights (Mildenhall et al. 2020, eq. 3), their distortion loss and their quantiles."""
+"""Volume rendering weights (Mildenhall et al. 2020, eq. 3), and their distortion loss and quantiles."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ def rendering_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]
 
 
 def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
-    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15), which measures the spread of a ray's weights.
+    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15). This loss measures how far the weights of a
+    ray are spread.
 
     The loss is differentiable in ``weights`` and ``edges``.
 
@@ -38,8 +39,8 @@ def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
 
 
 def weight_quantile(weights: Tensor, edges: Tensor, part: float) -> Tensor:
-    """Normalised distance (R,) at which the cumulative weight reaches ``part``. The result is 1 if the total weight is
-    less than ``part``.
+    """Normalised distance (R,) at which the cumulative weight along a ray reaches ``part``. The result is 1 if the
+    total weight is less than ``part``.
 
     Args:
         weights: (R, S) volume rendering weights.

@@ -1,1 +1,1 @@
-"""Multi-view stereo: estimation, fusion and completion of depth maps of images with known cameras."""
+"""Multi-view stereo for images with known cameras: estimation, fusion and completion of depth maps."""

@@ -1,4 +1,4 @@
-"""Coloured points sampled from the surfaces of several plates."""
+"""Coloured points that are sampled from the surfaces of several plates."""
 
 from __future__ import annotations
 
@@ -20,18 +20,17 @@ Array = NDArray[np.float64]
 def sample_coloured_points(
     plates: Sequence[PlateView], reduced: Sequence[ReducedPlate], surfaces: Sequence[Surface], points: int, seed: int
 ) -> tuple[ColouredPoints, list[NDArray[np.intp]]]:
-    """Sample coloured points on the surfaces, evenly spread over the plates' images.
+    """Sample coloured points on surfaces such that they are evenly spread over the plates' images.
 
     Args:
         plates: full-size plates that give the colours.
-        reduced: the plates at the size used for stereo.
+        reduced: the same plates at the size used for stereo.
         surfaces: one surface per plate.
-        points: requested number of points, at least 1. Small surfaces give fewer points.
+        points: requested number of points, at least 1. If the surfaces are small, fewer points are returned.
         seed: random seed of the points' order.
 
-    Returns:
-        the points in random order, and for each surface the depth-map cells from which points were sampled, with one
-        entry per point. For every N, the first N points are a uniform sample of all points.
+    Returns: the points in random order. Also, for each surface, the depth-map cells from which points were sampled,
+        with one entry per point. For every N, the first N points are a uniform sample of all points.
     """
     samples = sample_surfaces(surfaces, [plate.seen for plate in reduced], points)
     found = _fuse_colours(plates, surfaces, samples)
@@ -41,7 +40,7 @@ def sample_coloured_points(
 
 
 def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns (M,) of the full-size plate's pixels at positions (M, 2) in the reduced plate."""
+    """Rows and columns (M,) of the pixels of the full-size plate at positions (M, 2) in the reduced plate."""
     height, width = plate.seen.shape
     positions = xy * (width / camera.width, height / camera.height)
     columns, rows = np.clip(positions, 0, (width - 1, height - 1)).astype(np.intp).T
@@ -51,7 +50,7 @@ def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[
 def _fuse_colours(
     plates: Sequence[PlateView], surfaces: Sequence[Surface], samples: Sequence[Samples]
 ) -> ColouredPoints:
-    """Average the position and the colour of each sample over all surfaces that agree with the sample.
+    """Average the position and the colour of each sample over all surfaces that agree with the sample's depth.
 
     The weight of a surface is the inverse square of its depth, because nearer surfaces are measured more precisely.
     """

@@ -22,35 +22,36 @@ from fourd.background.stereo.patchmatch import DepthMap
 Array = NDArray[np.float64]
 
 MARGIN = 0.25
-"""Width of a margin around an image, relative to its longer side. The interpolation uses points of other images that
-project into this margin."""
+"""Width of a margin around an image, as a share of the image's longer side. The interpolation uses points of other
+images that project into this margin."""
 MIN_KNOWN = 0.25
-"""Minimum share of known cells in an image. With fewer known cells, extrapolated depths do not resemble the scene."""
+"""Minimum share of known cells in an image. With fewer known cells, extrapolated depths would not resemble the
+scene."""
 MIN_BOUNDARY = 0.003
-"""Minimum share of cells with known values, counted over the image and its margin. With fewer known cells, harmonic
-interpolation is not used."""
+"""Minimum share of cells with known values, counted over the image and its margin. With fewer known cells, inverse
+depth is not interpolated."""
 MIN_OFF_PLANE = 0.005
-"""Minimum share of known points that lie off the enclosing planes. With fewer such points, harmonic interpolation is
-used only for cells whose ray hits no plane."""
+"""Minimum share of known points that lie off the enclosing planes. With fewer such points, interpolated depths are used
+only for cells whose ray hits no plane."""
 MAX_DEPTH_FACTOR = 4.0
-"""Largest depth of an extended plane, as a multiple of the largest known depth in the image."""
+"""Maximum depth of an extended plane, as a multiple of the largest known depth in the image."""
 EDGE_SCALE = 0.1
-"""Grey difference between neighbouring cells, in [0, 1], at which their interpolation weight drops to one half."""
+"""Grey difference in [0, 1] between neighbouring cells at which the weight between the cells drops to one half."""
 
 
 def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
     """Complete the unknown cells of surfaces.
 
-    A completed depth is the smaller of an interpolated depth and the depth of the nearest enclosing plane. The
-    interpolated depth comes from harmonic interpolation of inverse depth between known cells that lie on no enclosing
-    plane. Harmonic interpolation of inverse depth is exact for planar surfaces. Harmonic interpolation also uses points
-    that are known or completed in other images. A cell stays unknown if it would occlude a known surface of another
-    image, or if less than a quarter of its image's cells are known. Completed cells have support 0, because no other
-    image confirms them.
+    A completed depth is the minimum of an interpolated depth and the depth of the nearest enclosing plane. The
+    interpolated depth is obtained by harmonic interpolation of inverse depth between known cells that do not lie on an
+    enclosing plane. This interpolation is exact for planar surfaces. It also uses points that are known or completed in
+    other images. A cell remains unknown if it would occlude a known surface of another image. All unknown cells of an
+    image remain unknown if less than a quarter of the image's cells are known. Completed cells have support 0, because
+    no other image confirms them.
 
     Args:
         surfaces: one surface per image.
-        views: the images; interpolation weights are lower across their grey edges.
+        views: the images. Interpolation weights are lower across grey edges in the images.
         seed: random seed of the search for planes.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
@@ -62,8 +63,8 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     sizes = [np.count_nonzero(_off_planes(surface, planes)) for surface in surfaces]
     enough = [_has_enough_known(surface, xyz) for surface in surfaces]
     completed = list(surfaces)
-    # Images are completed in descending order of their known cells off the enclosing planes. Later images continue the
-    # interpolated depths of earlier images, so that walls join across images.
+    # Images are completed in descending order of the number of known cells that lie off the enclosing planes. Later
+    # images continue the interpolated depths of earlier images, so that walls agree between images.
     for index in np.argsort(sizes, kind="stable")[::-1]:
         if not enough[index]:
             continue
@@ -74,13 +75,13 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
 
 
 def _has_enough_known(surface: Surface, xyz: Array) -> bool:
-    """Whether enough of an image's cells are known or contain projections of the points ``xyz`` (N, 3)."""
+    """Whether enough cells of an image are known or contain projections of the points ``xyz`` (N, 3)."""
     known = surface.known | (project_inverse_depths(surface, xyz, 0).ravel() > 0)
     return bool(np.count_nonzero(known) >= MIN_KNOWN * len(known))
 
 
 def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
-    """(N,) bool: True for cells of the depth map that have a depth and whose point lies on none of the enclosing
+    """(N,) bool, true for cells of the depth map that have a depth and whose point lies on none of the enclosing
     planes."""
     cells = np.flatnonzero(surface.known)
     off = np.zeros_like(surface.known)
@@ -97,11 +98,10 @@ def _complete(
         surface: the image's surface.
         view: the image.
         planes: enclosing planes.
-        xyz: (M, 3) world points used for harmonic interpolation.
-        prefers_planes: whether harmonic interpolation is used only for cells whose ray hits no plane.
+        xyz: (M, 3) world points that are used for harmonic interpolation.
+        prefers_planes: whether interpolated depths are used only for cells whose ray hits no plane.
 
-    Returns:
-        the completed surface, and (N,) bool, whether a cell was interpolated harmonically.
+    Returns: the completed surface, and (N,) bool, true for cells with an interpolated depth.
     """
     grid = surface.depths.grid
     (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape))
@@ -133,9 +133,10 @@ def with_completed_depths(surface: Surface, inverse_depth: Array) -> Surface:
 
 
 def project_inverse_depths(surface: Surface, xyz: Array, pad: int) -> Array:
-    """Largest inverse depth (R, C) of the world points that project into each cell; 0 in cells without points.
+    """Largest inverse depth (R, C) of the world points that project into each cell. The value is 0 for cells without
+    points.
 
-    The result has ``pad`` more cells than the depth map on each side.
+    The result extends ``pad`` cells beyond the depth map on each side.
     """
     grid = surface.depths.grid
     shape = (grid.shape[0] + 2 * pad, grid.shape[1] + 2 * pad)
@@ -151,9 +152,9 @@ def project_inverse_depths(surface: Surface, xyz: Array, pad: int) -> Array:
 def interpolate_inverse_depths(
     known: Array, unknown: NDArray[np.bool_], grey: Floats, zero_weight: float = 0.0
 ) -> Array:
-    """Interpolate harmonically: each unknown cell (R, C) gets the weighted mean of its neighbours.
+    """Interpolate harmonically: each unknown cell (R, C) gets the weighted mean of its neighbours' values.
 
-    The weights of neighbours are lower across grey edges. Each mean includes the value 0 with weight ``zero_weight``.
+    The weights are lower across grey edges. Each mean also includes the value 0 with weight ``zero_weight``.
     """
     numbers = np.arange(known.size).reshape(known.shape)
     first, second, weights = [], [], []
@@ -176,7 +177,7 @@ def interpolate_inverse_depths(
 
 
 def remove_occluding(index: int, completed: Sequence[Surface], surfaces: Sequence[Surface]) -> Surface:
-    """Remove the completed cells of a surface that would occlude a known surface of another image."""
+    """Remove the completed cells of a surface that would occlude known surfaces of other images."""
     surface = completed[index]
     cells = np.flatnonzero(surface.known & ~surfaces[index].known)
     xyz = surface.points(cells)

@@ -1,6 +1,7 @@
-"""Stereo reconstruction of clean plates: a depth map for each plate, filtered by consistency with the other plates.
+"""Stereo reconstruction of clean plates: a depth map for each plate. Depths that are inconsistent with other plates are
+removed.
 
-A depth map is a grid of cells. Each cell is centred on a pixel and stores a plane.
+A depth map is a grid of cells. Each cell is centred on a pixel and stores a plane in space.
 """
 
 from __future__ import annotations
@@ -30,12 +31,13 @@ MAX_SIDE_PX = 640
 MAX_CELLS = 16384
 """Maximum number of cells of a depth map."""
 MIN_FEATURES = 8
-"""Minimum number of triangulated points for the estimation of a depth range."""
+"""Minimum number of triangulated points from which a depth range is estimated."""
 MIN_RELIABLE = 30
 """Minimum number of points that are seen in three or more plates. With fewer such points, points seen in two plates are
 also used."""
 NEAR_FACTOR, FAR_FACTOR = 0.5, 4.0
-"""Ends of the depth range, relative to the depths of the nearest and the farthest triangulated points."""
+"""Factors that multiply the depths of the nearest and the farthest triangulated points. The products are the ends of
+the depth range."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class StereoResult:
 
     @property
     def measured_share(self) -> float:
-        """Share in [0, 1] of the visible cells that have a measured depth."""
+        """Share in [0, 1] of the visible cells with a measured depth."""
         return self.measured_cells / self.visible_cells
 
 
@@ -89,7 +91,7 @@ class ReducedPlate:
     Attributes:
         camera: pinhole camera of the reduced plate.
         rgb: (H, W, 3) uint8 colours.
-        seen: (H, W) bool, whether a pixel contains no part of a hole.
+        seen: (H, W) bool, true for pixels that contain no part of a hole.
     """
 
     camera: Camera
@@ -98,7 +100,7 @@ class ReducedPlate:
 
     @staticmethod
     def from_plate(plate: PlateView) -> ReducedPlate:
-        """Reduce a plate to the size used for stereo."""
+        """Reduce a plate to the size that is used for stereo."""
         scale = min(1.0, MAX_SIDE_PX / max(plate.camera.width, plate.camera.height))
         camera = plate.camera.rescale(scale)
         size = (camera.width, camera.height)
@@ -107,7 +109,7 @@ class ReducedPlate:
         return ReducedPlate(camera, np.asarray(rgb, np.uint8), share > 0.999)
 
     def grey_view(self) -> GreyView:
-        """The plate as a grey pyramid for patch comparison."""
+        """The plate as a pyramid of grey images for patch comparison."""
         return GreyView.from_rgb(self.camera, self.rgb, self.seen)
 
     def grid(self) -> Grid:
@@ -150,8 +152,8 @@ def _estimate_maps(
 
 
 def _depth_ranges(cameras: Sequence[Camera], xyz: Array) -> list[tuple[float, float]]:
-    """Depth range of each camera, computed from the points in its image. If the image has too few points, all points
-    are used."""
+    """Depth range of each camera, computed from the triangulated points in the camera's image. If too few points are in
+    the image, all points are used."""
     depths = []
     for camera in cameras:
         pixels, depth = camera.project(xyz)

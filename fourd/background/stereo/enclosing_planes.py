@@ -17,16 +17,17 @@ Bools = NDArray[np.bool_]
 
 MAX_POINTS = 20_000
 MIN_INLIERS = 0.05
-"""Minimum share of all points that lie on a plane. Planes with fewer points belong to small objects."""
+"""Minimum share of all points that lie on a plane. Planes with a smaller share belong to small objects."""
 MAX_BEHIND = 0.01
 """Maximum share of all points that lie behind a plane."""
 TOLERANCE = 0.02
-"""Maximum distance between a plane and a point on it, relative to the point's distance from the mean camera centre."""
+"""Maximum distance between a plane and a point that counts as lying on it, relative to the point's distance from the
+mean camera centre."""
 
 
 @dataclass(frozen=True, eq=False)
 class EnclosingPlanes:
-    """Planes with almost no points behind them. Every camera ray ends at or before the first plane that the ray hits.
+    """Planes with almost no points behind them. Every camera ray ends at or before the nearest of these planes.
 
     Attributes:
         planes: (P, 4) planes (n, d) with n . x = d in world coordinates.
@@ -38,7 +39,7 @@ class EnclosingPlanes:
 
     @staticmethod
     def from_points(xyz: Array, cameras: Sequence[Camera], rng: np.random.Generator) -> EnclosingPlanes:
-        """Find planes that have at least 5% of the world points ``xyz`` (N, 3) on them and at most 1% behind them."""
+        """Find planes with at least 5% of the world points ``xyz`` (N, 3) on them and at most 1% behind them."""
         centres = np.stack([camera.centre for camera in cameras])
         middle = centres.mean(axis=0)
         some = xyz[rng.permutation(len(xyz))[:MAX_POINTS]]
@@ -54,12 +55,13 @@ class EnclosingPlanes:
         return EnclosingPlanes(np.array(found).reshape(-1, 4), middle)
 
     def contains(self, xyz: Array) -> Bools:
-        """(N,) bool: whether a world point (N, 3) lies on one of the planes."""
+        """(N,) bool, true for world points (N, 3) that lie on one of the planes."""
         near = TOLERANCE * np.linalg.norm(xyz - self.middle, axis=1)
         return np.asarray((np.abs(xyz @ self.planes[:, :3].T - self.planes[:, 3]) < near[:, None]).any(axis=1))
 
     def inverse_depth(self, camera: Camera, grid: Grid) -> Array:
-        """Inverse depth (N,) of the nearest plane at the cells of a depth map; 0 where the cell's ray hits no plane."""
+        """Inverse depth (N,) of the nearest plane at the cells of a depth map. The value is 0 where the cell's ray hits
+        no plane."""
         nearest = np.zeros(len(grid.pixels))
         for plane in self.planes:
             inverse = (plane_in_view(plane, camera, grid) * grid.pixels).sum(axis=1)

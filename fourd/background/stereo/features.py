@@ -1,4 +1,4 @@
-"""Detection and matching of SIFT features in images, and fundamental matrices."""
+"""Detection and matching of SIFT features in images, and computation of fundamental matrices."""
 
 from __future__ import annotations
 
@@ -25,16 +25,17 @@ MAX_SIDE_PX = 1600
 """Maximum length of an image's longer side in pixels. Larger images are reduced to this size before feature
 detection."""
 MIN_CONTRAST = 0.003
-"""SIFT's peak threshold. It is below COLMAP's default of 0.0067 because walls have low contrast; the epipolar lines of
-the known poses reject the additional wrong matches."""
+"""SIFT's peak threshold. It is lower than COLMAP's default of 0.0067 because walls have low contrast. The additional
+wrong matches are rejected with the epipolar lines of the known poses."""
 HOLE_MARGIN_PX = 6
-"""Minimum distance in pixels between a feature and a plate's holes, because plates are blurred near holes."""
+"""Minimum distance in pixels between a feature and the holes of a plate. Near holes, plates are blurred."""
 RATIO_TEST_THRESHOLD = 0.8
-"""Maximum ratio of the distances to the nearest and the second nearest descriptor (Lowe, IJCV 2004)."""
+"""Maximum ratio of the distances to the nearest and to the second nearest descriptor (Lowe, IJCV 2004)."""
 MAX_EXHAUSTIVE_CAMERAS = 8
 """Maximum number of cameras for which all pairs are matched."""
 MIN_COSINE = 0.4
-"""Minimum cosine of the angle between two cameras' viewing directions. Pairs with a smaller cosine are not matched."""
+"""Minimum cosine of the angle between two cameras' viewing directions. Camera pairs with a smaller cosine are not
+matched."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +49,8 @@ class Features:
 def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
     """Select the camera pairs to match.
 
-    With up to 8 cameras, all pairs are matched. With more cameras, a pair is matched if its viewing directions differ
-    by less than 66 degrees.
+    With up to 8 cameras, all pairs are matched. With more cameras, two cameras are matched only if their viewing
+    directions differ by less than 66 degrees.
     """
     return [
         (i, j)
@@ -59,8 +60,8 @@ def pairs_to_match(cameras: Sequence[Camera]) -> list[tuple[int, int]]:
 
 
 def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
-    """Write the plates and the masks of the plates' visible areas for COLMAP. Returns the file names in the order of
-    the plates."""
+    """Write the plates, and masks of their visible areas, for COLMAP. Returns the file names in the order of the
+    plates."""
     images, masks = folder / IMAGES, folder / MASKS
     images.mkdir()
     masks.mkdir()
@@ -77,8 +78,8 @@ def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
 def extract_features(folder: Path, database: Path, names: list[str]) -> None:
     """Detect features in the images written by :func:`write_pictures` and add them to the COLMAP ``database``."""
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Neighbouring cameras of a typical ring are at least 18 degrees apart. Over baselines of 18 degrees and more, only
-    # affine-covariant features match.
+    # Neighbouring cameras of a typical ring are at least 18 degrees apart. At such angles, only affine-covariant
+    # features match.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.peak_threshold = MIN_CONTRAST
     extraction.sift.max_num_features = MAX_FEATURES
@@ -110,7 +111,7 @@ def match_features(first: Features, second: Features) -> NDArray[np.intp]:
 
 
 def fundamental_matrix(camera: Camera, other: Camera) -> Array:
-    """(3, 3) fundamental matrix F. For a pixel x of ``camera``, F x is the epipolar line of x in the image of
+    """(3, 3) fundamental matrix F. If x is a pixel of ``camera``, F x is the epipolar line of x in the image of
     ``other``."""
     rotation = other.rotation @ camera.rotation.T
     x, y, z = other.translation - rotation @ camera.translation
@@ -119,7 +120,7 @@ def fundamental_matrix(camera: Camera, other: Camera) -> Array:
 
 
 class QuietColmap:
-    """Context that limits COLMAP's log on stderr to errors."""
+    """Context manager that limits COLMAP's log on stderr to errors."""
 
     def __enter__(self) -> None:
         self._before = pycolmap.logging.minloglevel

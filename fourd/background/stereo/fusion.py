@@ -1,7 +1,7 @@
 """Fusion of depth maps by geometric consistency between images.
 
-A cell is one sample of a depth map and stores a plane. The support of a cell is the number of other images that confirm
-its depth.
+A cell is one sample of a depth map and stores a plane in space. The support of a cell is the number of other images
+that confirm its depth.
 """
 
 from __future__ import annotations
@@ -24,29 +24,30 @@ Bools = NDArray[np.bool_]
 MIN_SCORE = 0.6
 """Minimum photometric score of a cell."""
 DEPTH_TOLERANCE = 0.01
-"""Maximum relative depth difference between a surface and a point that counts as lying on the surface."""
+"""Maximum relative depth difference between a surface and a point that lies on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
-"""Maximum forward-backward error in pixels. A cell's centre is projected into another image, and the point of that
-image's surface there is projected back. The error is the distance between the result and the cell's centre."""
+"""Maximum forward-backward error in pixels. To compute it, the centre of a cell is projected into another image. The
+point there on the other image's surface is projected back. The error is the distance between the back-projected
+position and the cell's centre."""
 OCCLUSION_MARGIN = 0.03
-"""Relative depth difference above which a point in front of a known surface occludes it."""
+"""Relative depth difference above which a point in front of a known surface occludes the surface."""
 ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
 """Minimum number of cells in a connected component; smaller components are outliers."""
 CONTINUITY_TOLERANCE = 0.03
-"""Maximum relative error with which a cell's plane predicts the inverse depth of a neighbouring cell. With a larger
-error, the two cells are not connected."""
+"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. With a larger error,
+the two cells are not connected."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A depth map whose cells are marked as known or unknown, with the number of confirmations of each cell.
+    """A depth map with a mark for each known cell, and with the number of confirmations of each cell.
 
     Attributes:
         camera: pinhole camera of the image.
         depths: depth map with N cells.
-        known: (N,) bool, whether the cell has a valid plane.
-        support: (N,) number of other images that confirm the cell; 0 for extrapolated cells.
+        known: (N,) bool, true for cells with a valid plane.
+        support: (N,) number of other images that confirm the cell. The support of extrapolated cells is 0.
     """
 
     camera: Camera
@@ -65,7 +66,7 @@ class Surface:
         return self.world(xy, self.depths.inverse_depth[cells].astype(np.float64))
 
     def project(self, xyz: Array) -> Projection:
-        """Project world points (M, 3) into the image and compare their depths with the surface."""
+        """Project world points (M, 3) into the image, and compare their depths with the depths of the surface."""
         pixels, depth = self.camera.project(xyz)
         xy = pixels - 0.5
         grid = self.depths.grid
@@ -82,7 +83,7 @@ class Projection:
     Attributes:
         xy: (M, 2) pixel indices.
         cells: (M,) index of the depth-map cell, or -1 outside the image.
-        ratio: (M,) depth of the point divided by the depth of the surface, or NaN if the surface is unknown.
+        ratio: (M,) depth of the point divided by the depth of the surface. The ratio is NaN if the surface is unknown.
         inverse_depth: (M,) inverse depth of the surface, or NaN if the surface is unknown.
     """
 
@@ -93,22 +94,22 @@ class Projection:
 
     @property
     def on_surface(self) -> Bools:
-        """(M,) bool: whether the point lies on the surface."""
+        """(M,) bool, true for points that lie on the surface."""
         return np.abs(self.ratio - 1) < DEPTH_TOLERANCE
 
     @property
     def occludes(self) -> Bools:
-        """(M,) bool: whether the point occludes the surface."""
+        """(M,) bool, true for points that occlude the surface."""
         return self.ratio < 1 - OCCLUSION_MARGIN
 
 
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
     """Remove the cells of depth maps that are inconsistent with other depth maps.
 
-    A cell is kept if at least one other image confirms it. A kept cell must also occlude fewer known surfaces than
-    there are images that confirm the cell. One confirmation is enough because walls are often seen by only two cameras.
-    With two cameras, one in 60 cells is confirmed although its depth is wrong. Connected components of fewer than 25
-    cells are removed.
+    A cell is kept if at least one other image confirms it. In addition, the known surfaces that the cell occludes must
+    be fewer than the images that confirm the cell. One confirmation is enough, because walls are often seen by only two
+    cameras. With two cameras, one cell in 60 is confirmed although its depth is wrong. Connected components of fewer
+    than 25 cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))
@@ -120,9 +121,10 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
 
 
 def _filter_consistent(index: int, surfaces: Sequence[Surface], strict: bool) -> Surface:
-    """Keep the cells that another surface confirms.
+    """Keep the cells that at least one other surface confirms.
 
-    If ``strict``, a cell is also removed if it occludes at least as many surfaces as confirm it.
+    If ``strict`` is true, the number of surfaces that a kept cell occludes must also be lower than the number of
+    surfaces that confirm it.
     """
     surface = surfaces[index]
     cells = np.flatnonzero(surface.known)
@@ -139,8 +141,8 @@ def count_agreement(
     """Compare cells (M,) of one surface with all other surfaces.
 
     Returns:
-        agreeing: (M,) number of other surfaces that agree with the cell. The agreement is checked by projection in both
-            directions.
+        agreeing: (M,) number of other surfaces that agree with the cell. A surface agrees if projection into its image
+            and back gives the same position.
         occluded: (M,) number of other surfaces that the cell would occlude.
     """
     surface = surfaces[index]
@@ -158,9 +160,9 @@ def count_agreement(
 
 
 def _large_components(depths: DepthMap, known: Bools) -> Bools:
-    """(N,) bool: whether a cell is known and its connected component has at least 25 cells.
+    """(N,) bool, true for known cells whose connected component has at least 25 cells.
 
-    Neighbouring cells are connected if one cell's plane predicts the other's depth.
+    Neighbouring cells are connected if the plane of one cell predicts the depth of the other cell.
     """
     numbers = np.arange(len(known)).reshape(depths.grid.shape)
     neighbours = (

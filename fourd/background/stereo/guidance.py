@@ -1,4 +1,4 @@
-"""Depth completion with a guide, a coarse depth estimate that is corrected by the known depths."""
+"""Depth completion with a guide. A guide is a coarse depth estimate, which is corrected by the known depths."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight of the value 0 in the interpolation of the correction. This weight makes the correction decay away from known
-cells. The weight is divided by the squared share of known cells. If almost all cells are known, the correction halves
-over seven cells. If few cells are known, the known cells are unreliable, and the correction decays faster."""
+"""Weight of the value 0 in the interpolation of the correction. With this weight, the correction decays with the
+distance from known cells. The weight is divided by the square of the share of known cells. If almost all cells are
+known, the correction decays to one half over seven cells. If few cells are known, the known cells are unreliable, and
+the correction decays faster."""
 MIN_GUIDE_FACTOR = 0.25
-"""Minimum of the corrected inverse depth relative to the guide. Without this minimum, the correction could make the
-inverse depth negative."""
+"""Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. Without this minimum, the
+correction could make the inverse depth negative."""
 
 
 def complete_with_guidance(
@@ -32,14 +33,14 @@ def complete_with_guidance(
 ) -> list[Surface]:
     """Complete the unknown cells of surfaces from guides.
 
-    In known cells, the correction is the known inverse depth minus the guide. In unknown cells, the correction is
-    extrapolated and added to the guide. Cells that would occlude a known surface of another image stay unknown.
-    Completed cells have support 0, because no other image confirms them.
+    In known cells, the correction is the known inverse depth minus the inverse depth of the guide. In unknown cells,
+    the correction is extrapolated and added to the guide. Cells that would occlude a known surface of another image
+    stay unknown. Completed cells have support 0, because no other image confirms them.
 
     Args:
         surfaces: one surface per image.
-        views: the images; extrapolation weights are lower across their grey edges.
-        guides: (N,) inverse depths of the cells, one array per image.
+        views: the images. Extrapolation weights are lower across grey edges in the images.
+        guides: inverse depths (N,) of the cells, one array per image.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
     completed = [_complete(*each, xyz) for each in zip(surfaces, views, guides, strict=True)]
@@ -55,8 +56,8 @@ def _complete(surface: Surface, view: GreyView, guide: Array, xyz: Array) -> Sur
 
 
 def _correct_guide(known: Array, guide: Array, grey: Floats) -> Array:
-    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. Unknown cells get the guide plus the
-    extrapolated correction."""
+    """Complete the known inverse depths (R, C), in which 0 marks unknown cells. Unknown cells get the inverse depth of
+    the guide plus the extrapolated correction."""
     unknown = known == 0
     if unknown.all():
         return guide

@@ -1,6 +1,6 @@
-"""Photometric similarity of images under a plane hypothesis: normalised cross-correlation of small windows.
+"""Photometric similarity of images for given planes: normalised cross-correlation of small windows.
 
-A cell is one sample of a depth map; cells form a regular grid over the image.
+A cell is one sample of a depth map. The cells form a regular grid over the image.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ LEVELS = 4
 """Number of window sizes. Each window is twice as wide as the previous window. Large windows are needed on smooth
 walls, which have texture only at large scales."""
 MIN_TEXTURE = 2.5 / 255
-"""Minimum root mean square grey difference between neighbouring samples of a window, in [0, 1]. A cell uses the
-smallest window size whose difference is larger than this in every direction."""
+"""Minimum root mean square difference in grey value, in [0, 1], between neighbouring samples of a window. Each cell
+uses the smallest window size whose difference exceeds this minimum in every direction."""
 NOISE_STD = 1.5 / 255
-"""Standard deviation of image noise, for grey values in [0, 1]. Windows with less contrast than noise cannot be
+"""Standard deviation of image noise, for grey values in [0, 1]. Windows with less contrast than the noise cannot be
 matched."""
 MIN_VISIBLE = 0.6
-"""Minimum share of a window's samples outside holes."""
+"""Minimum share of a window's samples that lie outside holes."""
 SINGLE_SOURCE_PENALTY = np.float32(0.05)
 """Value subtracted from the correlation if the cell is visible in only one source image."""
 UNKNOWN_SCORE = np.float32(-1.0)
 """Score of a plane that cannot be compared with any source image."""
 BLOCK = 8192
-"""Number of cells that are processed together. The arrays of one block fit into the processor's cache. Each array side
-is below 32,767, the limit of OpenCV's remap."""
+"""Number of cells that are processed together. The arrays of one block fit into the processor's cache. The side lengths
+of these arrays are below 32,767, the limit of OpenCV's remap."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ class GreyView:
     Attributes:
         camera: pinhole camera of the image.
         greys: (H, W) float32 grey values in [-0.5, 0.5], one array per window size, with NaN in holes. The first array
-            is almost sharp. In the other arrays, the blur doubles with the window size.
+            is almost sharp. In the other arrays, the blur is proportional to the window size.
     """
 
     camera: Camera
@@ -71,7 +71,7 @@ class GreyView:
 class Grid:
     """A regular grid of cells over an image. Depth maps have one plane per cell.
 
-    A plane is a 3-vector p with p . (x, y, 1) = 1 / depth at the pixel indices x (column) and y (row).
+    A plane is stored as a 3-vector p with p . (x, y, 1) = 1 / depth for pixel indices x (column) and y (row).
 
     Attributes:
         pixels: (N, 3) float32 homogeneous pixel indices (x, y, 1) of the cell centres in row-major order.
@@ -105,14 +105,16 @@ class Grid:
 
 
 def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
-    """Intrinsic matrix (3, 3) for pixel indices, where the centre of the first pixel is (0, 0) and not (0.5, 0.5)."""
+    """Intrinsic matrix (3, 3) for pixel indices: the centre of the first pixel has the index (0, 0) instead of (0.5,
+    0.5)."""
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
     return k
 
 
 class PatchSimilarity:
-    """Scores plane hypotheses for the cells of one image by comparing a window around each cell with source images."""
+    """Scores planes for the cells of one image. For a score, a window around the cell is compared with source
+    images."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
         """Sample the windows of ``view`` at the cells of ``grid`` for comparison with ``sources``."""
@@ -130,17 +132,17 @@ class PatchSimilarity:
         count, std = _count_and_std(self._windows)
         centre = np.isfinite(self._windows[len(self._across) // 2])
         self.usable: NDArray[np.bool_] = centre & (count >= MIN_VISIBLE * len(self._across)) & (std > NOISE_STD)
-        """(N,) bool: whether a cell can be matched.
+        """(N,) bool, true for cells that can be matched.
 
-        A cell can be matched if its centre and enough of its window are visible and the window's contrast exceeds the
-        noise.
+        A cell can be matched if its centre and enough of its window are visible. In addition, the window's contrast
+        must exceed the noise.
         """
 
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
         """Score planes (n, 3) of cells (n,).
 
-        The score is the mean of the two best correlations, so that occlusion in the remaining source images is
-        tolerated. If the cell is visible in only one source, the score is this source's correlation minus
+        The score of a plane is the mean of its two best correlations, so that occlusion in the other source images is
+        tolerated. If the cell is visible in only one source image, the score is the correlation with this image minus
         SINGLE_SOURCE_PENALTY.
 
         Returns:
@@ -171,7 +173,7 @@ class PatchSimilarity:
 
 @dataclass(frozen=True, eq=False)
 class _PlaneWarp:
-    """Mapping of pixels into another image through a plane in space.
+    """Mapping of pixels of one image into another image through a plane in space.
 
     A pixel index p = (x, y, 1) with inverse depth w maps to the homogeneous pixel index ``matrix @ p + w * shift``.
     """
@@ -189,7 +191,8 @@ class _PlaneWarp:
         return _PlaneWarp(matrix.astype(np.float32), shift.astype(np.float32))
 
     def is_inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """(n,) bool: whether cell centres (n, 3) with planes (n, 3) project into the other image of shape (H, W)."""
+        """(n,) bool, true for cells whose centres (n, 3), with planes (n, 3), project into the other image of shape (H,
+        W)."""
         x, y, depth = self._warp_centres(pixels, planes)
         height, width = shape
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
@@ -209,15 +212,15 @@ class _PlaneWarp:
 
     def _warp_centres(self, pixels: Floats, planes: Floats) -> Floats:
         """Homogeneous pixel indices (3, n) of the cell centres in the other image."""
-        # The matrix product is an explicit sum because BLAS would start threads in each worker process.
+        # The matrix product is written as an explicit sum, because BLAS would start threads in each worker process.
         inverse = np.einsum("nc,nc->n", planes, pixels)
         rotated = self.matrix[:, :1] * pixels[:, 0] + self.matrix[:, 1:2] * pixels[:, 1] + self.matrix[:, 2:]
         return np.asarray(rotated + self.shift[:, None] * inverse, np.float32)
 
 
 def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
-    """Index (N,) of each cell's window size: the smallest size with texture in every direction, or the largest size if
-    no size has texture in every direction."""
+    """Index (N,) of each cell's window size: the smallest size with enough texture in every direction. If no size has
+    enough texture, the largest size is used."""
     level = np.full(len(grid.pixels), LEVELS - 1, np.int8)
     for index in reversed(range(LEVELS)):
         grey = np.nan_to_num(view.greys[index])
@@ -232,7 +235,7 @@ def _window_levels(view: GreyView, grid: Grid) -> NDArray[np.int8]:
 
 
 def _difference_kernels(step: int) -> tuple[Floats, Floats]:
-    """Horizontal and vertical kernels of the grey difference over ``step`` pixels."""
+    """Horizontal and vertical kernels that compute grey differences over ``step`` pixels."""
     half = (step + 1) // 2
     kernel = np.zeros((1, 2 * half + 1), np.float32)
     kernel[0, 0], kernel[0, -1] = -step / (2 * half), step / (2 * half)
@@ -240,8 +243,8 @@ def _difference_kernels(step: int) -> tuple[Floats, Floats]:
 
 
 def _correlations(first: Floats, second: Floats) -> Floats:
-    """Correlations (n,) of windows (o, n) over the samples that are visible in both windows. The result is -1 for too
-    few visible samples."""
+    """Correlations (n,) of windows (o, n) over the samples that are visible in both windows. The result is -1 if too
+    few samples are visible."""
     a, b = first - first.mean(axis=0), second - second.mean(axis=0)
     ab, aa, bb = (np.einsum("on,on->n", u, v) / len(first) for u, v in ((a, b), (a, a), (b, b)))
     correlation = ab / np.sqrt((aa + NOISE_STD**2) * (bb + NOISE_STD**2))
@@ -252,7 +255,7 @@ def _correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _masked_correlations(first: Floats, second: Floats) -> Floats:
-    """Compute the correlations of :func:`_correlations` for windows with NaN samples."""
+    """Compute the same correlations as :func:`_correlations`, for windows with NaN samples."""
     known = np.isfinite(first) & np.isfinite(second)
     count = known.sum(axis=0)
     out = np.full(len(count), UNKNOWN_SCORE, np.float32)
@@ -268,7 +271,7 @@ def _masked_correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Count and standard deviation (n,) of the visible samples of windows (o, n)."""
+    """Number and standard deviation (n,) of the visible samples of windows (o, n)."""
     known = np.isfinite(windows)
     count = known.sum(axis=0)
     share = np.maximum(count, 1)
@@ -277,11 +280,12 @@ def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
 
 
 def _sample_grey(grey: Floats, x: Floats, y: Floats) -> Floats:
-    """Bilinear samples at pixel indices x and y, or NaN outside the image and for positions that are NaN."""
+    """Bilinearly interpolated values at pixel indices x and y. The values are NaN outside the image and for positions
+    that are NaN."""
     if not x.size:
         return np.empty(x.shape, np.float32)
     height, width = grey.shape
-    # Positions are clamped to OpenCV's numeric range, and NaN becomes a position outside the image.
+    # Positions are clamped to OpenCV's numeric range. NaN is replaced by a position outside the image.
     x, y = np.fmax(np.fmin(x, width + 9), -9), np.fmax(np.fmin(y, height + 9), -9)
     outside = float("nan")
     return np.asarray(

@@ -1,8 +1,8 @@
-"""Depth map of one image by PatchMatch: plane hypotheses are propagated between neighbouring cells.
+"""Depth map of one image by PatchMatch, which propagates planes between neighbouring cells.
 
 The method is PatchMatch Stereo (Bleyer, Rhemann, Rother, BMVC 2011). All cells are updated in parallel, as in Galliani,
-Lasinger, Schindler, ICCV 2015. Hypotheses are planes and not depths, because fronto-parallel windows do not match on
-surfaces at grazing angles such as floors.
+Lasinger, Schindler, ICCV 2015. Each cell tests planes instead of depths, because fronto-parallel windows do not match
+on surfaces at grazing angles, such as floors.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ Array = NDArray[np.float64]
 ITERATIONS = 4
 RANDOM_PLANES = 6
 MIN_INCIDENCE_COSINE = float(np.cos(np.radians(88)))
-"""Minimum cosine of the angle between a plane's normal and the ray. The limit of 88 degrees admits distant floors,
-whose normals are at about 87 degrees to the ray."""
+"""Minimum cosine of the angle between a plane's normal and the ray. The limit of 88 degrees permits distant floors, whose normals are at about 87 degrees to the ray."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
 """Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to this cell."""
 SAME_DEPTH = 1e-3
-"""Minimum relative difference in inverse depth between a neighbour's plane and the cell's own plane. With a smaller
-difference, the neighbour's plane is not tried."""
+"""Minimum relative difference between the inverse depths of a neighbour's plane and of the cell's current plane. If the
+difference is smaller, the neighbour's plane is not tried."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +34,7 @@ class DepthMap:
 
     Attributes:
         grid: the grid of N cells.
-        planes: (N, 3) float32 planes in the parametrisation of Grid.
+        planes: (N, 3) float32 planes, stored as described in Grid.
         scores: (N,) float32 photometric similarity of at most 1, or UNKNOWN_SCORE if the plane is unknown.
     """
 
@@ -45,13 +44,13 @@ class DepthMap:
 
     @property
     def inverse_depth(self) -> Floats:
-        """(N,) inverse depth at the cell centres."""
+        """Inverse depths (N,) at the cell centres."""
         return np.einsum("nc,nc->n", self.planes, self.grid.pixels)
 
     @staticmethod
     def from_inverse_depth(grid: Grid, inverse_depth: Array, scores: Floats) -> DepthMap:
-        """Create a depth map from inverse depths (N,). Finite differences between cells give the slopes of the
-        planes."""
+        """Create a depth map from inverse depths (N,). The slopes of the planes are finite differences of inverse depth
+        between cells."""
         values = inverse_depth.reshape(grid.shape)
         down, across = (_slope(values, axis) / grid.stride for axis in (0, 1))
         offset = inverse_depth - across * grid.pixels[:, 0] - down * grid.pixels[:, 1]
@@ -64,7 +63,7 @@ class DepthMap:
 
 
 def _slope(values: Array, axis: int) -> Array:
-    """Gradient (N,) of values (R, C) along an axis, per cell."""
+    """Derivative (N,) per cell of values (R, C) along an axis."""
     return np.gradient(values, axis=axis).ravel() if values.shape[axis] > 1 else np.zeros(values.size)
 
 
@@ -80,7 +79,7 @@ def estimate_depth_map(
     """Estimate the plane of each cell of an image.
 
     Args:
-        view: the image.
+        view: the image for which planes are estimated.
         sources: images that are compared with ``view``.
         grid: the grid of N cells.
         hypotheses: sets of initial planes; each set is (N, 3) with one plane per cell. Planes with NaN are skipped.
@@ -103,8 +102,7 @@ def estimate_depth_map(
 
 
 class _PlaneSearch:
-    """Search for the plane with the highest score in each cell. The object stores the best planes so far and their
-    scores."""
+    """Search for the plane with the highest score in each cell. The object stores the best planes and their scores."""
 
     def __init__(
         self, view: GreyView, similarity: PatchSimilarity, grid: Grid, min_inverse: float, max_inverse: float
@@ -130,8 +128,8 @@ class _PlaneSearch:
         self.planes[cells[better]] = planes[cells[better]]
 
     def propagate(self, down: int, across: int) -> None:
-        """Try in each cell the plane of the neighbour at an offset. The plane is tried only if the neighbour has a
-        higher score and the neighbour's plane gives a different depth."""
+        """For each cell, try the plane of the neighbour at the given offset. The plane is tried only if the neighbour
+        has a higher score and its plane gives a different depth."""
         rows, columns = self._grid.shape
         numbers = np.arange(rows * columns).reshape(rows, columns)
         i, j = np.clip(np.arange(rows) + down, 0, rows - 1), np.clip(np.arange(columns) + across, 0, columns - 1)
@@ -141,12 +139,14 @@ class _PlaneSearch:
         self.try_planes(planes, (self.scores[other] > self.scores) & (np.abs(theirs - ours) > SAME_DEPTH * ours))
 
     def random_planes(self, rng: np.random.Generator) -> Floats:
-        """Random planes (N, 3) that face the camera, with inverse depths that are uniform over the depth range."""
+        """Random planes (N, 3) that face the camera. Their inverse depths are uniformly distributed over the depth
+        range."""
         count = len(self.planes)
         return self._planes_at(rng.uniform(*self._range, count), self._random_normals(rng, count))
 
     def perturbed_planes(self, rng: np.random.Generator, share: float) -> Floats:
-        """The current planes (N, 3) with random changes of inverse depth and normal in proportion to ``share``."""
+        """The current planes (N, 3) with random changes of inverse depth and normal. The changes are proportional to
+        ``share``."""
         inverse = self._inverse_depth(self.planes)
         normals = self.planes @ self._k
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -171,7 +171,8 @@ class _PlaneSearch:
         return np.einsum("nc,nc->n", planes, self._grid.pixels)
 
     def _is_valid(self, planes: Floats) -> NDArray[np.bool_]:
-        """(N,) bool: whether a plane is in the depth range and not seen edge-on. Planes with NaN give False."""
+        """(N,) bool, true for planes that are in the depth range and are not seen edge-on. For planes with NaN, the
+        result is false."""
         inverse = self._inverse_depth(planes)
         normals = planes @ self._k.astype(np.float32)
         cosine = np.einsum("nc,nc->n", normals, self._rays)

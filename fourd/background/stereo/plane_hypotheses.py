@@ -1,4 +1,4 @@
-"""Initial plane hypotheses: dominant planes of triangulated points, and planes through triangles of neighbouring
+"""Initial planes for PatchMatch: dominant planes of triangulated points, and planes through triangles of neighbouring
 points."""
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ MIN_INLIER_WEIGHT = 12
 """Minimum sum of the weights of a plane's inliers."""
 RANSAC_TRIALS = 500
 TOLERANCE = 0.003
-"""Maximum distance of inliers from a plane, relative to the typical distance between cameras and points."""
+"""Maximum distance of inliers from a plane, as a multiple of the typical distance between cameras and points."""
 
 
 def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.random.Generator) -> Array:
@@ -54,7 +54,7 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
 
 
 def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
-    """Convert a world plane (n, d) to the parametrisation of Grid, repeated for the N cells of a camera's image."""
+    """Convert a world plane (n, d) to the form described in Grid, repeated for the N cells of a camera's image."""
     normal = camera.rotation @ plane[:3]
     offset = plane[3] + normal @ camera.translation
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -63,12 +63,11 @@ def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
 
 
 def triangle_planes(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
-    """Create plane hypotheses from a Delaunay triangulation of the projections of points ``xyz`` (M, 3).
+    """Create planes from a Delaunay triangulation of the projections of points ``xyz`` (M, 3).
 
-    Returns:
-        up to two sets of planes (N, 3), one plane per cell. The first set has the plane of the triangle that contains
-        the cell, or NaN outside all triangles. The second set has the fronto-parallel plane at the depth of the point
-        that is nearest in the image.
+    Returns: up to two sets of planes (N, 3), one plane per cell. The first set has the plane of the triangle that
+        contains the cell, or NaN outside all triangles. The second set has, for each cell, the fronto-parallel plane at
+        the depth of the point that is nearest in the image.
     """
     pixels, depth = camera.project(xyz)
     pixels, depth = pixels[depth > 0] - 0.5, depth[depth > 0]

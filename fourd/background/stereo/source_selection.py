@@ -1,4 +1,5 @@
-"""Selection of source cameras that see the space in front of a reference camera at suitable triangulation angles."""
+"""Selection of source cameras for a reference camera. The source cameras must see the space in front of the reference
+camera at suitable triangulation angles."""
 
 from __future__ import annotations
 
@@ -16,20 +17,22 @@ RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Width of the bell-shaped score of a source camera over log(angle between the rays). The score is 1 at 15 degrees, 1/2
-at 6 and 37 degrees, and 1/7 at 130 degrees (a floor seen from the opposite side)."""
+"""Width of the bell-shaped score of a source camera, as a function of log(angle). The angle is that between the rays of
+the two cameras to a point. The score is 1 at 15 degrees, 1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor
+that is seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective, relative to the number of sampled points. A source camera with a smaller increase
-is not added."""
+"""Minimum increase of the objective per sampled point. A source camera that increases the objective less is not
+added."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
-    """Select up to 6 source cameras for camera ``index``. If possible, two source cameras see each point in the
-    camera's frustum.
+    """Select up to 6 source cameras for the reference camera ``index``. If possible, each point in the reference
+    camera's frustum is seen by two source cameras.
 
-    The frustum is sampled between the depths ``nearest`` and ``farthest``. The score of a source camera for a point
-    depends on the angle between the rays of the two cameras to the point. The objective is the sum over all points of
-    each point's two best scores. The selection is greedy: each step adds the camera that increases the objective most.
+    Points are sampled in the frustum between the depths ``nearest`` and ``farthest``. The score of a source camera for
+    a point depends on the angle between the rays of the two cameras to the point. The objective is the sum over all
+    points of the two best scores of the point. The selection is greedy: each step adds the camera that increases the
+    objective most.
     """
     xyz = _frustum_points(cameras[index], nearest, farthest)
     scores = np.array([_view_scores(cameras[index], other, xyz) for other in cameras])
@@ -50,7 +53,7 @@ def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthe
 
 
 def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
-    """World points (N, 3) on a grid over the image and at uniform steps of inverse depth."""
+    """World points (N, 3) in the camera's frustum, on a grid over the image and at uniform steps of inverse depth."""
     middles = (np.arange(RAYS) + 0.5) / RAYS
     x, y = np.meshgrid(middles * camera.width, middles * camera.height)
     rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) @ np.linalg.inv(camera.intrinsics).T

@@ -1,4 +1,5 @@
-"""Sparse points of clean plates: guided feature matching, then COLMAP's triangulation with fixed cameras."""
+"""Sparse points of clean plates. Features are matched along epipolar lines, and COLMAP triangulates them with fixed
+cameras."""
 
 from __future__ import annotations
 
@@ -31,15 +32,15 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 EPIPOLAR_PX = 1.5
-"""Maximum distance of a matched feature from the epipolar line."""
+"""Maximum distance in pixels of a matched feature from the epipolar line."""
 RATIO_TEST_THRESHOLD = 0.85
 """Maximum ratio of the distances to the nearest and the second nearest descriptor."""
 MIN_SIMILARITY = 0.5
 """Minimum cosine similarity of matched descriptors."""
 MIN_ANGLE_DEG = 2.0
-"""Minimum triangulation angle."""
+"""Minimum triangulation angle in degrees."""
 MAX_ERROR_PX = 2.0
-"""Maximum reprojection error."""
+"""Maximum reprojection error in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class SparsePoints:
 
     Attributes:
         xyz: (N, 3) float64 world points.
-        seen: (N, V) bool, whether a feature of the point was detected in the plate.
+        seen: (N, V) bool, true if a feature of the point was detected in the plate.
     """
 
     xyz: Array
@@ -56,7 +57,7 @@ class SparsePoints:
 
     @property
     def reliable(self) -> NDArray[np.bool_]:
-        """(N,) bool: whether a point is seen in three plates or more.
+        """(N,) bool, true for points that are seen in three plates or more.
 
         On repetitive textures, half of the points that are seen in only two plates are wrong.
         """
@@ -121,12 +122,13 @@ def _match_guided(first: Features, second: Features, camera: Camera, other: Came
 
 
 def _known_cameras(store: Any, images: list[Any], cameras: Sequence[Camera]) -> Any:
-    """Create a COLMAP reconstruction with the cameras and no points, and write the intrinsics to the database."""
+    """Create a COLMAP reconstruction with the cameras and without points, and write the cameras' intrinsics to the
+    database."""
     known = pycolmap.Reconstruction()
     for image, camera in zip(images, cameras, strict=True):
         lens = store.read_camera(image.camera_id)
         k = camera.intrinsics
-        # COLMAP and this project both place the centre of the first pixel at (0.5, 0.5).
+        # In COLMAP and in this project, the centre of the first pixel is at (0.5, 0.5).
         lens.params = [k[0, 0], k[1, 1], k[0, 2], k[1, 2]]
         store.update_camera(lens)
         known.add_camera_with_trivial_rig(lens)

@@ -1,4 +1,4 @@
-"""Sampling of points on surfaces, evenly spread in image space."""
+"""Sampling of points on surfaces. The points are evenly spread over the images."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Maximum relative depth difference between a sample of one image and the surface of another image. Up to this
-difference, the sample also counts as a sample of the other surface."""
+"""Maximum relative difference between the depth of a sample of one image and that of the surface of another image. Up
+to this maximum, the sample also counts as a sample of the other surface."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
-"""Side of the smallest squares in pixels."""
+"""Side length of the smallest squares in pixels."""
 EDGE_TOLERANCE = 0.05
-"""Maximum relative error with which a cell's plane predicts the inverse depth of a neighbouring cell. A cell is at a
-depth edge if the errors at the neighbours on both sides are larger."""
+"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth
+edge if the errors at the neighbours on both sides exceed this maximum."""
 MAX_PARTS = 2
-"""Maximum number of parts of a square per axis. More parts would close all gaps between points on steep surfaces.
-However, points on a floor would then hide the lower half of the points behind them, which shifts the floor's texture up
-in the image by half a point."""
+"""Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
+points on steep surfaces. However, points on a floor would then hide the lower half of the points behind them. This
+would shift the floor's texture up in the image by half a point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,19 +43,19 @@ class Samples:
     support: NDArray[np.intp]
 
     def select(self, rows: Bools) -> Samples:
-        """Select samples by ``rows`` (M,) bool."""
+        """Select samples with a mask ``rows`` (M,) bool."""
         return Samples(self.xy[rows], self.xyz[rows], self.support[rows])
 
 
 def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: int) -> list[Samples]:
-    """Sample all surfaces with at most ``points`` samples.
+    """Sample all surfaces, with at most ``points`` samples in total.
 
-    Each image is tiled with squares. All squares have the same size, the smallest size that gives at most ``points``
-    samples. Squares on surfaces at grazing angles are subdivided into parts, because a camera that sees the surface
-    less obliquely would show gaps between the samples. The centre of a part is sampled if it is visible according to
-    ``seen`` (H, W). A centre is not sampled if an earlier sample from any image lies on the surface within the same
-    part. Near objects therefore get more points than far objects. Surfaces that are visible in many images get no extra
-    points. Cells that other images confirm are sampled before extrapolated cells.
+    Each image is tiled with squares. All squares have the same size, which is the smallest size that gives at most
+    ``points`` samples. Squares on surfaces at grazing angles are divided into parts. Otherwise, a camera that sees the
+    surface less obliquely would show gaps between the samples. The centre of each part is sampled if ``seen`` (H, W) is
+    true there. A centre is not sampled if an earlier sample, from any image, already lies on the surface within the
+    part. As a consequence, near objects get more points than far objects, but surfaces that are visible in many images
+    get no additional points. Cells that other images confirm are sampled first, and extrapolated cells afterwards.
 
     Returns:
         the samples of each image.
@@ -91,7 +91,8 @@ class _SlopedSurface:
 
 
 def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: float, limit: int) -> list[Samples]:
-    """Sample all surfaces with squares of ``side`` pixels. Stop early if there are more than ``limit`` samples."""
+    """Sample all surfaces with squares whose side is ``side`` pixels. Sampling ends early if there are more than
+    ``limit`` samples."""
     tilings = [_Tiling.of(each, side) for each in sloped]
     candidates = [_part_samples(*each) for each in zip(sloped, seen, tilings, strict=True)]
     taken = [np.zeros(len(each.xyz), bool) for each in candidates]
@@ -109,7 +110,7 @@ def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: fl
 
 
 def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Samples:
-    """Sample the surface at the centres of all parts that lie on known cells."""
+    """Sample the surface at the centres of all parts whose centre lies on a known cell."""
     surface = sloped.surface
     xy = tiling.centres()
     last = (surface.camera.width - 1, surface.camera.height - 1)
@@ -126,10 +127,11 @@ def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Sampl
 
 @dataclass(frozen=True)
 class _Squares:
-    """An image tiled with squares. Every second row is shifted left by half a square for a more even density.
+    """An image tiled with squares. Every second row of squares is shifted left by half a square, which makes the
+    density more even.
 
     Attributes:
-        side: side of a square in pixels.
+        side: side length of a square in pixels.
         width: width of the image in pixels.
         height: height of the image in pixels.
     """
@@ -147,7 +149,7 @@ class _Squares:
         return int(np.ceil(self.height / self.side))
 
     def corners(self) -> tuple[Array, Array]:
-        """Upper left (N, 2) and lower right (N, 2) corners of the squares in pixels, clipped to the image."""
+        """Upper left corners (N, 2) and lower right corners (N, 2) of the squares in pixels, clipped to the image."""
         column, row = (axis.ravel() for axis in np.meshgrid(np.arange(self.columns), np.arange(self.rows)))
         begins = np.stack([column * self.side - self._shift(row), row * self.side], axis=1)
         size = (self.width, self.height)
@@ -166,15 +168,15 @@ class _Squares:
 
 @dataclass(frozen=True, eq=False)
 class _Tiling:
-    """Squares of an image that are subdivided into parts where the image's surface is steep.
+    """Squares of an image, divided into parts where the image's surface is steep.
 
     Attributes:
         squares: the tiling with N squares.
         begins: (N, 2) upper left corners of the squares in pixels.
         ends: (N, 2) lower right corners of the squares in pixels.
-        parts: (N, 2) number of parts of each square across and down.
+        parts: (N, 2) number of parts of each square along x and y.
         first: (N,) index of each square's first part.
-        count: total number of parts.
+        count: total number of parts of all squares.
     """
 
     squares: _Squares
@@ -186,7 +188,7 @@ class _Tiling:
 
     @staticmethod
     def of(sloped: _SlopedSurface, side: float) -> _Tiling:
-        """Tile an image with squares of ``side`` pixels."""
+        """Tile an image with squares whose side is ``side`` pixels."""
         squares = _Squares(side, sloped.surface.camera.width, sloped.surface.camera.height)
         begins, ends = squares.corners()
         parts = _part_counts(sloped, (begins + ends) / 2 - 0.5)
@@ -211,9 +213,9 @@ class _Tiling:
 
 
 def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
-    """Number of parts (M, 2) across and down for squares centred on pixel indices (M, 2).
+    """Number of parts (M, 2) along x and y, for squares centred on pixel indices (M, 2).
 
-    The number grows with the square root of the surface's slope.
+    The number of parts is proportional to the square root of the surface's slope.
     """
     surface = sloped.surface
     cells = np.maximum(surface.depths.grid.cells_at(xy), 0)
@@ -223,7 +225,7 @@ def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
 
 
 def _slopes(surface: Surface) -> Array:
-    """Relative change (N, 2) of the inverse depth per pixel across and down; 0 at depth edges."""
+    """Relative change (N, 2) of the inverse depth per pixel along x and y. The change is 0 at depth edges."""
     grid = surface.depths.grid
     inverse = np.maximum(surface.depths.inverse_depth, np.finfo(np.float32).tiny).astype(np.float64)
     slopes = surface.depths.planes[:, :2] / inverse[:, None]
@@ -237,9 +239,9 @@ def _slopes(surface: Surface) -> Array:
 
 
 def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
-    """Relative error (R, C) with which a cell's plane predicts the inverse depth of its neighbours along an axis.
+    """Relative error (R, C) of the inverse depth that a cell's plane predicts at its neighbours along an axis.
 
-    Of the errors at the previous and the next cell, the smaller is returned.
+    Of the errors at the previous and at the next cell, the smaller one is returned.
     """
     smallest = np.full_like(inverse, np.inf)
     for step in (-1, 1):
