@@ -20,7 +20,8 @@ Array = NDArray[np.float64]
 ITERATIONS = 4
 RANDOM_PLANES = 6
 MIN_INCIDENCE_COSINE = float(np.cos(np.radians(88)))
-"""Minimum cosine of the angle between a plane's normal and the ray. The limit of 88 degrees permits distant floors, whose normals are at about 87 degrees to the ray."""
+"""Minimum cosine of the angle between a plane's normal and the ray. The limit of 88 degrees permits distant floors,
+whose normals are at about 87 degrees to the ray."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
 """Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to this cell."""
 SAME_DEPTH = 1e-3
