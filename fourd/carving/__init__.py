@@ -1,4 +1,5 @@
-"""Space carving: computes the scene bounds and initial coloured points from a capture's masks and images."""
+"""Space carving: computes the bounds of the scene and initial coloured points from the masks and images of a
+capture."""
 
 from fourd.carving.bounds import Bounds, find_bounds, hull_bounds
 from fourd.carving.carve import CarvedFrame, carve_frame

@@ -17,8 +17,8 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 COARSE_CELLS = 48
-"""Number of cells along the longest side of the hull's bounding box. The cells measure this box with an error of at
-most 2% of its longest side. This error is smaller than the default margin."""
+"""Number of grid cells along the longest side of the hull's bounding box. With this number, the error of the measured
+box is at most 2% of its longest side. This error is smaller than the default margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class Bounds:
         return Bounds(self.lower - pad, self.upper + pad)
 
     def contains(self, xyz: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
-        """(N,) bool: whether each of the points ``xyz`` (N, 3) is inside the box."""
+        """(N,) bool, true for points ``xyz`` (N, 3) that are inside the box."""
         return np.all((xyz >= self.lower) & (xyz <= self.upper), axis=1)
 
 
@@ -79,22 +79,22 @@ def find_bounds(
     max_frames: int = 120,
     track: Track = untracked,
 ) -> Bounds:
-    """Find a box that contains the visual hulls of the capture's frames, with a margin.
+    """Find a box that contains the visual hulls of the capture's frames, and add a margin.
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
-            that see the point.
-        least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
-            and in at least 3 views. With only 2 views, a hull point must project inside both images.
-        margin: padding on each face of the box, as a fraction of the box's longest side.
+        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
+            their silhouettes.
+        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
+            and of at least 3 views. If there are only 2 views, a hull point must project into both images.
+        margin: distance by which each face of the box is moved outwards, as a share of the box's longest side.
         max_frames: maximum number of frames that are read. The frames are evenly spaced and include the first and the
             last frame.
-        track: progress callback.
+        track: callback that reports progress.
 
     Raises:
-        UserError: if the hull of a frame is empty. The message names the 3 views that remove most of the hull of the
-            other views.
+        UserError: if the hull of a frame is empty. The error message names the 3 views that remove most of the hull of
+            the other views.
     """
     frames = sample_indices(capture.frame_count, max_frames)
     box: Bounds | None = None
@@ -122,13 +122,14 @@ def hull_bounds(
     names: Sequence[str] | None = None,
     label: str = "masks",
 ) -> Bounds:
-    """Find the bounding box of one frame's visual hull without a margin.
+    """Find the bounding box of the visual hull of one frame, without a margin.
 
     The error of the box is at most 2% of its longest side. The search starts in a cube that contains all cameras. The
     cube's centre is the point nearest to all optical axes. The cube is enlarged if the hull touches its faces.
 
     Raises:
-        UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
+        UserError: if the hull is empty. The error message names the 3 views that remove most of the hull of the other
+            views.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
@@ -146,12 +147,12 @@ def hull_bounds(
 
 
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
-    """Find the point (3,) nearest to all optical axes, and the distance from this point to the farthest camera.
+    """Find the point (3,) nearest to all optical axes, and the distance between this point and the farthest camera.
 
-    If the optical axes are almost parallel, the nearest point is undefined, and a weak prior determines the result. The
-    prior is a point in front of the mean of the camera centres. The distance of the prior from this mean is four times
-    the distance of the farthest camera from the mean. If the optical axes are not almost parallel, the prior has almost
-    no effect, because its weight is 0.1% of the weight of the axes.
+    If the optical axes are almost parallel, no point is clearly nearest. Then a weak prior determines the result. The
+    prior is a point in front of the mean of the camera centres. Its distance from this mean is four times the distance
+    of the farthest camera from the mean. If the optical axes are not almost parallel, the prior has almost no effect,
+    because its weight is only 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -191,9 +192,9 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
-    """Compute, for each view, the share in [0, 1] of the hull of all other views that the view removes.
+    """For each view, compute the share in [0, 1] of the hull of all other views that this view removes.
 
-    The hull of the other views is computed with an agreement of 1. While the hull of the other views is empty, the
+    The hull of the other views is computed with an agreement of 1. As long as the hull of the other views is empty, the
     agreement is lowered in steps, but not below 0.5. The search cube is centred on the origin of ``views``, and
     ``half`` is half the cube's side in world units.
     """
@@ -211,10 +212,9 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
 
 
 def candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
-    """Find the cells that may contain the object, and subdivide them until COARSE_CELLS cells span the object.
+    """Find the cells that may contain the object. The cells are subdivided until COARSE_CELLS cells span the object.
 
-    Returns:
-        centres (3, N) of the cells, and the side of a cell in world units.
+    Returns: centres (3, N) of the cells, and the side length of a cell in world units.
     """
     size = half / 4
     cells = root_cells(np.full(3, -half), np.full(3, half), size)

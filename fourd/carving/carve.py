@@ -18,14 +18,14 @@ from fourd.carving.surface import choose_cell_side, move_inwards, project_to_sur
 
 @dataclass(frozen=True, eq=False)
 class CarvedFrame:
-    """Points on the surface of one frame's visual hull, or slightly below the surface.
+    """Points of one frame on the surface of the visual hull, or slightly below this surface.
 
-    The points are in random order, so that the first M points are a uniform sample of the surface for every M.
+    The points are in random order: for every M, the first M points are a uniform sample of the surface.
 
     Attributes:
         xyz: (N, 3) float32 world points.
-        normals: (N, 3) float32 outward unit normals of the hull.
-        voxel_size: side of the finest cells in world units.
+        normals: (N, 3) float32 unit normals that point out of the hull.
+        voxel_size: side length of the finest cells in world units.
         spacing: mean distance between neighbouring points in world units.
     """
 
@@ -52,29 +52,30 @@ def carve_frame(
     """Carve one frame's visual hull and spread points evenly over its surface.
 
     Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
-    so small that the surface intersects more cells than points are requested. The centres of these cells are moved onto
-    the surface with an error of at most a tenth of a cell's side. The moved points are then thinned evenly to the
-    requested number.
+    so small that more cells intersect the surface than points are requested. The centres of these cells are moved onto
+    the surface with an error of at most a tenth of a cell's side. Then points are removed evenly until the requested
+    number remains.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.
         cameras: undistorted pinhole cameras.
         bounds: search box, for example from :func:`find_bounds`.
         points: number of points to return, at least 1.
-        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
-            that see the point. If 20 views see the point, 0.95 tolerates one wrong view.
-        least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
-            and in at least 3 views. With only 2 views, a hull point must project inside both images.
-        trim: remove protruding parts of the hull, so that the remaining hull still covers all silhouettes; see
-            :mod:`fourd.carving.excess`.
-        inset: distance by which points are moved into the hull, in multiples of ``spacing``. Points in thin parts of
+        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
+            their silhouettes. For example, if 20 views see the point, an agreement of 0.95 tolerates one wrong view.
+        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
+            and of at least 3 views. If there are only 2 views, a hull point must project into both images.
+        trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still
+            covers all silhouettes.
+        inset: distance by which points are moved into the hull, as a multiple of ``spacing``. Points in thin parts of
             the hull are moved less.
-        seed: random seed of the points' order. Equal inputs and seeds give bitwise equal results.
-        names: camera names for messages.
-        label: name of the masks for messages.
+        seed: seed of the random order of the points. Equal inputs and seeds give bitwise equal results.
+        names: names of the cameras for error messages.
+        label: name of the masks for error messages.
 
     Raises:
-        UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
+        UserError: if the hull is empty. The error message names the 3 views that remove most of the hull of the other
+            views.
         ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, a share is
             outside (0, 1], or ``inset`` is negative.
     """
@@ -98,14 +99,16 @@ def carve_frame(
 
 
 def _thin(xyz: Floats, normals: Floats, size: float, points: int, seed: int) -> tuple[Floats, Floats, float]:
-    """Choose at most ``points`` evenly spread candidates, in random order, and compute their mean spacing."""
+    """Choose at most ``points`` evenly spread candidates in random order, and compute the mean spacing of the chosen
+    points."""
     chosen = thin_evenly(xyz, points, np.random.default_rng(seed))
     spacing = float(size * np.sqrt(len(xyz) / max(len(chosen), 1)))
     return xyz[chosen], normals[chosen], spacing
 
 
 def _surface_candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:
-    """Find at least ``points`` surface points (N, 3) and their normals (N, 3) from cells of side about ``size``."""
+    """Find at least ``points`` surface points (N, 3) and their normals (N, 3), with cells of side length about
+    ``size``."""
     lower, upper = bounds.lower - views.origin, bounds.upper - views.origin
     xyz = normals = np.zeros((3, 0), dtype=np.float32)
     for _ in range(4 if size > 0 else 0):

@@ -1,9 +1,9 @@
 """Agreement of mattes: the share of each matte that the visual hull of the other views covers.
 
-The score needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares silhouettes with the silhouettes
-of the visual hull of all views. Here, each matte is compared with the hull of the other views. If a matte contains more
-than the object, the hull of the other views does not cover it, so its score is low. If a matte lacks a part of the
-object, the hull lacks this part too, and the scores of all other mattes are low.
+The measure needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares each silhouette with that of
+the visual hull of all views. This module instead compares each matte with the hull of the other views. If a matte
+covers more than the object, the hull of the other views does not cover the whole matte, so the matte's share is low. If
+a matte lacks a part of the object, the hulls lack this part too, so the shares of all other mattes are low.
 """
 
 from __future__ import annotations
@@ -23,19 +23,19 @@ from fourd.carving.silhouette import Floats
 Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
-"""Cells are subdivided repeatedly, as long as there are at most this number of cells."""
+"""Cells are subdivided repeatedly until there are more cells than this number."""
 THRESHOLD = 128
 
 
 @dataclass(frozen=True, eq=False)
 class FrameCoherence:
-    """Agreement of the mattes of one frame. Views with an empty matte have the value NaN.
+    """Agreement of the mattes of one frame with the visual hull. For views with an empty matte, the values are NaN.
 
     Attributes:
         explained: (C,) share in [0, 1] of each view's matte that the silhouette of the other views' hull covers.
         kept: (C,) share in [0, 1] of each view's matte that the silhouette of the hull of all views covers.
         overlap: (C,) intersection over union of each view's matte and the silhouette of the hull of all views.
-        area: (C,) share in [0, 1] of the image that each matte covers; 0 for an empty matte.
+        area: (C,) share in [0, 1] of the image that each matte covers. The share is 0 for an empty matte.
     """
 
     explained: NDArray[np.float64]
@@ -53,17 +53,19 @@ def frame_coherence(
 ) -> FrameCoherence:
     """Compare the mattes of one frame with the silhouettes of their visual hulls.
 
-    The hulls consist of cells, about 100 or more along the object's longest side.
+    The hulls consist of cells, with about 100 or more cells along the object's longest side.
 
     Args:
-        masks: mattes (H, W) uint8, one per camera and at least 2; 255 is the object.
+        masks: mattes (H, W) uint8, one per camera; 255 is the object. There must be at least 2.
         cameras: undistorted pinhole cameras.
-        agreement: share in (0, 1] of the views that see a hull point and must contain it.
-        least_views: share in (0, 1] of all views that must see a hull point.
+        agreement: share in (0, 1]. Of the views that see a hull point, at least this share must have the point in their
+            mattes.
+        least_views: share in (0, 1]. At least this share of all views must see a hull point.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # Candidate cells must include the hulls without one view, so one more view may reject a cell.
+    # The candidate cells must include the cells of all hulls without one view. Therefore, one more view may reject a
+    # candidate.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)
@@ -90,8 +92,8 @@ def frame_coherence(
 
 
 def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:
-    """Two arrays (C, N): whether each view sees the centre of each cell, and whether the view's silhouette excludes the
-    cell."""
+    """Two arrays (C, N): whether each view sees the centre of each cell, and whether the silhouette of the view
+    excludes the cell."""
     seen = np.zeros((len(views.views), cells.shape[1]), np.bool_)
     outside = np.zeros_like(seen)
     for index, view in enumerate(views.views):
@@ -107,7 +109,7 @@ def _is_hull(views: Silhouettes, seen: NDArray[np.int64], outside: NDArray[np.in
 
 
 def _silhouette(xyz: NDArray[np.float64], size: float, camera: Camera) -> Flags:
-    """Silhouette (H, W) of cells with centres (3, N) and side ``size`` in one camera."""
+    """Silhouette (H, W) in one camera of cells with centres (3, N) and side length ``size``."""
     picture = np.zeros((camera.height, camera.width), np.uint8)
     if xyz.shape[1] == 0:
         return picture > 0
@@ -117,7 +119,7 @@ def _silhouette(xyz: NDArray[np.float64], size: float, camera: Camera) -> Flags:
     if not sees.any():
         return picture > 0
     picture[row[sees].astype(np.intp), column[sees].astype(np.intp)] = 1
-    # Closing fills the gaps between the projections of the centres of neighbouring cells.
+    # Morphological closing fills the gaps between the projected centres of neighbouring cells.
     width = int(np.ceil(1.5 * camera.intrinsics[1, 1] * size / float(np.median(depth[sees])))) | 1
     square = np.ones((width, width), np.uint8)
     return np.asarray(cv2.morphologyEx(picture, cv2.MORPH_CLOSE, square) > 0)

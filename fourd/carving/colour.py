@@ -1,4 +1,4 @@
-"""Colours of surface points, averaged over the views that see the points."""
+"""Colours of surface points, averaged over the views that see each point."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side of a cell of the coarse depth map, as a multiple of the point spacing. A cell of this size contains at least one
-point wherever the nearest surface covers the cell."""
+"""Side length of a cell of the coarse depth map, as a multiple of the point spacing. With this side length, each cell
+that the nearest surface covers contains at least one point."""
 
 
 def colour_points(
@@ -23,12 +23,12 @@ def colour_points(
     images: Sequence[NDArray[np.uint8]],
     cameras: Sequence[Camera],
 ) -> NDArray[np.uint8]:
-    """Colour each point with the weighted mean of its colours in the views that see the point.
+    """Colour each point with the weighted mean of the colours that the views see at the point.
 
-    A view sees a point if the point faces the camera and lies at most a few point spacings behind the nearest point in
-    the same cell of a coarse depth map. The weight of a view is the fourth power of the cosine of the angle between the
-    normal and the direction to the camera. This weight suppresses colours at silhouette edges, where pixels mix with
-    the background.
+    A view sees a point if two conditions hold. The point faces the camera. In the point's cell of a coarse depth map,
+    the point lies at most a few point spacings behind the nearest point. The weight of a view is the fourth power of
+    the cosine of the angle between the normal and the direction to the camera. With this weight, colours at silhouette
+    edges, where pixels mix with the background, have little influence.
 
     Args:
         xyz: (N, 3) world points.
@@ -65,13 +65,14 @@ def _project(xyz: Floats, camera: Camera) -> tuple[Floats, Floats, Floats]:
 
 
 def _view_cosine(xyz: Floats, normals: Floats, camera: Camera) -> Floats:
-    """Cosine (N,) of the angle between each point's outward normal and the direction to the camera."""
+    """Cosine (N,) of the angle between the outward normal of each point and the direction to the camera."""
     rays = camera.centre.astype(np.float32) - xyz
     return (rays * normals).sum(axis=1) / np.maximum(np.sqrt((rays**2).sum(axis=1)), np.float32(1e-12))
 
 
 def _is_unoccluded(x: Floats, y: Floats, depth: Floats, camera: Camera, spacing: float) -> NDArray[np.bool_]:
-    """(N,) bool: whether each point is at most three cell widths behind the nearest point in its depth-map cell."""
+    """(N,) bool, true for points that lie at most three cell widths behind the nearest point in the same cell of the
+    depth map."""
     if depth.size == 0:
         return np.zeros(0, dtype=np.bool_)
     focal = float(np.sqrt(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))

@@ -1,14 +1,17 @@
-"""Removal of excess parts of the visual hull: protruding parts without which the hull still covers all silhouettes.
+"""Removal of excess parts of the visual hull. Excess parts are protruding parts without which the hull still covers all
+silhouettes.
 
-The visual hull is the largest shape that agrees with all silhouettes. It protrudes from the object in directions
-between the views, and in concave regions, which no silhouette shows. Training often cannot remove these parts. For
-example, a white lump in front of a white chest has the correct colour in every view.
+The visual hull is the largest shape that agrees with all silhouettes. It protrudes from the object in directions that
+lie between the directions of the views, and in concave regions, which no silhouette shows. Training often cannot remove
+these parts, because they can have the correct colour in every view. An example is a white lump in front of a white
+chest.
 
-The hull is filled with cells. In each round, cells with a mostly empty neighbourhood are removed. One cell is kept on
-the ray of each pixel inside a silhouette: the cell with the fullest neighbourhood. Every such ray therefore still
-intersects the remaining cells, so the remaining shape still covers all silhouettes. Repeated smoothing and thresholding
-moves a surface by its mean curvature (Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape
-of small area that satisfies silhouette constraints. They solve a convex problem.
+First, the hull is filled with cells. Then, in each round, cells with a mostly empty neighbourhood are removed. However,
+for each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept. Every such ray
+therefore still intersects the remaining cells. As a result, the remaining shape still covers all silhouettes. Smoothing
+and thresholding, if repeated, move a surface by its mean curvature (Merriman, Bence and Osher 1994). Kolev and Cremers
+(2008) also search for a shape that has a small area and satisfies silhouette constraints. They do this by solving a
+convex problem.
 """
 
 from __future__ import annotations
@@ -27,42 +30,45 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, SilhouetteView, sample
 
 CELLS_PER_THICKNESS = 6
-"""Number of cells across the mean thickness of the hull, which is its volume divided by its area. If the points are too
-sparse for this number, the cells are as large as the distance between points."""
+"""Number of cells across the mean thickness of the hull. The mean thickness is the hull's volume divided by its surface
+area. If the points are too sparse for cells of this size, the cells are as large as the distance between points."""
 
 MAX_GRID_CELLS = 1 << 24
-"""Maximum number of cells of the grid around the hull. The cells of a larger grid are enlarged."""
+"""Maximum number of cells of the grid that encloses the hull. If the grid would have more cells, the cells are made
+larger."""
 
 SMOOTHING_CELLS = 3.0
-"""Standard deviation in cells of the Gaussian that measures how full a cell's neighbourhood is."""
+"""Standard deviation, in cells, of the Gaussian that measures how full the neighbourhood of a cell is."""
 
 MIN_FULLNESS = 0.48
-"""Cells whose neighbourhood is less full are removed. The neighbourhood of a cell on a flat surface is half full."""
+"""Cells are removed if the filled share of their neighbourhood is below this value. For a cell on a flat surface, the
+neighbourhood is half full."""
 
 MAX_ROUNDS = 12
 
 RAY_CELLS = 0.7
-"""Distance between neighbouring rays of a silhouette, in cells. With larger distances, the contours would shrink."""
+"""Distance between neighbouring rays through a silhouette, in cells. If this distance were larger, the contours would
+shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""A cell need not be kept for its ray if its neighbourhood is less full than this share of the fullest neighbourhood on
-the adjacent rays. Such a cell is a small piece of an excess part, on a ray that passes between the centres of the
-object's cells."""
+"""For each ray, the cell with the fullest neighbourhood is kept only if this neighbourhood has at least this share of
+the filling of the fullest neighbourhood on the adjacent rays. A cell below this limit is a small piece of an excess
+part. Its ray passes between the centres of the object's cells."""
 
 NEAR_CELLS = 1.3
-"""A point within this distance of a cell's centre, in cells, belongs to the cell."""
+"""A point belongs to a cell if its distance from the cell's centre is at most this value, in cells."""
 
 SURFACE_SMOOTHING_CELLS = 1.2
-"""Standard deviation in cells of the Gaussian that smooths the remaining cells before their surface is computed."""
+"""Standard deviation, in cells, of the Gaussian that smooths the remaining cells before their surface is computed."""
 
 
 @dataclass(frozen=True, eq=False)
 class FilledHull:
-    """Cells whose centres are inside the hull, on a regular grid with empty cells at all borders.
+    """Cells whose centres are inside the hull, on a regular grid. The cells at all borders of the grid are empty.
 
     Attributes:
         lower: (3,) centre of the grid's first cell, relative to the origin of the silhouettes.
-        side: side of a cell in world units.
+        side: side length of a cell in world units.
         shape: number of cells along each axis.
         cells: (N,) flat indices of the cells inside the hull.
     """
@@ -73,12 +79,13 @@ class FilledHull:
     cells: NDArray[np.int64]
 
     def centres(self, cells: NDArray[np.int64]) -> Floats:
-        """Centres (M, 3) of the cells with the flat indices (M,)."""
+        """Centres (M, 3) of the cells with the given flat indices (M,)."""
         index = np.stack(np.unravel_index(cells, self.shape), axis=1)
         return (self.lower + index * self.side).astype(np.float32)
 
     def smoothed(self, cells: NDArray[np.int64], sigma_cells: float) -> Floats:
-        """The occupancy by ``cells`` (M,), smoothed with a Gaussian, as an array of the grid's shape in [0, 1]."""
+        """Occupancy of the grid by ``cells`` (M,), smoothed with a Gaussian: an array with the grid's shape and values
+        in [0, 1]."""
         values = np.zeros(self.shape, np.float32)
         values.ravel()[cells] = 1
         reach = int(3 * sigma_cells + 0.5)
@@ -94,18 +101,16 @@ class FilledHull:
 def replace_excess(
     views: Silhouettes, lower: Array, upper: Array, xyz: Floats, normals: Floats, size: float
 ) -> tuple[Floats, Floats]:
-    """Remove the surface points of the hull's excess parts, and add points on the surface that remains without these
-    parts.
+    """Remove the surface points of the hull's excess parts. Add points on the surface that remains without these parts.
 
     Args:
-        views: the silhouettes.
-        lower, upper: (3,) search box, relative to the origin of ``views``.
+        views: the silhouettes. lower, upper: (3,) corners of the search box, relative to the origin of ``views``.
         xyz: (N, 3) points on the hull's surface, relative to the origin of ``views``.
         normals: (N, 3) outward unit normals of the hull at the points.
-        size: distance between the points in world units.
+        size: distance between neighbouring points in world units.
 
-    Returns:
-        points (M, 3) and their outward unit normals (M, 3). The new points have the same distance from each other.
+    Returns: points (M, 3) and their outward unit normals (M, 3). The added points have the same distance from each
+        other.
     """
     thickness = float(np.einsum("ni,ni->n", xyz - xyz.mean(axis=0), normals).mean()) / 3
     if thickness <= 0:
@@ -125,7 +130,8 @@ def replace_excess(
 
 
 def fill_hull(views: Silhouettes, lower: Array, upper: Array, side: float) -> FilledHull:
-    """Fill the hull inside a box with cells of side ``side``, or larger ones if the grid would have too many cells."""
+    """Fill the hull inside a box with cells of side length ``side``. If the grid would have too many cells, larger
+    cells are used."""
     levels = max(0, int(np.log2(max(float((upper - lower).max()) / side / 6, 1))))
     coarse = side * 2**levels
     cells = root_cells(lower, upper, coarse)
@@ -150,7 +156,7 @@ def _grid_cells(cells: Floats, side: float) -> float:
 
 
 def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
-    """Flat indices (M,) of the cells that remain after the excess parts are removed."""
+    """Flat indices (M,) of the cells that remain after removal of the excess parts."""
     centres = np.ascontiguousarray(hull.centres(hull.cells).T)
     rays = [_rays_of_cells(view, centres, hull.side) for view in views.views]
     alive = np.arange(len(hull.cells))
@@ -172,8 +178,8 @@ def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
 
 
 def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Flat index of the ray through each cell centre (3, N), and the shape (rows, columns) of the grid of rays. The
-    index is -1 if the centre is outside the view's silhouette or image."""
+    """Flat index of the ray through each cell centre (3, N), and the shape (rows, columns) of the grid of rays of the
+    view. The index is -1 if the centre projects outside the view's silhouette or image."""
     x, y, z = view.project(centres)
     is_inside = view.sees(x, y, z)
     is_inside[is_inside] = sample(view.distance, x[is_inside], y[is_inside], cv2.INTER_LINEAR) >= 0
@@ -193,8 +199,8 @@ def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[
 def _surface_inside_hull(
     views: Silhouettes, hull: FilledHull, remaining: NDArray[np.int64], size: float
 ) -> tuple[Floats, Floats]:
-    """Points (M, 3) and outward normals (M, 3) on the surface of the remaining cells, without points near the hull's
-    surface. ``size`` is the distance between the points."""
+    """Points (M, 3) and outward normals (M, 3) on the surface of the remaining cells. Points near the hull's surface
+    are left out. ``size`` is the distance between neighbouring points."""
     volume = hull.smoothed(remaining, SURFACE_SMOOTHING_CELLS)
     if float(volume.max(initial=0)) <= 0.5:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
@@ -208,7 +214,7 @@ def _surface_inside_hull(
 
 
 def _is_near(xyz: Floats, others: Floats, distance: float) -> NDArray[np.bool_]:
-    """(N,) bool: whether each point (N, 3) is within ``distance`` of one of the points ``others`` (M, 3)."""
+    """(N,) bool, true for points (N, 3) within ``distance`` of one of the points ``others`` (M, 3)."""
     if len(others) == 0 or len(xyz) == 0:
         return np.zeros(len(xyz), np.bool_)
     return np.isfinite(np.asarray(cKDTree(others).query(xyz, distance_upper_bound=distance)[0]))

@@ -2,9 +2,9 @@
 
 Each soft matte is converted to a signed distance image in pixels. The distance is positive inside the silhouette and
 zero where the bilinearly sampled matte is one half. The distance image of one view is sampled at the projection of a
-world point, and the sample is multiplied by depth / focal length. The result is the point's distance to the silhouette
-of this view in world units. The point's signed distance to the hull is the minimum of these distances over the views
-that see the point. If k views may be wrong, the (k + 1)-th smallest distance is used instead of the minimum.
+world point, and the sample is multiplied by depth / focal length. The result is the point's signed distance to the
+silhouette of this view in world units. The point's signed distance to the hull is the minimum of these distances over
+all views that see the point. If k views may be wrong, the (k + 1)-th smallest distance is used instead of the minimum.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ CHUNK = 1 << 15
 L2 cache."""
 
 SLACK_PIXELS = np.float32(0.75)
-"""Tolerance in pixels that is added to a cell's radius. The radius is compared with the signed distance at the cell's
-centre to classify the cell. The tolerance covers the matte's soft edge (0.5 pixels) and the rounding of bilinear
-sampling."""
+"""Tolerance in pixels that is added to the radius of a cell's projection. To classify a cell, the enlarged radius is
+compared with the signed distance at the cell's centre. The tolerance accounts for the matte's soft edge (0.5 pixels)
+and for rounding in bilinear sampling."""
 
 SLACK_FACTOR = np.float32(1.03)
-"""Factor on a cell's radius in pixels. The factor covers the error of the 5x5 distance transform, which is up to 2%."""
+"""Factor that multiplies the radius of a cell's projection in pixels. The factor accounts for the error of the 5x5
+distance transform, which is up to 2%."""
 
 MIN_VIEWS = 3
 """Minimum number of views that must see a point. Two views are not enough, because the viewing cones of two silhouettes
 can intersect where there is no object."""
 
 DIAGONAL = float(np.sqrt(3) / 2)
-"""Half the diagonal of a cell, divided by the cell's side."""
+"""Half the diagonal of a cell, divided by the cell's side length."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +45,10 @@ class Silhouettes:
     """All silhouettes of one frame, and the share of the views that must agree.
 
     Attributes:
-        origin: (3,) float64 world point; the coordinates of all cells and points are relative to this point.
+        origin: (3,) float64 world point. The coordinates of all cells and points are relative to this point.
         views: the silhouettes in the order of the cameras.
-        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
-            that see the point.
+        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
+            their silhouettes.
         needed: minimum number of views that must see a hull point.
     """
 
@@ -88,26 +89,27 @@ class Silhouettes:
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """For each point, the number of views whose silhouettes may exclude the point if ``seen`` views see it."""
+        """For each point, the number of views that may exclude it from the hull, if ``seen`` views see the point."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool: whether each cell (3, N) of side ``size`` may intersect the object.
+        """(N,) bool, true for cells (3, N) of side length ``size`` that may intersect the object.
 
-        If the value is False, the cell certainly does not intersect the object.
+        All other cells certainly do not intersect the object.
         """
         return np.concatenate([self._classify(chunk, size)[0] for chunk in chunks(cells)])
 
     def may_contain_surface(self, cells: Floats, size: float) -> NDArray[np.bool_]:
-        """(N,) bool: whether each cell (3, N) of side ``size`` may intersect the surface.
+        """(N,) bool, true for cells (3, N) of side length ``size`` that may intersect the surface.
 
-        If the value is False, the cell certainly does not intersect the surface.
+        All other cells certainly do not intersect the surface.
         """
         classes = [self._classify(chunk, size) for chunk in chunks(cells)]
         return np.concatenate([maybe & ~inside for maybe, inside in classes])
 
     def _classify(self, cells: Floats, size: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Two (N,) bool arrays: whether a cell (3, N) may intersect the object, and whether it is certainly inside."""
+        """Two (N,) bool arrays for cells (3, N): whether the cell may intersect the object, and whether it is certainly
+        inside the object."""
         maybe = np.zeros(cells.shape[1], dtype=np.bool_)
         inside = np.zeros(cells.shape[1], dtype=np.bool_)
         alive = np.arange(cells.shape[1])
@@ -126,7 +128,8 @@ class Silhouettes:
         return maybe, inside
 
     def distance(self, xyz: Floats) -> tuple[Floats, NDArray[np.int16]]:
-        """Signed distance to the hull at points (3, N), and the deciding view, which determines this distance.
+        """Signed distance to the hull at points (3, N), and the deciding view of each point. The silhouette of the
+        deciding view determines the distance.
 
         Returns:
             distance: (N,) distance in world units, positive inside, or -inf if too few views see the point.
@@ -136,11 +139,11 @@ class Silhouettes:
         return np.concatenate([part[1] for part in parts]), np.concatenate([part[2] for part in parts])
 
     def surface_slab(self, cells: Floats, size: float) -> tuple[Floats, Floats, NDArray[np.int16]]:
-        """Select the cells (3, N) of side ``size`` whose centres are at most ``size / 2`` from the surface.
+        """Select the cells (3, N) of side length ``size`` whose centres are at most ``size / 2`` from the surface.
 
-        The selected centres fill a slab of thickness ``size`` around the surface. At any slope of the surface, this
-        slab contains on average one centre per ``size ** 2`` of surface area. The number of selected cells is therefore
-        proportional to the surface's area.
+        The centres that satisfy this condition fill a slab of thickness ``size`` around the surface. For any slope of
+        the surface, this slab contains on average one centre per ``size ** 2`` of surface area. Therefore, the number
+        of selected cells is proportional to the surface's area.
 
         Returns:
             the selected cell centres (3, M), and the distance and the deciding view of each centre as in
@@ -156,10 +159,10 @@ class Silhouettes:
         return np.concatenate(kept, axis=1), np.concatenate(distance), np.concatenate(deciding)
 
     def _rank_views(self, xyz: Floats, outside: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int16]]:
-        """Compute distances and deciding views of points (3, N); drop points at more than ``outside`` from the hull.
+        """Compute distances and deciding views of points (3, N). Points that are more than ``outside`` away from the
+        hull are dropped.
 
-        Returns:
-            the remaining points' indices, signed distances to the hull, and deciding views.
+        Returns: indices of the remaining points, their signed distances to the hull, and their deciding views.
         """
         kept = int(self.tolerated_outliers(np.array(len(self.views)))) + 1
         lowest = np.full((kept, xyz.shape[1]), np.inf, dtype=np.float32)
@@ -195,8 +198,7 @@ class Silhouettes:
 def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Signed distances of points (3, N) to the silhouette of one view.
 
-    Returns:
-        distances (N,) in world units, positive inside, and (N,) bool: whether the view sees each point.
+    Returns: distances (N,) in world units, positive inside, and (N,) bool, true for points that the view sees.
     """
     x, y, z = view.project(xyz)
     value = sample(view.distance, x, y, cv2.INTER_LINEAR)
@@ -206,7 +208,8 @@ def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np
 
 
 def root_cells(lower: Array, upper: Array, size: float) -> Floats:
-    """Centres (3, N) float32 of cubes of side ``size`` that cover a box. The grid of cubes is centred on the box."""
+    """Centres (3, N) float32 of cubes of side length ``size`` that cover a box. The grid of cubes is centred on the
+    box."""
     counts = np.maximum(1, np.ceil((upper - lower) / size - 1e-6)).astype(int)
     middle = (lower + upper) / 2
     axes = [middle[i] + (np.arange(counts[i]) - (counts[i] - 1) / 2) * size for i in range(3)]
@@ -214,38 +217,40 @@ def root_cells(lower: Array, upper: Array, size: float) -> Floats:
 
 
 def refine(cells: Floats, size: float) -> tuple[Floats, float]:
-    """Subdivide each cell into eight; return the new centres (3, 8 N), cell by cell, and the new side."""
+    """Subdivide each cell into eight cells. Return the new centres (3, 8 N), where the eight parts of a cell are
+    adjacent, and the new side length."""
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), dtype=np.float32)
     steps = corners.reshape(3, 1, 8) * np.float32(size / 4)
     return (cells[:, :, None] + steps).reshape(3, -1), size / 2
 
 
 def chunks(cells: Floats) -> Iterator[Floats]:
-    """Yield the columns of ``cells`` (3, N) in chunks of at most CHUNK columns; if N is 0, yield one empty chunk."""
+    """Yield the columns of ``cells`` (3, N) in chunks of at most CHUNK columns. If N is 0, yield one empty chunk."""
     for begin in range(0, max(cells.shape[1], 1), CHUNK):
         yield np.ascontiguousarray(cells[:, begin : begin + CHUNK])
 
 
 def interleaved_order(count: int) -> list[int]:
-    """The numbers 0 to count - 1 in an order in which successive cameras of a ring are far apart.
+    """The numbers 0 to count - 1, ordered such that successive cameras of a ring are far apart.
 
-    With this order, the first few views reject most cells, because their viewing angles differ.
+    In this order, the first few views reject most cells, because they look from very different directions.
     """
     return sorted(range(count), key=lambda index: (index * 0.6180339887) % 1)
 
 
 def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts: NDArray[np.int16]) -> None:
-    """Classify spheres of ``radius`` around ``cells`` (3, N) in one view, and add the result to ``counts`` (5, N).
+    """Classify spheres of ``radius`` around the centres ``cells`` (3, N) in one view, and add the result to ``counts``
+    (5, N).
 
-    Each row of ``counts`` contains, for each sphere, the number of views that meet one condition:
+    For each sphere, each row of ``counts`` contains the number of views that satisfy one condition:
     - row 0: the whole sphere is in the image and projects only to background;
     - row 1: the whole sphere is in the image and projects only to the object;
     - row 2: the whole sphere is in the image;
     - row 3: a part of the sphere may be in the image;
     - row 4: a part of the sphere may be in the image, and a part may project to the object.
 
-    Row 4 is needed for spheres that the image borders of many views cut. Row 0 does not count views that see only a
-    part of the sphere, even if this part is background.
+    Row 4 is needed for spheres that lie at the image borders of many views. Row 0 does not count views that see only a
+    part of the sphere, even if this part projects to the background.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)
@@ -264,7 +269,8 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
 
 
 def _insert(lowest: Floats, owners: NDArray[np.int16], value: Floats, index: np.int16) -> None:
-    """Insert the values (N,) of the view ``index`` into the ascending columns of ``lowest`` (K, N), in place."""
+    """Insert the values (N,) of the view ``index`` into ``lowest`` (K, N), in place. Each column of ``lowest`` is in
+    ascending order."""
     owner = np.full(value.shape, index, dtype=np.int16)
     for rank in range(lowest.shape[0]):
         less = value < lowest[rank]

@@ -1,4 +1,4 @@
-"""The interface through which carving reads a capture. Tests and importers can implement this interface."""
+"""The interface from which carving reads a capture. Tests and importers can implement this interface."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class MaskSource(Protocol):
 
     @property
     def path(self) -> Path:
-        """Folder of the capture, for messages."""
+        """Folder of the capture, for error messages."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Camera names in the order of ``cameras``."""
+        """Names of the cameras, in the order of ``cameras``."""
 
     @property
     def cameras(self) -> tuple[Camera, ...]:
@@ -32,7 +32,7 @@ class MaskSource(Protocol):
 
     @property
     def frame_numbers(self) -> tuple[int, ...]:
-        """Number of each frame in the whole capture; the first number may be greater than 0."""
+        """Number of each frame in the whole capture. The first number may be greater than 0."""
 
     def mask(self, camera: int, frame: int) -> NDArray[np.uint8]:
         """Matte (H, W) uint8; 255 is the object."""

@@ -1,4 +1,4 @@
-"""Detection of poor mattes: views and frames whose matte the visual hull of the other views does not cover."""
+"""Detection of poor mattes. A matte is poor if the visual hull of the other views does not cover it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fourd.files import write_text_atomically
 from fourd.progress import Track, untracked
 
 POOR = 0.7
-"""A matte is reported if the hull of the other views covers less than this share of it."""
+"""A matte is reported if the hull of the other views covers less than this share of the matte."""
 MIN_KEPT = 1 / 3
 """Minimum share of the mattes' area that the hull of all views must cover."""
 MAX_FRAMES = 48
@@ -32,10 +32,11 @@ class MatteQuality:
     Attributes:
         names: camera names.
         frames: numbers of the F measured frames in the whole capture.
-        explained: (F, C) share in [0, 1] of each matte that the hull of the other views covers; NaN if the matte is
+        explained: (F, C) share in [0, 1] of each matte that the hull of the other views covers. NaN if the matte is
             empty.
-        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers; NaN if the matte is empty.
-        overlap: (F, C) intersection over union of each matte and the hull's silhouette; NaN if the matte is empty.
+        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers. NaN if the matte is empty.
+        overlap: (F, C) intersection over union of each matte and the silhouette of the hull of all views. NaN if the
+            matte is empty.
         area: (F, C) share in [0, 1] of the image that each matte covers.
     """
 
@@ -53,7 +54,8 @@ class MatteQuality:
         return float(np.nansum(self.kept * self.area)) / total if total else 1.0
 
     def warnings(self) -> list[str]:
-        """One line for each view and range of frames with poor mattes. The line with the smallest share comes first."""
+        """One line of text for each view and range of frames with poor mattes. The line with the smallest share comes
+        first."""
         found = sorted(self._poor_runs())
         lines = [
             f"{name}, {_frame_range(first, last)}: the hull of the other views covers {share:.0%} of this matte"
@@ -64,8 +66,8 @@ class MatteQuality:
         return lines
 
     def _poor_runs(self) -> Iterator[tuple[float, str, int, int]]:
-        """Yield the mean covered share, the camera name, and the first and last frame of each range of frames with poor
-        mattes."""
+        """Yield one tuple for each range of frames with poor mattes: mean covered share, camera name, first frame and
+        last frame."""
         for index, name in enumerate(self.names):
             poor = self.explained[:, index] < POOR
             starts = np.flatnonzero(poor & ~np.r_[False, poor[:-1]])
@@ -105,8 +107,8 @@ def measure_mattes(
 ) -> MatteQuality | None:
     """Measure the agreement of the mattes in at most ``max_frames`` evenly spaced frames of a capture.
 
-    With fewer than three cameras, the result is None, because two silhouettes nearly always have a common hull. Frames
-    are read one at a time.
+    With fewer than three cameras, the result is None: two silhouettes nearly always have a common hull, so their
+    agreement says nothing about the mattes. Frames are read one at a time.
     """
     if len(capture.cameras) < 3 or capture.frame_count == 0:
         return None

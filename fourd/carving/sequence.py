@@ -38,16 +38,16 @@ VERSION = 3
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Worker processes are started only if the estimated time for the remaining frames is at least this number of seconds.
-Starting worker processes takes some seconds."""
+"""Worker processes are started only if carving the remaining frames is estimated to take at least this number of
+seconds. The reason is that starting worker processes takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Input files of carving in a capture. Their sizes and modification times are part of the key, which is a hash of all
-inputs. A change to one of the input files invalidates carved points."""
+"""Files in a capture from which carving reads. Their sizes and modification times enter the key. The key is a hash of
+all inputs of carving. If one of these files changes, the carved points are no longer valid."""
 
 
 @dataclass(frozen=True)
 class CarveSettings:
-    """Settings of :func:`fourd.carving.carve_frame`. The names of the fields are also keys in bounds.json."""
+    """Settings of :func:`fourd.carving.carve_frame`. The names of the fields are also used as keys in bounds.json."""
 
     points: int = 65536
     agreement: float = 0.95
@@ -70,26 +70,26 @@ def carve_capture(
     track: Track = untracked,
     workers: int = 1,
 ) -> Bounds:
-    """Carve every frame; write ``FRAME.ply`` (xyz, rgb) for each frame and ``bounds.json`` to ``out_folder``.
+    """Carve every frame. Write ``FRAME.ply`` (xyz, rgb) for each frame, and ``bounds.json``, to ``out_folder``.
 
     FRAME is the six-digit frame number in the capture. Files are written atomically, and each process keeps only one
-    frame in memory. If the capture and the settings did not change since the last call, frames with a complete PLY file
-    are skipped. After a change, all frames are carved again.
+    frame in memory. If neither the capture nor the settings have changed since the last call, frames with a complete
+    PLY file are skipped. After a change, all frames are carved again.
 
     Args:
         capture: cameras, images and masks.
         out_folder: folder for the files; it is created if missing.
         points: number of points per frame, at least 1.
-        agreement: share in (0, 1]. A hull point must project inside the silhouette in at least this share of the views
-            that see the point.
-        least_views: share in (0, 1]. A hull point must project inside the image in at least this share of all views,
-            and in at least 3 views. With only 2 views, a hull point must project inside both images.
-        trim: remove protruding parts of the hull, so that the remaining hull still covers all silhouettes.
+        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
+            their silhouettes.
+        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
+            and of at least 3 views. If there are only 2 views, a hull point must project into both images.
+        trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
-        seed: random seed of the points' order.
-        track: progress callback.
-        workers: number of worker processes. Worker processes are started only if they save time, which is estimated
-            from the time for the first frame. The capture must be picklable. The points do not depend on the number of
+        seed: seed of the random order of the points.
+        track: callback that reports progress.
+        workers: number of worker processes. Worker processes are started only if they save time. This is estimated from
+            the time for the first frame. The capture must be picklable. The points do not depend on the number of
             workers.
 
     Returns:
@@ -120,10 +120,10 @@ def carve_capture(
 
 
 def read_bounds(folder: Path | str) -> Bounds:
-    """Read the bounds written to ``folder`` by :func:`carve_capture`.
+    """Read the bounds that :func:`carve_capture` wrote to ``folder``.
 
     Raises:
-        UserError: if bounds.json is missing or unreadable, or carving did not finish.
+        UserError: if bounds.json is missing or unreadable, or if carving did not finish.
     """
     path = Path(folder) / BOUNDS_NAME
     state = _load(path)
@@ -136,7 +136,7 @@ def read_bounds(folder: Path | str) -> Bounds:
 
 
 def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
-    """Hash the inputs of carving: settings, cameras, frame numbers, and the files' sizes and modification times."""
+    """Hash the inputs of carving: settings, cameras, frame numbers, and sizes and modification times of the files."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):
         digest.update(f"{name} {camera.width} {camera.height}".encode())
@@ -150,11 +150,11 @@ def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
 
 
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
-    """Get the search box, in which the hull of each frame is carved.
+    """Return the search box in which the hull of each frame is carved.
 
-    If bounds.json contains the same ``key``, the search box is read from this file. Otherwise the search box is
-    computed and saved. If the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are examined, and the
-    margin of the box is three times as wide.
+    If bounds.json contains the same ``key``, the search box is read from this file. Otherwise, the search box is
+    computed and written to bounds.json. If the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are
+    examined. In this case, the margin of the box is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:
@@ -215,9 +215,9 @@ class _Job:
 
 
 def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
-    """Carve the frames of a job, with worker processes if these save time.
+    """Carve the frames of a job. Worker processes are used if they save time.
 
-    The function yields the same values as :func:`_carve_frames`, but the order of the frames is undefined.
+    The function yields the same values as :func:`_carve_frames`, but in any order of the frames.
     """
     numbers = job.capture.frame_numbers
     missing = [frame for frame in job.frames if not _frame_path(job.folder, numbers[frame]).exists()]
@@ -233,7 +233,7 @@ def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
 
 
 def _carve_frames(job: _Job) -> Iterator[Corners]:
-    """Carve the frames of a job; after each frame, yield the smallest and the largest coordinates of its points."""
+    """Carve the frames of a job. After each frame, yield the smallest and the largest coordinates of its points."""
     for frame in job.frames:
         xyz = _load_or_carve(job.capture, frame, job.folder, job.search, job.settings)
         yield xyz.min(axis=0), xyz.max(axis=0)

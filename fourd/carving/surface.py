@@ -1,4 +1,5 @@
-"""Points on the hull's surface: cell centres near the surface are moved onto the surface and thinned evenly."""
+"""Points on the hull's surface: the centres of cells near the surface are moved onto the surface, and then points are
+removed evenly."""
 
 from __future__ import annotations
 
@@ -12,18 +13,18 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, sample
 
 CANDIDATES = 1.3
-"""Number of candidate cells per requested point. More candidates make the points' density more even but take more
-time."""
+"""Number of candidate cells for each requested point. With more candidates, the density of the points is more even, but
+the computation takes more time."""
 MIN_DEPTH = 0.7
-"""After a point was moved into the hull, its distance from the surface must be at least this share of the move's
-length. At creases of the surface, the distance is shorter than the move."""
+"""After a point was moved into the hull, its distance from the surface must be at least this share of the length of the
+move. At creases of the surface, this distance is shorter than the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
-    """Find the cells of side ``size`` that may intersect the surface inside a box; return their centres (3, N).
+    """Find the cells of side length ``size`` that may intersect the surface inside a box. Return their centres (3, N).
 
-    Larger cells are subdivided if they may intersect the surface. The finest cells, of side ``size``, are not tested.
-    The coordinates are relative to the origin of ``views``.
+    Larger cells are subdivided if they may intersect the surface. The finest cells, which have the side length
+    ``size``, are not tested. The coordinates are relative to the origin of ``views``.
     """
     longest = float((upper - lower).max())
     levels = max(0, int(np.log2(max(longest / size / 6, 1))))
@@ -37,7 +38,7 @@ def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -
 def project_to_surface(
     views: Silhouettes, xyz: Floats, distance: Floats, deciding: NDArray[np.int16], size: float
 ) -> tuple[Floats, Floats]:
-    """Move points (3, N) onto the surface along the gradient of the distance; drop points that do not converge.
+    """Move points (3, N) onto the surface along the gradient of the distance. Points that do not converge are dropped.
 
     The deciding view of a point is the view whose silhouette determines its distance. Two steps are enough, except at
     creases of the surface, where the deciding view changes. A point has converged if its distance to the surface is at
@@ -61,9 +62,9 @@ def project_to_surface(
 def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float) -> Floats:
     """Move surface points (N, 3) into the hull, against their outward normals (N, 3).
 
-    In thin parts of the hull, points move by 3/4, 1/2 or 1/4 of ``inset``, or not at all. The function tries these
-    moves from the longest to the shortest. It accepts the first move after which the point is about as far from the
-    surface as it moved.
+    In thin parts of the hull, points move only by 3/4, 1/2 or 1/4 of ``inset``, or not at all. These moves are tried
+    from the longest to the shortest. The first move is accepted after which the point's distance from the surface is
+    about the length of the move.
     """
     moved, remaining = xyz.copy(), np.arange(len(xyz))
     for quarters in (4, 3, 2, 1):
@@ -100,10 +101,10 @@ def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int1
 
 
 def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Select ``count`` of the points (N, 3) with an even density; return the indices of the points in random order.
+    """Select ``count`` of the points (N, 3) such that their density is even. Return their indices in random order.
 
-    ``count`` is at most N. Points are removed in rounds. Each round removes one point from each of the closest pairs of
-    points. Because of the random order, the first M points are a uniform sample for every M.
+    ``count`` is at most N. Points are removed in rounds. In each round, one point of each of the closest pairs of
+    points is removed. Because the order is random, the first M points are a uniform sample for every M.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:
@@ -120,10 +121,11 @@ def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) 
 
 
 def choose_cell_side(views: Silhouettes, lower: Array, upper: Array, points: int) -> float:
-    """Choose the side of cells so that the surface in the box has CANDIDATES cells per requested point.
+    """Choose the side length of cells such that the surface in the box intersects CANDIDATES cells per requested point.
 
-    The surface's area is measured with cells whose side is 1/64 of the box's longest side. If fewer than 200 cells are
-    near the surface, the area is measured again with smaller cells. The result is 0 if there is no surface.
+    The area of the surface is measured with cells whose side length is 1/64 of the box's longest side. If fewer than
+    200 cells are near the surface, the area is measured again with smaller cells. The result is 0 if there is no
+    surface.
     """
     side = float((upper - lower).max()) / 64
     for _ in range(3):

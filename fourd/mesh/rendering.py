@@ -1,4 +1,4 @@
-"""Images of textured meshes, for scores and pictures."""
+"""Rendering of textured meshes, for scores and for images."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import rasterize
 
 SAMPLES = 3
-"""Samples of a pixel along each axis."""
+"""Number of samples per pixel along each axis."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ def render_mesh(mesh: TexturedMesh, camera: Camera, samples: int = SAMPLES) -> M
     Args:
         mesh: the mesh.
         camera: pinhole camera.
-        samples: samples of a pixel along each axis, at least 1.
+        samples: number of samples per pixel along each axis, at least 1.
     """
     fine = camera.resize(camera.width * samples, camera.height * samples)
     clip = clip_positions(torch.from_numpy(mesh.xyz), fine)
@@ -59,15 +59,15 @@ def render_mesh(mesh: TexturedMesh, camera: Camera, samples: int = SAMPLES) -> M
 
 
 def silhouette_iou(alpha: NDArray[np.float32], matte: NDArray[np.uint8]) -> float:
-    """Intersection over union of a rendered silhouette and a matte (H, W), with the threshold one half; 1 if both are
-    empty."""
+    """Intersection over union of a rendered silhouette and a matte (H, W), both thresholded at one half. The result is
+    1 if both are empty."""
     shown, wanted = alpha >= 0.5, matte >= 128
     union = np.count_nonzero(shown | wanted)
     return np.count_nonzero(shown & wanted) / union if union else 1.0
 
 
 def _mean(values: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
-    """Mean of each block of ``samples`` x ``samples`` pixels."""
+    """Mean over each block of ``samples`` x ``samples`` pixels."""
     height, width = values.shape[0] // samples, values.shape[1] // samples
     blocks = values.reshape(height, samples, width, samples, *values.shape[2:])
     return np.asarray(blocks.mean(axis=(1, 3)), np.float32)

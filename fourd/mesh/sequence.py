@@ -33,23 +33,23 @@ STATE_NAME = "meshes.json"
 ANIMATION_NAME = "animation.glb"
 VERSION = 1
 BOUNDS_MARGIN = 0.03
-"""Margin of the box around the hull of a frame, as a share of its longest side."""
+"""Margin of the box around the hull of a frame, as a share of the box's longest side."""
 DEFAULT_FPS = 30.0
 """Frame rate of the animation if the capture's frame rate is unknown."""
 
 
 def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: Track = untracked) -> list[Path]:
-    """Make one mesh for each frame of a capture; write FRAME.glb or FRAME.ply, and animation.glb.
+    """Make one mesh for each frame of a capture. Write FRAME.glb or FRAME.ply for each frame, and animation.glb.
 
     FRAME is the six-digit number of the frame in the capture. Files are written atomically, and memory does not grow
-    with the number of frames. If the capture and the settings did not change since the last call, finished frames are
-    kept. After a change, all frames are made again.
+    with the number of frames. If neither the capture nor the settings have changed since the last call, finished frames
+    are kept. After a change, all frames are made again.
 
     Args:
-        capture: cameras, images and mattes; held-out views must not be among them.
+        capture: cameras, images and mattes. It must not contain held-out views.
         folder: folder for the files; it is created if missing.
-        settings: grid, texture and fit.
-        track: progress callback.
+        settings: settings of the grid, the texture and the fit.
+        track: callback that reports progress.
 
     Returns:
         the files of the frames, in the order of time.
@@ -114,12 +114,12 @@ def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings
 
 
 def _key(capture: Capture, settings: MeshSettings) -> str:
-    """Hash of everything on which the meshes depend: settings, cameras, and the files' sizes and times."""
+    """Hash of all inputs of the meshes: settings, cameras, and the sizes and times of the files."""
     return hashlib.sha256(f"{VERSION} {capture.fps} {settings_key(capture, settings)}".encode()).hexdigest()
 
 
 def _remove_stale(folder: Path, key: str) -> None:
-    """Remove the meshes in ``folder`` if they have another key, and store the key."""
+    """If the meshes in ``folder`` were made with another key, remove them. Then store the new key."""
     state = folder / STATE_NAME
     try:
         known = json.loads(state.read_text(encoding="utf-8"))["key"]

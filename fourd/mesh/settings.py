@@ -12,16 +12,18 @@ MeshFormat = Literal["glb", "ply"]
 
 @dataclass(frozen=True)
 class MeshSettings:
-    """How the meshes of a capture are made.
+    """Settings from which the meshes of a capture are made.
 
     Attributes:
         cells: number of cubes of the grid along the longest side of the subject, at least 8.
         texture_size: side of the texture in texels, at least 16.
         format: "glb" for textured meshes in GLB files and an animation, "ply" for meshes with vertex colours.
-        agreement: share in (0, 1]. Of the views that see a point of the hull, this share must have it in their mattes.
-        least_views: share in (0, 1]. At least this share of all views must see a point of the hull.
+        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point in
+            their mattes.
+        least_views: a share in (0, 1]. At least this share of all views must see a hull point.
         trim: whether to remove protruding parts of the hull before fitting. The remaining hull still covers all mattes.
-        remesh: edge length after isotropic remeshing, in cubes of the grid; 0 keeps the triangles of the grid.
+        remesh: edge length after isotropic remeshing, in units of a cube's side. With 0, the triangles of the grid are
+            kept.
         fit: settings of the fit.
     """
 

@@ -1,4 +1,4 @@
-"""The views of one frame, cropped to the subject, and the depth of a mesh in a view."""
+"""The views of one frame, cropped to the subject, and depth images of a mesh in a view."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import clip_matrix, rasterize
 
 MARGIN_PX = 16
-"""Margin in pixels between the matte and the border of the crop."""
+"""Margin in pixels between the bounding box of the matte and the border of the crop."""
 
 NEAR_SHARE = 0.05
 """Depth of the near plane, as a share of the depth of the nearest vertex. The depth of the far plane is twice the depth
@@ -43,7 +43,8 @@ class MeshView:
     ) -> MeshView:
         """Crop an undistorted image (H, W, 3) and its matte (H, W) to the subject.
 
-        If the matte is empty, the crop is the whole image, because the view still shows where the subject is not.
+        If the matte is empty, the crop is the whole image: the view then still shows that the subject is nowhere in the
+        image.
 
         Raises:
             ValueError: if the sizes of image, matte and camera differ.
@@ -69,7 +70,7 @@ class MeshView:
 def clip_positions(xyz: Tensor, camera: Camera) -> Tensor:
     """Clip-space positions (N, 4) of world points (N, 3), differentiable.
 
-    The near and far planes enclose all points in front of the camera.
+    Between the near and far planes are all points in front of the camera.
     """
     depth = xyz.detach() @ torch.tensor(camera.rotation[2].tolist(), dtype=xyz.dtype) + float(camera.translation[2])
     in_front = depth[depth > 0]
@@ -80,7 +81,7 @@ def clip_positions(xyz: Tensor, camera: Camera) -> Tensor:
 
 
 def depth_image(xyz: Tensor, triangles: Tensor, camera: Camera) -> NDArray[np.float32]:
-    """Depth (H, W) float32 of a mesh in world units, and infinity where a camera sees no triangle.
+    """Depth (H, W) float32 of a mesh in world units. The depth is infinite where the camera sees no triangle.
 
     Args:
         xyz: (N, 3) float32 vertices.

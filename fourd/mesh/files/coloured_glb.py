@@ -1,4 +1,4 @@
-"""GLB files of meshes with colours at the vertices."""
+"""GLB files of meshes with vertex colours."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ def write_coloured_glb(
     triangles: NDArray[np.integer],
     up: Array,
 ) -> None:
-    """Write a mesh with colours at the vertices atomically. The material is unlit and visible from both sides.
+    """Write a mesh with vertex colours, atomically. The material is unlit and visible from both sides.
 
     Args:
         path: the file.
         xyz: (N, 3) vertices in world coordinates.
         normals: (N, 3) unit normals.
-        rgb: (N, 3) uint8 sRGB colours. The file has linear colours with 16 bits, as glTF demands.
+        rgb: (N, 3) uint8 sRGB colours. The file stores linear colours with 16 bits per channel, as glTF requires.
         triangles: (M, 3) vertex indices.
-        up: (3,) up direction of the scene in world coordinates, not zero.
+        up: (3,) up direction of the scene in world coordinates. The direction must not be zero.
     """
     colours = np.full((len(xyz), 4), 65535, "<u2")
     colours[:, :3] = np.rint(srgb_to_linear(rgb / 255.0) * 65535)

@@ -1,8 +1,8 @@
 """GLB files (binary glTF 2.0): writing of textured meshes, and reading of the files that this module writes.
 
-The vertices in a file are in world coordinates. glTF demands metres, right-handed axes and an up axis of +y, so the
-root node rotates the world: the scene's up direction becomes +y. Textures are embedded JPEG images, and the material is
-unlit (KHR_materials_unlit), because the images already contain the light of the scene.
+The vertices in a file are in world coordinates. glTF requires metres, right-handed axes and the up axis +y. Therefore,
+the root node rotates the world such that the scene's up direction becomes +y. Textures are embedded JPEG images. The
+material is unlit (KHR_materials_unlit), because the images already contain the scene's light.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ ASSET = {"version": "2.0", "generator": "fourd mesh"}
 
 @dataclass(frozen=True, eq=False)
 class GlbFile:
-    """The JSON part of a GLB file, and where its binary part is.
+    """The JSON part of a GLB file, and the position of the file's binary part.
 
     Attributes:
         path: the file.
         document: the glTF document.
-        start: offset in bytes of the binary part in the file.
+        start: offset of the binary part in the file, in bytes.
         length: length in bytes of the binary part.
     """
 
@@ -63,12 +63,12 @@ class GlbFile:
 
 
 def write_glb(path: Path, mesh: TexturedMesh, up: Array) -> None:
-    """Write one textured mesh atomically.
+    """Write one textured mesh, atomically.
 
     Args:
         path: the file.
         mesh: the mesh in world coordinates.
-        up: (3,) up direction of the scene in world coordinates, not zero.
+        up: (3,) up direction of the scene in world coordinates. The direction must not be zero.
     """
     image = encode_texture(mesh.texture)
     parts = [
@@ -86,7 +86,7 @@ def read_glb(path: Path) -> GlbFile:
     """Read the JSON part of a GLB file.
 
     Raises:
-        UserError: if the file is missing, damaged or no GLB file.
+        UserError: if the file is missing, is damaged or is not a GLB file.
     """
     try:
         with path.open("rb") as stream:
@@ -167,7 +167,7 @@ def _document(mesh: TexturedMesh, up: Array) -> dict[str, Any]:
 
 
 def material(texture: int) -> dict[str, Any]:
-    """An unlit material with a texture. Programs without support for unlit materials show a rough material."""
+    """An unlit material with a texture. Programs that do not support unlit materials show a rough material."""
     return {
         "pbrMetallicRoughness": {"baseColorTexture": {"index": texture}, "metallicFactor": 0, "roughnessFactor": 1},
         "extensions": {UNLIT: {}},
@@ -175,7 +175,7 @@ def material(texture: int) -> dict[str, Any]:
 
 
 def sampler() -> dict[str, int]:
-    """Trilinear sampling, clamped at the texture's border."""
+    """A texture sampler with trilinear filtering, clamped at the texture's border."""
     return {
         "magFilter": LINEAR,
         "minFilter": LINEAR_MIPMAP_LINEAR,

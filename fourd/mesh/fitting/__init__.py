@@ -1,1 +1,1 @@
-"""Fitting the surface of one frame to the mattes and images of its views."""
+"""Fitting of the surface of one frame to the mattes and images of its views."""

@@ -21,14 +21,14 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import antialias, interpolate, rasterize
 
 MAX_OFFSET_CELLS = 0.4
-"""Largest offset of a grid vertex along each axis, in cubes. Neighbouring lattice vertices are at least 0.87 cubes
-apart, so tetrahedra keep their orientation."""
+"""Maximum offset of a grid vertex along each axis, in units of a cube's side. Neighbouring vertices of the grid are at
+least 0.87 cube sides apart. With the maximum offset, tetrahedra therefore keep their orientation."""
 
 DEPTH_STEPS = 20
-"""Number of steps between renderings of the depth images, which decide visibility."""
+"""Number of steps between two renderings of the depth images. The depth images determine which points are visible."""
 
 NO_DEPTH = 1e9
-"""Depth of pixels without a surface."""
+"""Depth that is used for pixels without a surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ class FittedMesh:
     Attributes:
         xyz: (N, 3) float32 vertices in world units.
         triangles: (M, 3) int64 vertex indices, counter-clockwise seen from outside.
-        losses: (S,) float64 weighted total loss of each step.
+        losses: (S,) float64 weighted sum of the losses in each step.
     """
 
     xyz: NDArray[np.float32]
@@ -50,13 +50,13 @@ def fit_mesh(start: DistanceGrid, views: Sequence[MeshView], settings: FitSettin
     """Fit the surface of one frame.
 
     The parameters are a signed distance and an offset for each vertex of a tetrahedral grid (DMTet, Shen et al. 2021).
-    Each step renders one target view. The silhouette term compares the antialiased alpha with the matte. The photo term
-    compares the colours of the target's pixels with the colours that other views show at the same surface points. The
-    Laplacian and the normal term keep the surface smooth. The distances on the border of the grid keep their sign, so
-    that the surface stays closed.
+    Each step renders one view, which is called the target view. The silhouette term compares the antialiased alpha with
+    the target view's matte. The photo term compares the colours of the target view's pixels with the colours that other
+    views show at the same surface points. The Laplacian term and the normal term keep the surface smooth. The signed
+    distances on the border of the grid keep their signs, so that the surface stays closed.
 
     Args:
-        start: distances at the start, for example of the visual hull.
+        start: signed distances at the start, for example those of the visual hull.
         views: views of the frame, at least 2.
         settings: steps, rates and weights.
 
@@ -78,7 +78,7 @@ class _Fit:
     def __init__(self, start: DistanceGrid, views: Sequence[MeshView], settings: FitSettings) -> None:
         self.grid, self.settings = start.grid, settings
         self.side = start.grid.side
-        # Distances of exactly 0 would give triangles without area.
+        # Distances of exactly 0 would produce triangles without area.
         distance = start.sdf / self.side
         self.distance = torch.where(distance.abs() < 1e-3, torch.full_like(distance, 1e-3), distance)
         self.border_sign = torch.where(self.distance > 0, 1.0, -1.0)[start.grid.is_border]
@@ -93,13 +93,13 @@ class _Fit:
         self.order: list[int] = []
 
     def surface(self) -> Surface:
-        """The surface of the current parameters, differentiable."""
+        """The surface for the current parameters. It is differentiable in the parameters."""
         reach = MAX_OFFSET_CELLS * self.side
         xyz = self.grid.xyz + reach * torch.tanh(self.offset)
         return marching_tetrahedra(xyz, self.distance, self.grid.tetrahedra)
 
     def step(self, step: int) -> float:
-        """Make one gradient step and return the loss."""
+        """Perform one gradient step, and return the loss."""
         settings = self.settings
         for group in self.optimizer.param_groups:
             group["lr"] = settings.rate * 0.1 ** (step / max(settings.steps - 1, 1))
@@ -163,7 +163,8 @@ def _to_photo_view(view: MeshView) -> PhotoView:
 
 
 def _nearby_views(views: Sequence[MeshView], count: int, focus: NDArray[np.float32]) -> list[list[int]]:
-    """For each view, the indices of the ``count`` other views with the smallest angles at ``focus`` (3,)."""
+    """For each view, the indices of the ``count`` other views that have the smallest angles to the view, measured at
+    ``focus`` (3,)."""
     cameras = [view.camera for view in views]
     ordered = [nearest_views(camera, cameras, len(cameras), focus.astype(np.float64)) for camera in cameras]
     return [[other for other in order if other != index][:count] for index, order in enumerate(ordered)]

@@ -1,4 +1,4 @@
-"""The signed distance to the visual hull on a tetrahedral grid around the hull's surface."""
+"""The signed distance to the visual hull, on a tetrahedral grid around the surface of the hull."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from fourd.carving.surface import surface_cells
 from fourd.mesh.surface.grid import TetrahedralGrid, cube_grid
 
 BAND_CELLS = 2
-"""Width in cubes of the grid on each side of the cubes at the surface."""
+"""Number of cubes by which the grid extends on each side beyond the cubes at the surface."""
 
 SMOOTHING_CELLS = 1.2
-"""Standard deviation in cubes of the Gaussian that smooths the hull without its excess parts."""
+"""Standard deviation, in cubes, of the Gaussian that smooths the hull after removal of its excess parts."""
 
 DISTANCE_CELLS = 1.5
-"""Limit of the absolute distances, in cubes."""
+"""Maximum absolute distance, in units of a cube's side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +33,9 @@ class DistanceGrid:
     """A signed distance function on a tetrahedral grid.
 
     Attributes:
-        grid: the grid, a band of a few cubes around the surface.
-        sdf: (V,) float32 signed distance of each vertex in world units, positive inside, limited to DISTANCE_CELLS
-            cubes.
+        grid: the grid, which covers a band of a few cubes around the surface.
+        sdf: (V,) float32 signed distance of each vertex in world units, positive inside. Absolute values are limited to
+            DISTANCE_CELLS cube sides.
     """
 
     grid: TetrahedralGrid
@@ -61,15 +61,17 @@ def hull_distance_grid(
         cameras: undistorted pinhole cameras.
         bounds: box that contains the hull.
         cells: number of cubes along the longest side of ``bounds``, at least 1.
-        agreement: share in (0, 1]. Of the views that see a point, this share must have the point in their mattes.
-        least_views: share in (0, 1]. A point must project inside the image in at least this share of all views.
+        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point in
+            their mattes.
+        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views.
         trim: whether to remove protruding parts of the hull (see :mod:`fourd.carving.excess`). The remaining hull still
             covers all mattes.
-        names: camera names for messages.
-        label: name of the masks for messages.
+        names: names of the cameras for error messages.
+        label: name of the masks for error messages.
 
     Raises:
-        UserError: if the hull is empty. The message names the views that remove most of the hull of the other views.
+        UserError: if the hull is empty. The error message names the views that remove most of the hull of the other
+            views.
         ValueError: if ``cells`` is below 1, or masks, cameras or shares are invalid (see :class:`Silhouettes`).
     """
     if cells < 1:
@@ -99,7 +101,7 @@ def hull_distance_grid(
 
 @dataclass(frozen=True, eq=False)
 class _RemovedParts:
-    """Excess parts of a hull, as the share of each cell's neighbourhood that was removed.
+    """Excess parts of a hull, stored as the removed share of the neighbourhood of each cell.
 
     Attributes:
         hull: the grid of cells.
@@ -112,10 +114,11 @@ class _RemovedParts:
     surface: NDArray[np.float32]
 
     def depth(self, xyz: NDArray[np.float32], limit: float) -> NDArray[np.float32]:
-        """Decrease (N,) of the signed distance at points (3, N) because of the removed parts.
+        """Amount (N,) by which the signed distance at points (3, N) decreases because of the removed parts.
 
-        The distance of points at most ``limit`` from the surface decreases by at most twice this limit. The smoothed
-        occupancy has the slope 1 / (sigma sqrt(2 pi)) at a flat surface, so this factor converts shares to distances.
+        For points at most ``limit`` from the surface, the distance decreases by at most twice this limit. At a flat
+        surface, the smoothed occupancy has the slope 1 / (sigma sqrt(2 pi)). The inverse of this slope converts shares
+        to distances.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)
@@ -125,7 +128,7 @@ class _RemovedParts:
 
 
 def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) -> _RemovedParts | None:
-    """Find the hull's excess parts with cells of side ``side``; return None if there are none."""
+    """Find the hull's excess parts with cells of side length ``side``. Return None if there are no excess parts."""
     hull = fill_hull(views, lower, upper, side)
     if len(hull.cells) == 0:
         return None
@@ -139,9 +142,9 @@ def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) 
 
 
 def surface_band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np.int64], Array]:
-    """Cubes (N, 3) of a band around points (P, 3), and the lower corner of the cube (0, 0, 0).
+    """Cubes (N, 3) of a band around points (P, 3), and the world position of the lower corner of the cube (0, 0, 0).
 
-    The lattice of the cubes is placed so that ``anchor`` (3,) is the centre of a cube.
+    The lattice of cubes is placed such that ``anchor`` (3,) is the centre of a cube.
     """
     index = np.unique(np.rint((centres - anchor) / side).astype(np.int64), axis=0)
     reach = np.arange(-BAND_CELLS, BAND_CELLS + 1)

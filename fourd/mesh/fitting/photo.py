@@ -1,4 +1,4 @@
-"""Photo-consistency: the views of the same surface point show the same colour."""
+"""Photo-consistency: different views of the same surface point must show the same colour."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 MIN_COSINE = 0.25
-"""Points with a smaller cosine between normal and viewing direction are not compared, because they are seen at a
-grazing angle."""
+"""Minimum cosine between normal and viewing direction. Points with a smaller cosine are seen at a grazing angle and are
+not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
-"""A point is visible in a view if it is at most this many pixels behind the depth image."""
+"""A point is visible in a view if it is at most this distance, in pixels, behind the depth image."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoView:
-    """A view as tensors.
+    """A view whose data are tensors.
 
     Attributes:
         camera: pinhole camera.
         rgb: (1, 3, H, W) float32 image in [0, 1].
         matte: (H, W) float32 matte in [0, 1].
-        depth: (1, 1, H, W) float32 depth of the current mesh; a large number where the view shows no mesh.
+        depth: (1, 1, H, W) float32 depth of the current mesh. A large number marks pixels where the view shows no mesh.
         rotation: (3, 3) float32 R_camera_world.
         translation: (3,) float32 T_camera_world.
         intrinsics: (3, 3) float32, in pixels.
@@ -45,19 +45,18 @@ class PhotoView:
 def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, sources: Sequence[PhotoView]) -> Tensor:
     """Mean colour difference between a target view and the source views that see the same surface points.
 
-    A source view sees a point if the surface at the point faces the camera of the view and no other part of the mesh
-    hides the point. For each point, only the smaller half of the colour differences to these source views is used. This
-    ignores most highlights and most errors of the visibility.
+    A source view sees a point if the surface at the point faces the camera of the view, and if no other part of the
+    mesh hides the point. For each point, only the smaller half of the colour differences to the source views that see
+    it is used. In this way, most highlights and most errors of the visibility test are ignored.
 
     Args:
         xyz: (P, 3) surface points, differentiable.
         normals: (P, 3) unit normals, constant.
         pixels: (P, 2) int64 row and column of each point in the target view.
         target: the view whose pixels show the points.
-        sources: views to compare with, at least one.
+        sources: views with which the target view is compared, at least one.
 
-    Returns:
-        scalar, 0 if no source view sees a point.
+    Returns: the loss as a scalar, 0 if no source view sees a point.
     """
     wanted = target.rgb[0][:, pixels[:, 0], pixels[:, 1]].T
     differences, seen = [], []
@@ -73,7 +72,7 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
 
 
 def _sample_view(xyz: Tensor, normals: Tensor, view: PhotoView) -> tuple[Tensor, Tensor]:
-    """Colours (P, 3) of the points in a view, and (P,) bool: whether the view sees each point."""
+    """Colours (P, 3) of the points in a view, and (P,) bool, true for points that the view sees."""
     in_camera = xyz @ view.rotation.T + view.translation
     depth = in_camera[:, 2].clamp(min=1e-6)
     projected = in_camera @ view.intrinsics.T

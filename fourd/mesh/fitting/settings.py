@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class FitSettings:
-    """How the surface of a frame is fitted to its views.
+    """Settings for the fit of the surface of a frame to its views.
 
     Attributes:
-        steps: number of gradient steps, 0 or more. With 0, the surface is the visual hull.
-        rate: initial learning rate of distances and offsets, in cubes, more than 0. It decreases to a tenth of this
-            value at the last step.
+        steps: number of gradient steps, 0 or more. If 0, the surface is that of the visual hull.
+        rate: initial learning rate of distances and offsets, in units of a cube's side, more than 0. The rate decreases
+            to a tenth of this value at the last step.
         silhouette: weight of the squared difference between rendered and given mattes.
-        photo: weight of the colour difference between views of the same surface point.
-        laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, in squared cubes.
+        photo: weight of the colour difference between different views of the same surface point.
+        laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, in units of the squared side of a cube.
         normal: weight of :func:`fourd.mesh.surface.losses.normal_consistency_loss`.
         sources: number of source views with which each target view is compared.
-        seed: random seed of the order of the views.
+        seed: seed of the random order of the views.
     """
 
     steps: int = 200

@@ -13,15 +13,14 @@ Floats = NDArray[np.float32]
 def drop_crumbs(
     xyz: Floats, triangles: NDArray[np.integer], min_share: float = 0.01
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """Remove small connected parts and closed cavities of a mesh.
+    """Remove small connected parts of a mesh, and closed cavities.
 
     Args:
         xyz: (N, 3) vertices.
         triangles: (M, 3) vertex indices, counter-clockwise seen from outside.
-        min_share: smallest area of a part that is kept, as a share of the area of the largest part, in [0, 1].
+        min_share: minimum area of a part that is kept, as a share in [0, 1] of the area of the largest part.
 
-    Returns:
-        the vertices and triangles of the remaining parts, in the same order. Unused vertices are removed. Parts of
+    Returns: the remaining vertices and triangles, in the same order as before. Unused vertices are removed. Parts with
         negative volume are cavities. If all parts have negative volumes, nothing is removed as a cavity.
 
     Raises:

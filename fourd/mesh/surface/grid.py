@@ -1,8 +1,9 @@
 """Tetrahedral grids that cover a set of cubes.
 
-The vertices are a body-centred cubic lattice: the corners and the centres of the cubes. Each face that two cubes share
-gives four tetrahedra, one for each edge of the face. Their other edge joins the centres of the two cubes. All
-tetrahedra are congruent, and their dihedral angles are 60 and 90 degrees (Labelle and Shewchuk 2007, sec. 3).
+The vertices form a body-centred cubic lattice: they are the corners and the centres of the cubes. Each face that two
+cubes share produces four tetrahedra, one for each edge of the face. The edge opposite to the face's edge joins the
+centres of the two cubes. All tetrahedra are congruent, and their dihedral angles are 60 and 90 degrees (Labelle and
+Shewchuk 2007, sec. 3).
 """
 
 from __future__ import annotations
@@ -15,10 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 _KEY_BITS = 20
-"""Bits of each coordinate in the key of a lattice vertex."""
+"""Number of bits for each coordinate in the key of a lattice vertex."""
 
 _FACE = ((0, 0), (1, 0), (1, 1), (0, 1))
-"""Corners of a face in order around the face."""
+"""Corners of a cube's face, in order around the face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +28,10 @@ class TetrahedralGrid:
 
     Attributes:
         xyz: (V, 3) float32 positions of the vertices, in world units.
-        tetrahedra: (T, 4) int64 vertex indices. The determinant of the three edges at the first vertex is positive.
-        is_border: (V,) bool: whether a vertex lies on the border of the grid.
-        side: side of a cube in world units.
+        tetrahedra: (T, 4) int64 vertex indices. The three edges that start at the first vertex of a tetrahedron have a
+            positive determinant.
+        is_border: (V,) bool, true for vertices on the border of the grid.
+        side: side length of a cube in world units.
     """
 
     xyz: Tensor
@@ -44,7 +46,7 @@ def box_grid(lower: NDArray[np.floating], upper: NDArray[np.floating], cells: in
     Args:
         lower: (3,) corner of the box with the smallest coordinates.
         upper: (3,) corner of the box with the largest coordinates.
-        cells: number of cubes, at least 1.
+        cells: minimum number of cubes along the longest side, at least 1.
 
     Raises:
         ValueError: if the box is empty or ``cells`` is below 1.
@@ -62,12 +64,12 @@ def box_grid(lower: NDArray[np.floating], upper: NDArray[np.floating], cells: in
 
 
 def cube_grid(cubes: NDArray[np.integer], lower: NDArray[np.floating], side: float) -> TetrahedralGrid:
-    """Create a grid from cubes of a regular lattice. Only pairs of neighbouring cubes give tetrahedra.
+    """Create a grid from cubes of a regular lattice. Tetrahedra exist only between pairs of cubes that share a face.
 
     Args:
-        cubes: (N, 3) different integer positions of cubes, from 0 to 2^18.
+        cubes: (N, 3) distinct integer positions of cubes, from 0 to 2^18.
         lower: (3,) world position of the lower corner of the cube (0, 0, 0).
-        side: side of a cube in world units, more than 0.
+        side: side length of a cube in world units, more than 0.
 
     Raises:
         ValueError: if a position is out of range, no two cubes share a face, or ``side`` is not positive.
@@ -95,8 +97,8 @@ def cube_grid(cubes: NDArray[np.integer], lower: NDArray[np.floating], side: flo
 
 
 def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
-    """Corners (T, 4, 3) of the tetrahedra between cubes that are neighbours along ``axis``. The unit is half the side
-    of a cube."""
+    """Corners (T, 4, 3) of the tetrahedra between cubes that are neighbours along ``axis``. The unit of the coordinates
+    is half the side of a cube."""
     step = np.zeros(3, np.int64)
     step[axis] = 1
     keys = np.sort(_keys(cubes))
@@ -114,15 +116,15 @@ def _tetrahedra_along(cubes: NDArray[np.int64], axis: int) -> NDArray[np.int64]:
 
 
 def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One integer for each position (..., 3). Different positions have different integers."""
+    """One integer key for each position (..., 3). Different positions have different keys."""
     x, y, z = np.moveaxis(positions, -1, 0)
     return (x << (2 * _KEY_BITS)) | (y << _KEY_BITS) | z
 
 
 def _border_vertices(tetrahedra: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
-    """(V,) bool: whether a vertex belongs to a face of only one tetrahedron."""
+    """(V,) bool, true for vertices of a face that belongs to only one tetrahedron."""
     faces = np.sort(np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)]), axis=1)
-    # Sorting puts the two copies of a shared face next to each other.
+    # After sorting, the two copies of a shared face are adjacent.
     order = np.lexsort(faces.T)
     ordered = faces[order]
     is_first = np.ones(len(ordered), np.bool_)

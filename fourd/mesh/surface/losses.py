@@ -13,8 +13,9 @@ class MeshTopology:
     """The edges of a triangle mesh.
 
     Attributes:
-        edges: (E, 2) int64 vertex indices of each edge, the smaller one first. Each edge occurs once.
-        neighbours: (P, 2) int64 indices of two triangles that share an edge. An edge of n triangles gives n - 1 pairs.
+        edges: (E, 2) int64 vertex indices of each edge, the smaller index first. Each edge occurs once.
+        neighbours: (P, 2) int64 indices of two triangles that share an edge. An edge that n triangles share gives n - 1
+            pairs.
         vertex_count: number of vertices.
     """
 
@@ -24,7 +25,7 @@ class MeshTopology:
 
     @staticmethod
     def of(triangles: Tensor, vertex_count: int) -> MeshTopology:
-        """Find the edges of ``triangles`` (M, 3), integer vertex indices below ``vertex_count``."""
+        """Find the edges of ``triangles`` (M, 3), which are integer vertex indices below ``vertex_count``."""
         triangles = triangles.long()
         sides = torch.cat([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
         owner = torch.arange(len(triangles), device=triangles.device).repeat(3)
@@ -38,17 +39,18 @@ class MeshTopology:
 
 
 def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
-    """Mean square of the uniform Laplacian: the distance of each vertex from the mean of its neighbours.
+    """Mean square of the uniform Laplacian. The uniform Laplacian of a vertex is its distance from the mean of its
+    neighbours.
 
-    The uniform Laplacian (Desbrun et al. 1999) pulls vertices along the normal, which smooths the surface, and in the
-    tangent plane, which makes triangles regular. Vertices without neighbours do not count.
+    The uniform Laplacian (Desbrun et al. 1999) has two effects. It moves vertices along the normal, which smooths the
+    surface. It also moves vertices in the tangent plane, which makes triangles regular. Vertices without neighbours are
+    ignored.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
         topology: edges of the mesh.
 
-    Returns:
-        scalar in squared world units, 0 for a mesh without edges.
+    Returns: a scalar in squared world units, 0 for a mesh without edges.
     """
     first, second = topology.edges.unbind(dim=1)
     degree = torch.zeros(len(xyz), dtype=xyz.dtype, device=xyz.device)
@@ -63,16 +65,15 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
 def normal_consistency_loss(xyz: Tensor, triangles: Tensor, topology: MeshTopology) -> Tensor:
     """Mean of 1 minus the cosine between the normals of triangles that share an edge.
 
-    The loss of a flat mesh is 0. Triangles whose area is 0 have the normal 0, and their pairs have the loss 1 with a
-    gradient of 0.
+    The loss of a flat mesh is 0. A triangle without area has the normal 0. Each of its pairs has the loss 1 and the
+    gradient 0.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
         triangles: (M, 3) integer vertex indices with a consistent orientation.
         topology: edges of the mesh.
 
-    Returns:
-        scalar in [0, 2], 0 for a mesh without neighbouring triangles.
+    Returns: a scalar in [0, 2], 0 for a mesh without neighbouring triangles.
     """
     normals = triangle_normals(xyz, triangles)
     cosine = (normals[topology.neighbours[:, 0]] * normals[topology.neighbours[:, 1]]).sum(dim=1)
@@ -80,16 +81,15 @@ def normal_consistency_loss(xyz: Tensor, triangles: Tensor, topology: MeshTopolo
 
 
 def edge_length_loss(xyz: Tensor, topology: MeshTopology, length: float | None = None) -> Tensor:
-    """Mean square of the difference between the edges' lengths and ``length``, divided by the square of ``length``.
+    """Mean of (edge length - ``length``)^2 / ``length``^2 over all edges.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
         topology: edges of the mesh.
-        length: wanted length in world units, more than 0. With None, the wanted length is the mean length of the
-            edges, as a constant.
+        length: target length of the edges in world units, more than 0. If ``length`` is None, the target length is the
+            mean length of the edges, which is treated as a constant.
 
-    Returns:
-        scalar without unit, 0 for a mesh without edges.
+    Returns: a scalar without unit, 0 for a mesh without edges.
 
     Raises:
         ValueError: if ``length`` is not positive.
@@ -99,23 +99,25 @@ def edge_length_loss(xyz: Tensor, topology: MeshTopology, length: float | None =
     first, second = topology.edges.unbind(dim=1)
     if len(first) == 0:
         return xyz.sum() * 0
-    # The small constant keeps the gradient of edges of length 0 finite.
+    # The small constant keeps the gradient finite for edges of length 0.
     lengths = ((xyz[first] - xyz[second]).square().sum(dim=1) + 1e-24).sqrt()
     wanted = lengths.detach().mean().clamp(min=1e-12) if length is None else length
     return ((lengths - wanted) / wanted).square().mean()
 
 
 def triangle_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
-    """Unit normals (M, 3) of triangles (M, 3), outward for counter-clockwise triangles; 0 if the area is 0.
+    """Unit normals (M, 3) of triangles (M, 3). They point outward for counter-clockwise triangles, and are 0 for
+    triangles without area.
 
-    Differentiable in ``xyz`` (N, 3).
+    The normals are differentiable in ``xyz`` (N, 3).
     """
     a, b, c = (xyz[triangles[:, corner].long()] for corner in range(3))
     return torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-20)
 
 
 def vertex_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
-    """Unit normals (N, 3) of the vertices: the means of the triangles' normals, weighted by area. Differentiable."""
+    """Unit normals (N, 3) of the vertices. Each is the mean of the normals of the adjacent triangles, weighted by their
+    areas. Differentiable."""
     triangles = triangles.long()
     a, b, c = (xyz[triangles[:, corner]] for corner in range(3))
     weighted = torch.linalg.cross(b - a, c - a)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-"""Corners of the six edges of a tetrahedron."""
+"""Indices of the two corners at the ends of each of the six edges of a tetrahedron."""
 
 _CUTS = (
     (-1, -1, -1, -1, -1, -1),
@@ -28,8 +28,9 @@ _CUTS = (
     (0, 2, 1, -1, -1, -1),
     (-1, -1, -1, -1, -1, -1),
 )
-"""Cut edges of the one or two triangles, for each set of inside corners. Bit i of the row is set if corner i is inside.
-The triangles are counter-clockwise seen from outside, if the determinant of the tetrahedron is positive."""
+"""For each set of inside corners, the cut edges that form the one or two triangles. Bit i of the row index is set if
+corner i is inside. If the determinant of the tetrahedron is positive, the triangles are counter-clockwise seen from
+outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class Surface:
     Attributes:
         xyz: (N, 3) positions of the vertices, differentiable.
         triangles: (M, 3) int64 vertex indices, counter-clockwise seen from outside.
-        edges: (N, 2) int64 indices of the two grid vertices whose edge contains each mesh vertex.
+        edges: (N, 2) int64 indices of the two grid vertices at the ends of the edge that contains each mesh vertex.
     """
 
     xyz: Tensor
@@ -50,20 +51,19 @@ class Surface:
 def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface:
     """Extract the surface where the linear interpolation of ``sdf`` is zero.
 
-    A cut edge with the ends a and b gives the vertex (x_a s_b - x_b s_a) / (s_b - s_a), with the positions x and the
-    distances s (DMTet, eq. 1). Tetrahedra that share an edge share its vertex, so the surface is closed if no
-    triangle lies on the border of the grid.
+    If an edge with the ends a and b is cut, its vertex is at (x_a s_b - x_b s_a) / (s_b - s_a), where x are positions
+    and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share its vertex. Therefore, the
+    surface is closed if no triangle lies on the border of the grid.
 
     Args:
         xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.
-        sdf: (V,) signed distances of the same dtype, more than 0 inside, differentiable. 0 counts as outside. Only the
-            signs and the ratios of the distances matter.
+        sdf: (V,) signed distances of the same dtype, more than 0 inside, differentiable. The distance 0 counts as
+            outside. Only the signs and the ratios of the distances matter.
         tetrahedra: (T, 4) int64 vertex indices with positive determinants, as in
             :class:`fourd.mesh.surface.grid.TetrahedralGrid`.
 
-    Returns:
-        The surface. It has no vertices if all distances have the same sign. Gradients treat the set of triangles as
-        constant.
+    Returns: The surface. The surface has no vertices if all distances have the same sign. For gradients, the set of
+        triangles is treated as constant.
 
     Raises:
         TypeError, ValueError: for a wrong dtype or shape, with a message that names the argument.
@@ -89,7 +89,7 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
 
 
 def _cut_points(xyz: Tensor, sdf: Tensor, edges: Tensor) -> Tensor:
-    """Zero crossings (N, 3) of the distances along the edges (N, 2)."""
+    """Positions (N, 3) where the signed distance is zero along the edges (N, 2)."""
     first, second = edges.unbind(dim=1)
     share = sdf[first] / (sdf[first] - sdf[second])
     return xyz[first] + share[:, None] * (xyz[second] - xyz[first])

@@ -1,4 +1,4 @@
-"""Isotropic remeshing by the optional library gpytoolbox."""
+"""Isotropic remeshing with the optional library gpytoolbox."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ def remeshing_is_available() -> bool:
 def remesh(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], edge_length: float
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Replace the triangles of a closed mesh by nearly equilateral ones (Botsch and Kobbelt 2004).
+    """Replace the triangles of a closed mesh by nearly equilateral triangles (Botsch and Kobbelt 2004).
 
-    Long edges are split, short edges are collapsed, edges are flipped, and vertices are smoothed in the tangent plane
-    and projected onto the given surface. Not differentiable.
+    Long edges are split, short edges are collapsed, and edges are flipped. Vertices are smoothed in the tangent plane
+    and then projected onto the given surface. Not differentiable.
 
     Args:
         xyz: (N, 3) finite vertices.
         triangles: (M, 3) vertex indices, at least one triangle.
-        edge_length: wanted length of the edges in world units, more than 0.
+        edge_length: target length of the edges in world units, more than 0.
 
     Returns:
         the vertices and triangles of the new mesh, with the orientation of the given mesh.

@@ -1,1 +1,1 @@
-"""Texture atlases, and their colours from source views."""
+"""Texture atlases, and computation of their colours from source views."""

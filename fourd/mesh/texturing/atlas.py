@@ -1,4 +1,4 @@
-"""Texture atlases: charts of a mesh in a square texture, by the library xatlas."""
+"""Texture atlases: charts of a mesh in a square texture, computed with the library xatlas."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import rasterize
 
 PADDING_TEXELS = 2
-"""Distance between charts in texels, so that bilinear samples at a chart's border read no other chart."""
+"""Distance between charts in texels. With this distance, bilinear samples at a chart's border do not include texels of
+other charts."""
 
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """Charts of a mesh. Vertices at chart borders occur once for each chart.
+    """Charts of a mesh. A vertex at a chart border occurs once for each chart that contains it.
 
     Attributes:
-        source: (N,) int64 index of the vertex of the original mesh.
+        source: (N,) int64 index in the original mesh of each vertex.
         triangles: (M, 3) int32 vertex indices, in the order of the original triangles.
         uv: (N, 2) float32 texture coordinates in [0, 1]. (0, 0) is the upper left corner of the texture.
         chart_count: number of charts.
@@ -37,8 +38,8 @@ class Texels:
     """The texels of an atlas that charts cover.
 
     Attributes:
-        covered: (S, S) bool: whether the centre of each texel lies in a chart.
-        triangle: (P,) int64 triangle of each covered texel, in row-major order.
+        covered: (S, S) bool, true for texels whose centre lies in a chart.
+        triangle: (P,) int64 index of the triangle that contains each covered texel, in row-major order of the texels.
         weights: (P, 3) float32 barycentric coordinates of each covered texel in its triangle.
     """
 
@@ -47,7 +48,7 @@ class Texels:
     weights: NDArray[np.float32]
 
     def interpolate(self, values: NDArray[np.float32], triangles: NDArray[np.integer]) -> NDArray[np.float32]:
-        """Interpolate ``values`` (N, C) of vertices at the covered texels; return (P, C).
+        """Interpolate ``values`` (N, C) of vertices at the covered texels. Return (P, C).
 
         ``triangles`` (M, 3) are indices into ``values``.
         """
@@ -61,7 +62,7 @@ def build_atlas(xyz: NDArray[np.float32], triangles: NDArray[np.integer], size: 
     Args:
         xyz: (N, 3) finite vertices.
         triangles: (M, 3) vertex indices, at least one triangle.
-        size: side of the texture in texels, at least 16.
+        size: side length of the texture in texels, at least 16.
 
     Raises:
         ValueError: if the mesh is empty, a vertex is not finite or ``size`` is too small.

@@ -1,4 +1,4 @@
-"""Colours of surface points, blended from the source views that see them."""
+"""Colours of surface points, blended from the source views that see each point."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from fourd.mesh.views import MeshView
 Floats = NDArray[np.float32]
 
 ANGLE_POWER = 6
-"""Power of the cosine between the normal and the direction to the camera in a view's weight. A high power gives sharp
-textures, because few views are mixed. A low power hides differences between the views."""
+"""Power p of the cosine between normal and direction to the camera in the weight of a view. With a high power, textures
+are sharp, because few views are mixed. With a low power, differences between the views are less visible."""
 
 MIN_COSINE = 0.1
-"""Views at a smaller cosine do not colour a point: the point is seen at a grazing angle."""
+"""Minimum cosine at which a view colours a point. With a smaller cosine, the point is seen at a grazing angle."""
 
 DEPTH_TOLERANCE_PX = 2.0
-"""A point is visible if it is at most this many pixels behind the rasterized depth. The size of a pixel is measured at
-the point's depth and divided by the cosine, because depth changes faster on slanted surfaces."""
+"""A point is visible if it is at most this distance, in pixels, behind the rasterized depth. For this test, the size of
+a pixel at the point's depth is divided by the cosine, because depth changes faster on slanted surfaces."""
 
 CHUNK = 1 << 19
-"""Number of points that are coloured together, which limits the memory for large textures."""
+"""Number of points that are coloured in one block. The block size limits the memory for large textures."""
 
 
 @dataclass(frozen=True, eq=False)
 class SourceView:
-    """A view with the depth of the mesh.
+    """A view together with the depth of the mesh in this view.
 
     Attributes:
         view: camera, image and matte.
-        depth: (H, W) float32 depth of the mesh in world units; infinity where the view shows no mesh.
+        depth: (H, W) float32 depth of the mesh in world units. The depth is infinite where the view shows no mesh.
     """
 
     view: MeshView
@@ -43,12 +43,13 @@ class SourceView:
 
 
 def blend_views(xyz: Floats, normals: Floats, sources: Sequence[SourceView]) -> tuple[Floats, Floats]:
-    """Blend the colours of points from the views that see them.
+    """Blend the colours of points from the views that see the points.
 
     The weight of a view is cos^p m^2. cos is the cosine between the normal and the direction to the camera, and p is
-    ANGLE_POWER. m is the smallest matte value of the 3 x 3 pixels around the point. Pixels at the contour, which mix
-    subject and background, therefore have little weight. The weight is 0 if the point lies behind the smallest depth of
-    the 3 x 3 pixels. Near the contour of a part in front, its colours are therefore not painted on the part behind it.
+    ANGLE_POWER. m is the smallest matte value of the 3 x 3 pixels around the point. Therefore, pixels at the contour,
+    which mix subject and background, have little weight. The weight is 0 if the point lies behind the smallest mesh
+    depth of the 3 x 3 pixels. Therefore, near the contour of a front part of the mesh, the colours of this part are not
+    painted on the part behind it.
 
     Args:
         xyz: (P, 3) points on the mesh.
@@ -56,8 +57,8 @@ def blend_views(xyz: Floats, normals: Floats, sources: Sequence[SourceView]) -> 
         sources: the views, with depth images of the same mesh.
 
     Returns:
-        rgb: (P, 3) float32 colours in [0, 1], 0 where no view sees the point.
-        weight: (P,) float32 sum of the views' weights; 0 where no view sees the point.
+        rgb: (P, 3) float32 colours in [0, 1]. The colour is 0 where no view sees the point.
+        weight: (P,) float32 sum of the views' weights. The sum is 0 where no view sees the point.
     """
     rgb, weight = np.zeros((len(xyz), 3), np.float32), np.zeros(len(xyz), np.float32)
     prepared = [_prepare(source) for source in sources]
@@ -71,7 +72,7 @@ def blend_views(xyz: Floats, normals: Floats, sources: Sequence[SourceView]) -> 
 
 
 def _prepare(source: SourceView) -> tuple[SourceView, Floats, Floats]:
-    """The view, and the smallest depth and the smallest matte of the 3 x 3 pixels around each pixel."""
+    """The view, with the smallest depth and the smallest matte value of the 3 x 3 pixels around each pixel."""
     square = np.ones((3, 3), np.uint8)
     nearest = np.asarray(cv2.erode(source.depth, square, borderType=cv2.BORDER_REPLICATE), np.float32)
     matte = np.asarray(cv2.erode(source.view.matte, square, borderType=cv2.BORDER_REPLICATE), np.float32)

@@ -1,4 +1,4 @@
-"""Colours for the parts of a mesh that no view sees, and for the texels between charts."""
+"""Colours for parts of a mesh that no view sees, and for the texels between charts."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from scipy.sparse.linalg import spsolve
 Floats = NDArray[np.float32]
 
 GREY = 0.5
-"""Colour of connected parts of a mesh that no view sees at all."""
+"""Colour of connected parts of a mesh of which no view sees any point."""
 
 
 def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.integer]) -> Floats:
-    """Spread the colours of known vertices over the mesh to the other vertices.
+    """Spread the colours of vertices with a known colour over the mesh to the other vertices.
 
-    The colours of the other vertices are harmonic: each is the mean of its neighbours' colours (membrane inpainting on
-    the surface). Neighbours are found on the mesh and not in the texture, where neighbouring charts may belong to
-    different parts of the surface.
+    The colours of the other vertices are harmonic: each colour is the mean of the neighbours' colours (membrane
+    inpainting on the surface). Neighbours are taken from the mesh. Neighbours in the texture would be wrong, because
+    neighbouring charts may belong to different parts of the surface.
 
     Args:
         rgb: (N, 3) colours.
-        known: (N,) bool: whether the colour of a vertex is known.
+        known: (N,) bool, true for vertices with a known colour.
         triangles: (M, 3) vertex indices.
 
-    Returns:
-        (N, 3) colours; the known ones are unchanged. Parts without a known colour become grey.
+    Returns: (N, 3) colours. Known colours are unchanged. Parts without a known colour become grey.
     """
     count = len(rgb)
     if known.all():
@@ -36,7 +35,7 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
     columns = np.concatenate([triangles[:, a] for a in (1, 2, 0, 0, 1, 2)])
     adjacency = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
     adjacency.data[:] = 1
-    # A small weight towards grey keeps the linear system regular for parts without a known colour.
+    # A small weight towards grey keeps the linear system regular in parts without a known colour.
     grey_weight = 1e-6
     degree = np.asarray(adjacency.sum(axis=1)).ravel() + grey_weight
     unknown = np.flatnonzero(~known)
@@ -49,13 +48,13 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
 
 
 def fill_between_charts(texture: Floats, covered: NDArray[np.bool_]) -> Floats:
-    """Copy to each texel outside the charts the colour of the nearest texel in a chart.
+    """Give each texel outside the charts the colour of the nearest texel in a chart.
 
-    Bilinear samples at the borders of charts, and coarser mip levels, then contain no foreign colour.
+    Bilinear samples at the borders of charts, and coarser mip levels, then contain only colours of charts.
 
     Args:
         texture: (S, S, 3) colours.
-        covered: (S, S) bool: whether a texel lies in a chart.
+        covered: (S, S) bool, true for texels in a chart.
     """
     if covered.all() or not covered.any():
         return texture

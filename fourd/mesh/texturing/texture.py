@@ -1,4 +1,4 @@
-"""The texture of one mesh from the images of its frame."""
+"""Computation of the texture of one mesh from the images of its frame."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fourd.mesh.views import MeshView, depth_image
 
 @dataclass(frozen=True, eq=False)
 class TexturedMesh:
-    """A triangle mesh with a texture. Vertices at the borders of charts occur once for each chart.
+    """A triangle mesh with a texture. A vertex at the border of a chart occurs once for each chart that contains it.
 
     Attributes:
         xyz: (N, 3) float32 vertices in world units.
@@ -38,16 +38,17 @@ class TexturedMesh:
 def texture_mesh(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView], size: int
 ) -> TexturedMesh:
-    """Colour a mesh from the views of its frame.
+    """Compute the texture of a mesh from the views of its frame.
 
-    Each texel is blended from the views that see it (:func:`fourd.mesh.texturing.blending.blend_views`). Texels that no
-    view sees get colours from their surroundings on the surface.
+    The colour of each texel is blended from the views that see the texel
+    (:func:`fourd.mesh.texturing.blending.blend_views`). Texels that no view sees get colours from the surrounding
+    surface.
 
     Args:
         xyz: (N, 3) vertices in world units.
         triangles: (M, 3) vertex indices, at least one triangle.
         views: views of the frame, at least one.
-        size: side of the texture in texels, at least 16.
+        size: side length of the texture in texels, at least 16.
 
     Raises:
         ValueError: if the mesh or ``views`` is empty, a vertex is not finite or ``size`` is too small.
@@ -77,7 +78,8 @@ def texture_mesh(
 def colour_mesh(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Colour the vertices of a mesh from the views of its frame, as :func:`texture_mesh` colours texels.
+    """Compute the colours of a mesh's vertices from the views of its frame. The method is that of :func:`texture_mesh`
+    for texels.
 
     Args:
         xyz: (N, 3) vertices in world units.
@@ -99,7 +101,7 @@ def colour_mesh(
 def _prepare(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
 ) -> tuple[NDArray[np.float32], list[SourceView]]:
-    """Normals (N, 3) of the vertices, and the views with depth images of the mesh."""
+    """Normals (N, 3) of the vertices, and the views together with depth images of the mesh."""
     vertices, faces = torch.from_numpy(xyz), torch.from_numpy(np.asarray(triangles, np.int64))
     sources = [SourceView(view, depth_image(vertices, faces, view.camera)) for view in views]
     return vertex_normals(vertices, faces).numpy(), sources
@@ -111,7 +113,7 @@ def _vertex_colours(
     triangles: NDArray[np.integer],
     sources: Sequence[SourceView],
 ) -> NDArray[np.float32]:
-    """Colours (N, 3) of the vertices in [0, 1], also of those that no view sees."""
+    """Colours (N, 3) of the vertices in [0, 1], including vertices that no view sees."""
     rgb, weight = blend_views(xyz, normals, sources)
     return fill_vertices(rgb, weight > 0, triangles)
 
