@@ -50,9 +50,9 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 def atomic_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``target``. On success, the temporary folder replaces the folder ``target``.
 
-    If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. If
-    ``target`` already exists, it is renamed, replaced and then removed, so that ``target`` is missing only for a
-    moment.
+    If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. An existing
+    ``target`` is first renamed, and is removed after the new folder has the name ``target``. ``target`` is therefore
+    missing only for a moment.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f"{UNFINISHED}{target.name}-"))

@@ -123,7 +123,7 @@ def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
 
 
 def render(trained: TrainedRun, frame: int, view: int) -> tuple[RenderedView, Image, NDArray[np.uint8]]:
-    """Rendered view, true image, and matte of a view. The view is not a source of its own image."""
+    """Rendered view, true image, and matte of a view. The view is not among the source views of its rendered image."""
     capture, layers = trained.run.capture, trained.run.config.train.layers
     points = trained.frames.get(frame)
     picture = trained.renderer.render(points, frame, capture.cameras[view], layers, exclude=view)

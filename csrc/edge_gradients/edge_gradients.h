@@ -1,5 +1,5 @@
-// The gradient of vertex positions through visibility edges, for an image that is not antialiased. Callers check
-// shapes. Indices of vertices and triangles that are out of range are ignored.
+// The part of the gradient with respect to vertex positions that comes from moving visibility edges, for an image that
+// is not antialiased. Callers check shapes. Indices of vertices and triangles that are out of range are ignored.
 #pragma once
 
 #include "antialias/antialias.h"

@@ -13,8 +13,8 @@ namespace fourd::unpack {
 namespace FOURD_SIMD {
 namespace {
 
-constexpr std::size_t kBlock = 64;  // Points whose output fits into the first-level cache.
-constexpr std::size_t kGroup = 4;   // Points whose sums are computed at the same time.
+constexpr std::size_t kBlock = 64;  // Number of points whose output fits into the first-level cache.
+constexpr std::size_t kGroup = 4;   // Number of points whose sums are computed at the same time.
 
 // The rows of the basis that have a factor other than 0 in a block of points, and these factors.
 struct Block {

@@ -373,8 +373,7 @@ def locate_boards(
 
     Args:
         board: the board.
-        rig: cameras, timing and shape of the board, and the board's poses in the frames ``known``, which are the
-            initial poses there.
+        rig: cameras, timing and shape of the board, and the initial poses of the board in the frames ``known``.
         located: views with the poses of the board that agree with them.
         frames: frame numbers, in ascending order.
         known: frame numbers of the poses in ``rig``.

@@ -230,7 +230,10 @@ class VideoReader:
         return None
 
     def _number(self, elapsed: Fraction) -> int:
-        """Frame number from the time after frame 0. Unlike the result of ``nearest``, it can be outside the video."""
+        """Frame number from the time after frame 0.
+
+        Unlike the result of ``nearest``, this number can be outside the video.
+        """
         if not self.index.times:
             return round(elapsed * self.index.fps)
         return bisect_left(self.index.times, round(elapsed / self.index.tick))

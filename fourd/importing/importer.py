@@ -161,7 +161,7 @@ def import_source(
 def _correct_estimate(
     estimate: Estimate, imported: Imported, source_format: Format, options: ImportOptions, log: Log
 ) -> Estimate:
-    """Correct offsets from sound by the travel time of the sound to the calibrated cameras, and log them."""
+    """Correct offsets from sound by the travel time of the sound to the calibrated cameras, and log the offsets."""
     is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
     if options.calibration is not None:
         is_metric |= is_metric_calibration(Path(options.calibration))

@@ -170,8 +170,8 @@ def correct_sound_travel(
     """Subtract the travel time of sound to the calibrated cameras from estimated delays.
 
     A measured lag is the sum of an offset and a difference of travel times. The two cannot be separated, so the
-    position of the source of the sound cannot be estimated. The user specifies it, or it is the point that the cameras
-    face.
+    position of the source of the sound cannot be estimated. The user can specify the position; otherwise, the point
+    that the cameras face is used.
 
     Args:
         estimate: delays of the videos. Delays from motion are returned unchanged.

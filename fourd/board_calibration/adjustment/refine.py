@@ -73,7 +73,7 @@ def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: F
 
 
 def with_motion(state: RigState, frames: Sequence[int]) -> RigState:
-    """The rig with the motion of the board that follows from its positions."""
+    """The rig with the motion of the board, computed from the board's positions."""
     if state.timing is None:
         return state
     return replace(state, timing=replace(state.timing, motion=board_motion(frames, state.boards)))

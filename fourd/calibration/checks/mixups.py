@@ -1,7 +1,7 @@
 """Detection of two mistakes in captures: cameras with exchanged calibrations, and views with upside-down images.
 
-A hypothesis assumes one of these mistakes for one or two cameras, and corrects it. A hypothesis is accepted if the
-matches of these cameras have large residuals with the given calibration, and small residuals after the correction.
+A hypothesis assumes one of these mistakes for one or two cameras, and corrects the mistake. A hypothesis is accepted if
+the matches of these cameras have large residuals with the given calibration, and small residuals after the correction.
 """
 
 from __future__ import annotations
