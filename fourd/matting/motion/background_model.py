@@ -114,8 +114,8 @@ class BackgroundModel:
 def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations:
     """Fit the shares of pixels that are in shadow or changed to pixels that certainly show the background.
 
-    The shares are the weights of a mixture, by expectation maximisation. The default shares count like PRIOR_PIXELS
-    pixels, so that a few pixels change them little.
+    The shares are the weights of a mixture, by expectation maximisation. The default shares have the weight of
+    PRIOR_PIXELS pixels, so that a few pixels hardly change the learned shares.
 
     Args:
         plain: (N,) log densities of the pixels' colours according to the background model.

@@ -188,7 +188,7 @@ def _threads(threads: int) -> int:
 
 
 def _pixel_rows(uv: Tensor, uv_da: Tensor | None, bias: Tensor | None) -> tuple[Tensor | None, ...]:
-    """Return contiguous tensors (pictures, pixels, numbers) and, for the bias, (pictures, pixels)."""
+    """Return contiguous tensors of shape (pictures, pixels, numbers), or (pictures, pixels) for the bias."""
     return tuple(None if value is None else contiguous(value).flatten(1, 2) for value in (uv, uv_da, bias))
 
 
