@@ -21,10 +21,10 @@ const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
  */
 
 /**
- * A packed scene that is drawn into the WebGL 2 context of another program, such as three.js.
+ * A packed scene that is drawn into the WebGL 2 context of another program (the host), such as three.js.
  *
  * Call `update` once per displayed image, and then `draw` for each view, after the host has drawn its opaque objects.
- * Both calls change the state of WebGL. A host that remembers this state must reset it (in three.js:
+ * Both calls change the state of WebGL. If the host caches this state, it must reset the cache (in three.js:
  * `renderer.resetState()`).
  */
 export class FourdScene {
@@ -100,8 +100,8 @@ export class FourdScene {
   }
 
   /**
-   * Composites the points over the content of a framebuffer. Colours are sRGB, as in images. At most K points per pixel
-   * are composited, nearest first, behind the points that the host's objects hide.
+   * Composites the points over the content of a framebuffer. Colours are sRGB, as in images. Points behind the
+   * host's objects are not drawn. At each pixel, the K nearest of the other points are composited.
    * @param {View} view
    * @param {object} [target]
    * @param {WebGLFramebuffer | null} [target.framebuffer] null, the default, is the canvas.

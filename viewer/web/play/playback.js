@@ -15,7 +15,7 @@ export class Playback {
   /**
    * @param {import("../scene/scene_file.js").SceneFile} file
    * @param {import("../decode/pool.js").DecodePool} pool
-   * @param {() => void} changed Called when other points, colours or depth orders can be drawn.
+   * @param {() => void} changed Called when new points, colours or a new depth order can be drawn.
    * @param {(error: unknown) => void} failed
    */
   constructor(file, pool, changed, failed) {

@@ -39,7 +39,7 @@ function addObjects() {
   transparent.add(glass);
 }
 
-/** The view of the points: the matrices of three.js as they are. */
+/** The view of the points: the unchanged matrices of three.js. */
 function view() {
   const { width, height } = canvas;
   const viewport = /** @type {[number, number, number, number]} */ ([0, 0, width, height]);
