@@ -23,7 +23,7 @@ class BakedFrameSource(Protocol):
         """The manifest of the scene."""
 
     def read(self, index: int) -> BakedFrame:
-        """Read a frame. Reading a frame can take long. Raises UserError if the frame is damaged."""
+        """Read a frame, which can take a long time. Raises UserError if the frame is damaged."""
 
     def close(self) -> None:
         """Close files."""

@@ -11,7 +11,7 @@ const BYTES_PER_DISC = 32;
  * @typedef {{sprite: import("./gl.js").Program, quad: import("./gl.js").Program}} DiscPass
  */
 
-/** The projected and shaded points, in depth order. All passes of an image draw them. */
+/** The projected and shaded points, in depth order. All passes of an image draw these points. */
 export class Discs {
   /**
    * @param {WebGL2RenderingContext} gl

@@ -1,11 +1,12 @@
 import { DISC, HEADER } from "./shaders.js";
 
-/** Depth of a disc in the host's normalised device coordinates. */
+/** GLSL expression of the depth of a disc, in the normalised device coordinates of the host. */
 export const HOST_DEPTH = "depth_range.x + depth_range.y / disc.z";
 
 /**
  * Outputs the premultiplied colour of a disc, unless the disc is behind the host's depth.
- * The second output is depth / unit_depth times alpha, and alpha. The division keeps the depth in the range of halves.
+ * The second output contains depth / unit_depth times alpha, and alpha. The division keeps the depth in the range of
+ * float16.
  */
 export const HOST_DISC_FRAGMENT = `${HEADER}${DISC}
 uniform bool tests_depth;

@@ -25,7 +25,7 @@ void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 -
 
 /**
  * Multiplies the factors of a cloud by the basis of its spherical harmonics. Each fragment computes 8 of the 48
- * coefficients of a point and packs them as halves. Block b of the target has the coefficients 8 b to 8 b + 7.
+ * coefficients of a point and packs them as float16 values. Block b of the target has the coefficients 8 b to 8 b + 7.
  */
 export const HARMONICS_FRAGMENT = `${HEADER}
 uniform isampler2D factors;  // Row-major (K, N).
@@ -57,7 +57,7 @@ void main() {
 export const SHADE_VERTEX = `${HEADER}
 uniform sampler2D xyz;
 uniform usampler2D sizes;        // Radius code in the low 16 bits, density code in the next 8 bits.
-uniform usampler2D harmonics;    // Six blocks of rows; each texel has 8 halves.
+uniform usampler2D harmonics;    // Six blocks of rows. Each texel has 8 float16 values.
 uniform sampler2DArray views;    // Colour and code of the blend weight. Layer 0 has the mean colours.
 uniform usampler2D shadow;       // One texel per background point.
 uniform bool has_shadow;
@@ -165,15 +165,15 @@ void main() {
 }
 `;
 
-/** A fragment shader is required, although transform feedback discards all fragments. */
+/** Outputs 0. WebGL requires a fragment shader, although transform feedback discards all fragments. */
 export const NO_FRAGMENT = `${HEADER}
 out vec4 nothing;
 void main() { nothing = vec4(0.0); }
 `;
 
-/** Depth of discs that are peeled by their rank. */
+/** GLSL expression of the depth of a disc, if discs are peeled by their rank. */
 export const RANK_DEPTH = "2.0 * (rank - 0.5) / 16777216.0 - 1.0";
-/** Depth of discs that are neither tested nor stored. */
+/** GLSL expression of the depth of a disc, if depths are neither tested nor stored. */
 export const NO_DEPTH = "0.0";
 
 const SHARED_DISC_VERTEX = `
@@ -227,7 +227,7 @@ void main() {
 `;
 }
 
-/** Inputs of the fragments of a disc, and their alpha. */
+/** Declares the inputs of the fragments of a disc, and computes their alpha. */
 export const DISC = `
 flat in vec3 disc_centre;
 flat in float disc_depth;

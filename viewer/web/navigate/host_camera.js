@@ -2,11 +2,11 @@ import { SceneError } from "../scene/errors.js";
 import { cross, dot, length } from "./math.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
-/** Largest relative error of the axes of a rotation with uniform scale. */
+/** Maximum relative error of the axes that is accepted for a rotation with uniform scale. */
 const TOLERANCE = 1e-3;
 
 /**
- * The camera for matrices of OpenGL, as three.js and WebXR have them, and the depths of its points.
+ * Converts matrices of OpenGL, as in three.js and WebXR, to a camera and to the depths of its points.
  * @param {ArrayLike<number>} modelView (16,) column-major. It maps the scene's world to OpenGL's camera coordinates, by
  *   a rotation, a translation and a uniform scale.
  * @param {ArrayLike<number>} projection (16,) column-major, a perspective projection to the depths -1 to 1.
