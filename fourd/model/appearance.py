@@ -12,17 +12,16 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""Smallest visibility weight that counts. A view whose weight at a point is lower does not contribute to the point's
-colour. The threshold limits the ratio between two views' weights, so that a baked scene can store the weights in
-float16."""
+"""Minimum visibility weight with which a view contributes to the colour of a point. Smaller weights are set to 0. This
+minimum limits the ratio between the weights of two views, so that a baked scene can store the weights in float16."""
 
 
 class ImageEncoder(nn.Module):
     """Feature pyramid over the source images. The three levels of the pyramid have 8, 16 and 32 channels.
 
-    The encoder maps V images (V, 3, H, W) in [0, 1] to features (V, image_features, H / stride, W / stride). The image
-    sides H and W are multiples of 4 * stride. No layer normalises its input by statistics of the whole image.
-    Therefore, an image crop has the same features as the whole image, except near the crop's border.
+    The encoder maps V images (V, 3, H, W) in [0, 1] to features (V, image_features, H / stride, W / stride). H and W
+    must be multiples of 4 * stride. No layer normalises with statistics of the whole image. Therefore, the features of
+    an image crop equal those of the whole image, except near the crop's border.
     """
 
     def __init__(self, out_features: int, stride: int) -> None:
@@ -37,8 +36,8 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # The kernel that samples the features reads all channels of a pixel at once, so a pixel's channels are stored
-        # together.
+        # The kernel that samples the features reads all channels of a pixel at once. Therefore, the channels of a pixel
+        # are stored together.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
@@ -50,9 +49,9 @@ class ImageEncoder(nn.Module):
 class BlendHead(nn.Module):
     """MLP that predicts a blend logit for each point and source view.
 
-    The input of the first layer is [point feature, image sample, optional direction]. The part that depends on the
-    point feature alone is computed once for each point instead of once for each point and view. The different order of
-    summation changes the logits only by rounding errors.
+    The input of the first layer is [point feature, image sample, optional direction]. The part that depends only on the
+    point feature is computed once per point instead of once per point and view. Because this changes the order of
+    summation, the logits change by rounding errors.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -80,8 +79,8 @@ class BlendHead(nn.Module):
 
 
 class HarmonicsHead(nn.Module):
-    """MLP with one hidden layer that maps features (N, F) to degree-3 SH coefficients (N, 3, 16), initially near
-    zero."""
+    """MLP with one hidden layer, which maps features (N, F) to degree-3 SH coefficients (N, 3, 16). Initially, the
+    coefficients are near zero."""
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
         super().__init__()
@@ -98,13 +97,13 @@ class HarmonicsHead(nn.Module):
 
 
 def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:
-    """Compute colours (N, 3) from SH coefficients ``sh`` (N, 3, 16) and unit directions d (N, 3). The colour is ``base
-    + colour_range * tanh(sh . Y(d))``, where Y are the 16 SH basis functions."""
+    """Compute colours (N, 3) from the SH coefficients ``sh`` (N, 3, 16) and the unit directions d (N, 3). The colour is
+    ``base + colour_range * tanh(sh . Y(d))``, where Y are the 16 SH basis functions."""
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 
 def zero_low_visibility(visibility: Tensor) -> Tensor:
-    """Replace visibility weights below MIN_VISIBILITY by 0. All visibility weights are in [0, 1]."""
+    """Replace visibility weights below MIN_VISIBILITY by 0. All visibility weights are values in [0, 1]."""
     return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 
@@ -115,19 +114,20 @@ def blend(
     base: Tensor | None = None,
     view_weights: Tensor | None = None,
 ) -> Tensor:
-    """Image-based colour: the mean of the views' colours, weighted by the softmax of the logits times the visibility.
+    """Image-based colour: the weighted mean of the views' colours. The weight of a view is the softmax of its logit
+    times its visibility.
 
     Args:
         logits: (V, N).
         visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
         colours: (V, N, 3).
-        base: (N, 3) the points' own colours, or None. With ``base``, a view with visibility v and colour c contributes
-            the colour v c + (1 - v) base instead of c.
-        view_weights: (V,) factors in [0, 1] on the weights of all points, or None for factors of 1.
+        base: (N, 3) colours of the points without source views, or None. If ``base`` is given, a view with visibility v
+            and colour c contributes the colour v c + (1 - v) base instead of c.
+        view_weights: (V,) factors in [0, 1] that multiply the weights of each view, or None if all factors are 1.
 
-    Returns:
-        (N, 3) colours. A point that is visible in no view gets ``base`` or, without ``base``, the mean of the views'
-        colours, weighted by ``view_weights``. In a baked scene, a point whose stored weights are all 0 gets this mean.
+    Returns: (N, 3) colours. A point that is visible in no view gets ``base``. Without ``base``, such a point gets the
+        mean of the views' colours, weighted by ``view_weights``. In a baked scene, points whose stored weights are all
+        0 also get this mean.
     """
     visibility = zero_low_visibility(visibility)
     if base is not None:

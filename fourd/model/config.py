@@ -7,8 +7,8 @@ from typing import Literal
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise ValueError(message) unless ``condition`` is true. The code that reads config files adds the file's name and
-    the key to the message."""
+    """Raise ValueError(message) if ``condition`` is false. The code that reads config files adds the name of the file
+    and of the key to the message."""
     if not condition:
         raise ValueError(message)
 
@@ -18,15 +18,16 @@ class PlanesConfig:
     """4D K-Planes (Fridovich-Keil et al. 2023): feature planes over pairs of the coordinates x, y, z and t."""
 
     levels: int = 3
-    """Number of levels, from 1 to 8. Each level has its own grid resolution."""
+    """Number of levels, from 1 to 8. Each level has a different grid resolution."""
     features: int = 8
     """Channels of each plane."""
     base_resolution: int = 32
-    """Grid resolution along the longest side of the bounds at the coarsest level."""
+    """Grid resolution along the longest side of the bounds at the coarsest level, in samples."""
     multiplier: int = 2
     """Factor by which the resolution increases from one level to the next finer level."""
     reduction: Literal["concat", "sum", "product"] = "concat"
-    """How the features of the planes of one level are combined: concat as in 4K4D, product as in K-Planes, or sum."""
+    """How the features of the planes of one level are combined: `concat` as in 4K4D, `product` as in K-Planes, or
+    `sum`."""
     time: bool = True
     """Use the planes xt, yt and zt. Without these planes, a point's feature does not depend on time."""
 
@@ -43,7 +44,7 @@ class ModelConfig:
 
     planes: PlanesConfig = field(default_factory=PlanesConfig)
     hidden: int = 64
-    """Width of every MLP."""
+    """Width of the hidden layers of every MLP."""
     appearance: Literal["both", "ibr", "sh"] = "both"
     """Parts of a point's colour: `ibr` is a colour blended from source images, `sh` is a colour from spherical
     harmonics, and `both` is the sum of `ibr` and `sh`."""
@@ -51,31 +52,32 @@ class ModelConfig:
     """Source of the SH coefficients. With `mlp`, an MLP predicts the coefficients from the point's feature. With
     `explicit`, training optimises 48 coefficients for each point of each frame."""
     sh_range: float = 0.25
-    """Maximum absolute value of the colour from SH when this colour is added to the image-based colour."""
+    """Maximum absolute value of the colour from SH when it is added to the image-based colour."""
     continuous: bool = False
-    """Let blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be exported."""
+    """Let the blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be
+    exported."""
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
     fade_views: bool = True
-    """Multiply the blend weights of a source view by 1 - a / b. Here a is the angle between the view and the viewing
-    camera, and b is the angle of the nearest view that is not selected. Images then change smoothly along a camera
-    path."""
+    """Multiply the blend weights of each source view by 1 - a / b. Here, a is the angle between the source view and the
+    viewing camera, and b is the angle between the nearest view that is not selected and the viewing camera. With this
+    factor, images change smoothly along a camera path."""
     image_features: int = 8
-    """Channels of the image encoder's features."""
+    """Number of channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2
     """Stride in pixels of the image encoder's features. With stride 1, the encoder takes four times as long as with
     stride 2."""
     occlusion: bool = True
-    """Ignore source views in which a point is occluded."""
+    """In each source view, ignore the points that are occluded."""
     radius_range: tuple[float, float] = (0.5, 6.0)
-    """Minimum and maximum radius of points, in multiples of the mean distance between neighbouring points."""
+    """Minimum and maximum radius of points, as multiples of the mean distance between neighbouring points."""
     radius_start: float = 1.3
-    """Radius of every point before training, in multiples of the mean distance between neighbouring points."""
+    """Radius of every point before training, as a multiple of the mean distance between neighbouring points."""
     residual: bool = False
-    """Displace points by a learnt field (a smaller K-Planes). Export adds the displacement to the point
+    """Displace points by a learnt residual field (a smaller K-Planes). Export adds the displacement to the point
     positions."""
     residual_range: float = 0.1
-    """Maximum displacement of a point by the field, as a share of the longest side of the bounds."""
+    """Maximum displacement of a point by the residual field, as a share of the longest side of the bounds."""
 
     def __post_init__(self) -> None:
         low, high = self.radius_range

@@ -1,4 +1,4 @@
-"""Geometry head: predicts a point's radius and density from its feature."""
+"""Geometry head: predicts the radius and density of a point from the point's feature."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from torch import Tensor, nn
 from fourd.model.config import ModelConfig
 
 DENSITY_OFFSET = 5.0
-"""Constant that is added to the logit of the density, so that points are nearly opaque at the start of training."""
+"""Constant that is added to the logit of the density. With this constant, points are nearly opaque at the start of
+training."""
 
 
 class GeometryHead(nn.Module):
     """MLP with two hidden layers that predicts radius and density (4K4D, eq. 1 and supplement).
 
     For the MLP's outputs a and b, ``radius = low + (high - low) * sigmoid(a + offset)`` and ``density = sigmoid(b +
-    5)``. The offset is chosen so that ``a = 0`` gives the configured initial radius. A radius is a multiple of the
-    spacing between points.
+    5)``. The offset is chosen such that ``a = 0`` gives the configured initial radius. A radius is a multiple of the
+    point spacing.
     """
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:
@@ -41,8 +42,8 @@ class GeometryHead(nn.Module):
         nn.init.zeros_(last.bias)
 
     def forward(self, hidden: Tensor) -> tuple[Tensor, Tensor]:
-        """Compute radius (N,), as a multiple of the spacing, and density (N,) in (0, 1). The input ``hidden`` (N, H) is
-        the output of the layer ``first``."""
+        """Compute the radii (N,), as multiples of the spacing, and the densities (N,) in (0, 1). The input ``hidden``
+        (N, H) is the output of the layer ``first``."""
         raw_radius, raw_density = self.layers(hidden).unbind(-1)
         share = torch.sigmoid(raw_radius + self.radius_offset)
         radius = self.radius_low + (self.radius_high - self.radius_low) * share

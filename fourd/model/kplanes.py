@@ -15,15 +15,15 @@ TIME_PAIRS = ((0, 3), (1, 3), (2, 3))
 class KPlanes(nn.Module):
     """Multi-resolution feature planes over (x, y, z, t) (Fridovich-Keil et al. 2023, sec. 3).
 
-    Coordinates are (N, 4) float32 in [-1, 1]. Coordinates outside this range are clamped to it. The first and last
-    samples of each plane axis are at -1 and 1 (``align_corners=True``). With F frames, the time planes have F rows, one
-    per frame. Features are differentiable in the planes and the coordinates. Each plane has the shape (rows, columns,
-    features), so that all features of one sample are adjacent in memory.
+    Coordinates are (N, 4) float32 in [-1, 1]. Coordinates outside this range are clamped. The first and last samples
+    along each axis of a plane are at -1 and 1 (``align_corners=True``). With F frames, the time planes have F rows, one
+    per frame. Features are differentiable in the planes and in the coordinates. Each plane has the shape (rows,
+    columns, features), so that all features of one sample are adjacent in memory.
     """
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
-        """``sides`` are the side lengths of the bounds, in any unit. The planes have their full resolution along the
-        longest side of the bounds."""
+        """``sides`` are the side lengths of the bounds, in any unit. Along the longest side of the bounds, the planes
+        have the full resolution. Along other sides, the resolution is lower in proportion."""
         super().__init__()
         self.config = config
         pairs = SPACE_PAIRS + (TIME_PAIRS if config.time else ())
@@ -38,8 +38,8 @@ class KPlanes(nn.Module):
 
     @property
     def out_features(self) -> int:
-        """Number of output channels. The reduction "concat" gives the channels of all planes of all levels. The other
-        reductions give the channels of one plane for each level."""
+        """Number of output channels. With the reduction "concat", these are the channels of all planes of all levels.
+        With the other reductions, these are the channels of one plane of each level."""
         planes = len(self.pairs) if self.config.reduction == "concat" else 1
         return self.config.levels * self.config.features * planes
 
@@ -56,7 +56,7 @@ class KPlanes(nn.Module):
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)
         if self.config.reduction == "product":
-            # If all planes were initialised to 0, the gradient of their product would be 0. As in K-Planes, the initial
-            # value of time planes is 1.
+            # If all planes were initialised to 0, the gradient of their product would be 0. Therefore, as in K-Planes,
+            # time planes are initialised to 1.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)

@@ -24,8 +24,8 @@ RGB = 3
 
 @dataclass(frozen=True)
 class PointFeatures:
-    """Output of each head's first layer for N points, computed from the points' K-Planes features. Each output has the
-    shape (N, H) and is taken before the ReLU.
+    """Outputs of the first layers of the heads for N points, computed from the K-Planes features of the points. Each
+    output has the shape (N, H), and is taken before the ReLU.
 
     Attributes:
         geometry: output of the geometry head's first layer.
@@ -51,8 +51,9 @@ class EvaluatedPoints:
             no residual field.
         features: outputs of the first layers of the heads.
         explicit_sh: (N, 48) optimised SH coefficients; None if an MLP predicts the SH coefficients.
-        rgb: (N, 3) the points' own colours, or None to use the views' colours only. A view's colour is mixed with the
-            point's own colour according to the view's visibility weight; see ``base`` of ``blend``.
+        rgb: (N, 3) colours that the points have without source views, or None to use only the views' colours. The
+            colour of each view is mixed with ``rgb`` according to the view's visibility weight; see ``base`` of
+            ``blend``.
     """
 
     xyz: Tensor
@@ -69,7 +70,7 @@ class PointModel(nn.Module):
     """The networks of the point model, which all frames share. The points of each frame are stored outside this model.
 
     Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. ``shadow`` is the field
-    of the foreground's shadows on the background. Only the model of a background has a shadow field.
+    with the foreground's shadows on the background. Only the model of a background has this field.
     """
 
     lower: Tensor
@@ -87,13 +88,13 @@ class PointModel(nn.Module):
         """Build an untrained model.
 
         Args:
-            config: layers and ablation switches.
+            config: layers of the networks, and switches for ablations.
             lower: (3,) lower corner of the scene's bounds in world units.
             upper: (3,) upper corner of the bounds.
             spacing: mean distance between neighbouring points in world units.
             frame_count: number of frames of the whole capture, which is the number of rows of the time planes.
-            contraction: function that maps unbounded space into the volume of the planes. Without a contraction, the
-                planes cover the scene's bounds only.
+            contraction: function that maps unbounded space into the volume of the planes. If None, the planes cover
+                only the scene's bounds.
         """
         super().__init__()
         self.config = config
@@ -123,13 +124,13 @@ class PointModel(nn.Module):
 
     @property
     def sh_base(self) -> float:
-        """Constant to which the colour from SH is added: 0.5 (mid grey) if colour is SH alone, 0 with image-based
-        colour."""
+        """Constant to which the colour from SH is added. It is 0.5 (medium grey) if the model uses only SH, and 0 if it
+        uses image-based colour."""
         return 0.5 if self.config.appearance == "sh" else 0.0
 
     @property
     def sh_range(self) -> float:
-        """Maximum absolute value of the colour from SH. If colour is SH alone, this maximum is 0.75, so that every
+        """Maximum absolute value of the colour from SH. If the model uses only SH, this maximum is 0.75, so that every
         colour in [0, 1] can be reached."""
         return 0.75 if self.config.appearance == "sh" else self.config.sh_range
 
@@ -142,18 +143,18 @@ class PointModel(nn.Module):
         explicit_sh: Tensor | None = None,
         rgb: Tensor | None = None,
     ) -> EvaluatedPoints:
-        """Compute positions, radii and densities of points at ``time``. :meth:`colour` then computes the points'
+        """Compute positions, radii and densities of points at ``time``. Then :meth:`colour` can compute the points'
         colours for a viewing camera.
 
-        The result is differentiable. The positions ``xyz`` get no gradient through the K-Planes features of geometry
-        and appearance.
+        The result is differentiable. The positions ``xyz`` get no gradient through the K-Planes features, from which
+        geometry and appearance are computed.
 
         Args:
             xyz: (N, 3) optimised positions in world units.
             spacing: (N,) distance between neighbouring points in world units. Radii are proportional to the spacing.
             time: time of the frame in [0, 1].
             explicit_sh: (N, 48) optimised SH coefficients; see :class:`EvaluatedPoints`.
-            rgb: (N, 3) the points' own colours; see :class:`EvaluatedPoints`.
+            rgb: (N, 3) colours that the points have without source views; see :class:`EvaluatedPoints`.
         """
         features = self._point_features(xyz, time)
         radius, density = self.geometry_head(features.geometry)
@@ -176,10 +177,10 @@ class PointModel(nn.Module):
         Args:
             points: the output of :meth:`evaluate`.
             viewer: the viewing camera.
-            sources: the source views nearest to the viewing camera; None if colour is SH alone.
+            sources: the source views nearest to the viewing camera; None if the model uses only SH.
             shadow: factors by which the image-based colours are multiplied. An exported scene stores the same factors
                 as bytes.
-            train_encoder: whether the image encoder gets a gradient. A training step without this gradient takes a
+            train_encoder: whether the image encoder gets a gradient. Without this gradient, a training step takes a
                 third less time.
         """
         colour: Tensor | None = None
@@ -215,8 +216,8 @@ class PointModel(nn.Module):
         return None if self.image_encoder is None else self.image_encoder(images)
 
     def harmonics(self, points: EvaluatedPoints) -> Tensor | None:
-        """SH coefficients (N, 3, 16) of the points, from the MLP or from ``explicit_sh``; None if the model uses no
-        SH."""
+        """SH coefficients (N, 3, 16) of the points, from the MLP or from ``explicit_sh``. The result is None if the
+        model uses no SH."""
         if self.config.appearance == "ibr":
             return None
         if self.harmonics_head is not None:
@@ -228,8 +229,8 @@ class PointModel(nn.Module):
     def blend_logits(
         self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None
     ) -> Tensor:
-        """Blend logits (V, N) of the source views. Only continuous blending uses ``viewer``; without continuous
-        blending, ``viewer`` may be None."""
+        """Blend logits (V, N) of the source views. ``viewer`` is used only for continuous blending. Otherwise, it may
+        be None."""
         assert self.blend_head is not None
         assert points.features.blend is not None
         directions = None
@@ -255,8 +256,8 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """Viewing direction relative to the source directions, (V, N, 4), as in IBRNet. The first three numbers are the
-    viewing direction minus the source direction. The last number is the cosine of the angle between the two
+    """Viewing directions relative to the source directions, (V, N, 4), as in IBRNet. The first three numbers are the
+    viewing direction minus the source direction. The fourth number is the cosine of the angle between the two
     directions."""
     target = unit_directions(xyz, viewer)
     parts = []

@@ -1,4 +1,4 @@
-"""Shadows and reflected light of the dynamic foreground on the background around it."""
+"""Shadows and reflected light that the dynamic foreground casts on the background around it."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ HIDDEN = 32
 MARGIN = 0.5
 """Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
 FADE = 0.25
-"""Width of the zone at the field's border in which shadows fade out, as a share of the distance from border to centre.
-Without this zone, shadows would end in a sharp edge at the border."""
+"""Width of the zone at the field's border in which shadows fade out, as a share of the distance between the border and
+the centre. Without this zone, shadows would end in a sharp edge at the border."""
 GAIN = 3.0
-"""Factor by which the MLP's output is multiplied so that the field learns faster. Each frame is rendered in only a few
-training steps, which is too few for slow learning."""
+"""Factor that multiplies the MLP's output. With this factor, the field learns faster. Fast learning is needed because
+each frame is rendered in only a few training steps."""
 STRENGTH = 127 / 128
 """Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store this range in units of 1/128."""
 
@@ -31,23 +31,23 @@ class Shadow:
     """The shadow on N points at one time.
 
     Attributes:
-        factor: (N,) factor in (0, 2) by which image-based colours are multiplied; 1 where there is no shadow. The
+        factor: (N,) factor in (0, 2) that multiplies image-based colours. The factor is 1 where there is no shadow. The
             factor is differentiable in the parameters of the shadow field.
-        is_inside: (N,) bool, whether the point is inside the shadow field.
+        is_inside: (N,) bool, true for points inside the shadow field.
     """
 
     factor: Tensor
     is_inside: Tensor
 
     def apply(self, colour: Tensor) -> Tensor:
-        """Image-based colours (N, 3) times the shadow factor. For points inside the field, the shadow factor gets a
-        gradient but ``colour`` does not, as in :meth:`detach_inside`."""
+        """Image-based colours (N, 3) multiplied by the shadow factor. For points inside the field, the shadow factor
+        gets a gradient, but ``colour`` gets none; see :meth:`detach_inside`."""
         return self.detach_inside(colour) * self.factor[:, None]
 
     def detach_inside(self, colour: Tensor) -> Tensor:
         """Return ``colour`` (N, 3) unchanged, but without gradient for points inside the field.
 
-        Inside the field, clean plates train the background's colours, and frames train only the shadow.
+        For points inside the field, clean plates train the colours of the background, and frames train only the shadow.
         """
         return torch.where(self.is_inside[:, None], colour.detach(), colour)
 
@@ -56,8 +56,9 @@ class ShadowField(nn.Module):
     """Small K-Planes with time planes, followed by a small MLP. The field covers the foreground's bounds, extended by a
     margin.
 
-    ``factor = 1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0.
-    Therefore, the factor is exactly 1 before training. The factor remains 1 wherever the planes never get a gradient.
+    The factor is ``1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0.
+    Therefore, the factor is exactly 1 before training. The factor also remains 1 wherever the planes never get a
+    gradient.
     """
 
     lower: Tensor
@@ -91,7 +92,7 @@ class ShadowField(nn.Module):
         return Shadow(torch.ones_like(edge).index_put((rows,), factor), is_inside)
 
     def mean_squared_deviation(self, xyz: Tensor, time: float) -> Tensor:
-        """Mean of (factor - 1)^2 over the points inside the field, as a scalar. Points of ``xyz`` (N, 3) outside are
-        ignored."""
+        """Mean of (factor - 1)^2 over the points inside the field, as a scalar. Points of ``xyz`` (N, 3) outside the
+        field are ignored."""
         shadow = self(xyz, time)
         return (shadow.factor - 1).square().sum() / shadow.is_inside.sum().clamp(min=1)

@@ -1,4 +1,4 @@
-"""Source views: the images nearest to a viewing camera, and their samples at points."""
+"""Source views (the images nearest to a viewing camera), and samples of these views at points."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from fourd.ops.sources import op as ops
 from fourd.ops.sources import reference
 
 OCCLUSION_FALLOFF_SPACINGS = 1.0
-"""Decay length of an occluded point's visibility weight, in multiples of the distance between neighbouring points. The
-weight decays exponentially with the point's depth behind the nearest surface. The decay starts two decay lengths behind
-that surface."""
+"""Decay length of the visibility weight of an occluded point, as a multiple of the point spacing. The weight decays
+exponentially with the depth of the point behind the nearest surface. The decay starts two decay lengths behind the
+surface."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class SourceViews:
             if occlusion is not tested.
         cameras: the V cameras of the cropped or padded images.
         encoded: (V, C, h, w) cached features of the image encoder; None if the features are not cached.
-        weights: (V,) view weights in [0, 1], factors on the blend weights; None if all weights are 1.
+        weights: (V,) view weights in [0, 1], which multiply the blend weights; None if all view weights are 1.
     """
 
     images: Tensor
@@ -69,18 +69,18 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
     """Project points into every source view and sample the views bilinearly.
 
     A point's visibility weight in a view is the squared matte times the occlusion factor. The matte is squared because
-    pixels on the silhouette contain background colour, so that their weight must be lower than their coverage. For
-    float32 inputs, one fused kernel projects the points and samples the views. The fused kernel runs on the CPU or, if
-    the CUDA kernels are compiled, on a CUDA device.
+    pixels on the silhouette also contain background colour. Their weight must therefore be lower than their coverage.
+    For float32 inputs, one fused kernel projects the points and also samples the views. The fused kernel runs on the
+    CPU or, if the CUDA kernels are compiled, on a CUDA device.
 
     Args:
         xyz: (N, 3) points in world units. The points get gradients through the projection.
         sources: the source views.
         features: (V, C, h, w) features of ``sources`` from the image encoder, at the encoder's resolution; None to
-            sample RGB alone.
-        softness: (N,) decay length of a point's visibility weight, in world units. The weight decays exponentially with
-            the point's depth behind the nearest surface in the view. The decay starts two decay lengths behind the
-            surface. ``softness`` gets no gradient.
+            sample only RGB.
+        softness: (N,) decay length of the visibility weight of each point, in world units. The weight decays
+            exponentially with the point's depth behind the nearest surface in the view. The decay starts two decay
+            lengths behind the surface. ``softness`` gets no gradient.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)
@@ -91,7 +91,7 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
 def project_points(xyz: Tensor, cameras: tuple[Camera, ...]) -> tuple[Tensor, Tensor]:
     """Project world points (N, 3) into V cameras. Returns pixel coordinates (V, N, 2) and depths (V, N) in world units.
 
-    A point at or behind a camera gets pixel coordinates far outside the camera's image.
+    Points at or behind a camera get pixel coordinates far outside the camera's image.
     """
     return reference.project_points(xyz, _pack_cameras(cameras))
 

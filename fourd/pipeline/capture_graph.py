@@ -18,7 +18,7 @@ MASKS = "masks"
 
 
 def has_masks(capture: Path) -> bool:
-    """Whether a capture contains the user's own masks in the folder masks/."""
+    """Whether a capture contains masks that the user provided in the folder masks/."""
     return bool(camera_folders(capture / MASKS))
 
 
@@ -32,10 +32,11 @@ def is_usable(source: Path) -> bool:
 def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> tuple[AnyStage, ...]:
     """Stages that import ``source`` as a capture into the folder ``imported``.
 
-    The result is empty if ``source`` is already a usable capture.
+    The list of stages is empty if ``source`` is already a usable capture.
 
     Raises:
-        UserError: if ``options`` contain a calibration, but ``source`` is a capture, which has its own calibration.
+        UserError: if ``options`` contain a calibration although ``source`` is a capture, which already has a
+            calibration.
     """
     if not is_usable(source):
         return (import_stage(source, imported, options),)
@@ -48,7 +49,7 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
 
 
 def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that make mattes and plates. If the capture has the user's own masks, no stage makes mattes."""
+    """Stages that make the mattes and the plates. If the user provided masks, no stage makes mattes."""
     stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
     if plates:
         stages.append(capture_plates_stage(capture, settings))

@@ -1,8 +1,8 @@
-"""The graph of stages: the selection of the stages that an input needs, in the order of their dependencies.
+"""The graph of stages. This module selects the stages that an input needs, and orders them by their dependencies.
 
 The order of the stages is import, check, repair, mattes, plates, adjust, carve (or points), background, train, bake.
-The config (object or full scene, adjusted cameras, given points) and the contents of the capture decide which stages
-are needed.
+The config and the contents of the capture decide which stages are needed. The relevant settings of the config are the
+kind of scene, camera refinement and given points.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ from fourd.training.config import TrainConfig
 
 @dataclass(frozen=True)
 class RunRequest:
-    """A run to train.
+    """Description of a run to be trained.
 
     Attributes:
         capture: the capture's folder.
         run: the run's folder.
         train: the training config.
-        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points. With None, the
-            points are carved.
-        lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
+        points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points. If
+            None, the points are carved.
+        lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        still: whether nothing moves in the scene, so that it has no foreground; see :mod:`fourd.pipeline.stages.still`.
+        still: whether nothing moves in the scene. Such a scene has no foreground; see
+            :mod:`fourd.pipeline.stages.still`.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """
 
@@ -52,12 +53,12 @@ class RunRequest:
 
 
 def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that compute all inputs of training from a capture with masks or mattes.
+    """Stages that compute all inputs of training. The capture must have masks or mattes.
 
     Args:
         request: the run.
-        plates: whether to include the stage that makes missing plates for the run. Pass False if another stage of the
-            graph makes the plates.
+        plates: whether to include the stage that makes the missing plates of the run. Pass False if another stage of
+            the graph already makes the plates.
     """
     capture, run, train = request.capture, request.run, request.train
     selection, adjusted = DataSelection.of(train), train.refine.cameras
@@ -87,7 +88,7 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
 
 
 def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that train a run from a capture with masks or mattes. For ``plates``, see
+    """Stages that train a run. The capture must have masks or mattes. For ``plates``, see
     :func:`stages_to_first_points`."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
     return (*stages_to_first_points(request, plates=plates), train_stage(files, request.train))

@@ -1,4 +1,4 @@
-"""Functions that run the graph of stages to produce a scene file, or a run that is ready for training."""
+"""Runs the graph of stages to produce a scene file, or to prepare a run for training."""
 
 from __future__ import annotations
 
@@ -46,26 +46,26 @@ def make_scene(
 
     Intermediate results are kept in a folder beside ``out``. For ``scene.4dv``, this folder is ``scene.work/``. The
     folder contains ``run/``, ``stages.json`` and, if ``source`` needs an import, ``capture/``. If a correction of the
-    calibration reduces the residuals, ``repaired/`` contains the capture with the corrected calibration. After a change
-    of an input or a setting, the next call repeats the stages that depend on the changed value. An interrupted stage
-    resumes.
+    calibration reduces the residuals, the folder also contains ``repaired/``, which is the capture with the corrected
+    calibration. After a change of an input or a setting, the next call repeats only the stages that depend on this
+    input or setting. A stage that was interrupted resumes.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read.
         out: the .4dv file to write.
         train: the training config.
         mattes: settings of the mattes, which are made if the capture has no masks.
-        context: console and number of processes.
-        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
-        lpips_weights: file or folder with the weights of LPIPS. With None, the default locations are searched; see
+        context: console, and number of processes.
+        points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points.
+        lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        imports: options of the import. If they contain a frame rate, it is stored in ``source`` even if ``source``
-            needs no import. With None, the default options are used.
+        imports: options of the import. If the options contain a frame rate, the rate is stored in ``source`` even if
+            ``source`` needs no import. If None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
 
     Raises:
-        UserError: for invalid input, and if the folder for intermediate results exists but was not created by ``fourd
-            make``.
+        UserError: if the input is invalid, or if the folder for intermediate results exists but was not created by
+            ``fourd make``.
     """
     work = _work_folder(out)
     options = imports or ImportOptions()
@@ -78,7 +78,7 @@ def make_scene(
     if options.fps is not None and not to_capture:
         set_rate(source, options.fps)
     runner.run(to_capture)
-    # The other stages depend on the contents of the imported capture.
+    # The other stages depend on the contents of the imported capture, so the import runs first.
     capture = work / CAPTURE if to_capture else source
     runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
     capture = repaired_capture(capture, work / REPAIRED)
@@ -92,7 +92,7 @@ def make_scene(
 
 
 def _work_folder(out: Path) -> Path:
-    """The folder of the intermediate results of ``out``. Raises UserError if it contains other files."""
+    """The folder for the intermediate results of ``out``. Raises UserError if this folder contains other files."""
     work = out.with_suffix(".work")
     if not (work / RECORD).exists() and not is_unused(work):
         raise UserError(
@@ -104,18 +104,18 @@ def _work_folder(out: Path) -> Path:
 def create_run(
     capture: Path, folder: Path, train: TrainConfig, points_from: Path | None = None, context: Context | None = None
 ) -> Run:
-    """Run all stages that come before training, and write the run's config.yaml. A second call resumes an interrupted
-    call.
+    """Run all stages that precede training, and write the run's config.yaml. After an interrupted call, a second call
+    resumes.
 
     Args:
         capture: the capture's folder, with masks or mattes.
-        folder: the run's folder, which must be new, empty, or left by an interrupted call.
+        folder: the run's folder. It must be new, empty, or left by an interrupted call.
         train: the training config.
-        points_from: folder with the user's own points in FRAME.ply files, used instead of carved points.
-        context: console and number of processes. With None, the stages use one process and print nothing.
+        points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points.
+        context: console, and number of processes. If None, the stages use one process and print nothing.
 
     Raises:
-        UserError: for invalid input, and if ``folder`` is already a run or contains other files.
+        UserError: if the input is invalid, or if ``folder`` is already a run or contains other files.
     """
     require_new_run(folder)
     Runner(context or Context()).run(stages_to_first_points(RunRequest(capture, folder, train, points_from)))
@@ -123,7 +123,7 @@ def create_run(
 
 
 def require_new_run(folder: Path) -> None:
-    """Raise UserError unless training can start in ``folder``."""
+    """Raise UserError if training cannot start in ``folder``."""
     if (folder / CONFIG_NAME).exists():
         raise UserError(
             f"{folder}: expected a new folder, got a run; add --resume to continue the run, or name another folder"

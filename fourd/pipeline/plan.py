@@ -1,4 +1,5 @@
-"""Plan of ``fourd make``: the stages that will run, and a rough estimate of their durations, before they start."""
+"""Plan of ``fourd make``: a list of the stages that will run, and a rough estimate of their durations. The plan is
+printed before the stages start."""
 
 from __future__ import annotations
 
@@ -33,12 +34,13 @@ SAMPLED_FRAMES = 3
 
 @dataclass(frozen=True)
 class SourceFacts:
-    """What the plan needs to know about a source.
+    """Properties of a source from which the plan is computed.
 
     Attributes:
         cameras: number of cameras.
-        frames: number of selected frames of each camera, or None if the headers of the videos do not contain it.
-        megapixels: size of one image.
+        frames: number of selected frames of each camera, or None if the headers of the videos do not contain this
+            number.
+        megapixels: size of one image in megapixels.
         has_mattes: whether the source has mattes for all cameras.
         needs_import: whether the source must be imported as a capture.
     """
@@ -51,16 +53,16 @@ class SourceFacts:
 
 
 def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bool = False) -> str:
-    """One line that lists the stages from ``source`` to a scene, and the expected duration.
+    """One line of text that lists the stages from ``source`` to a scene, and their expected duration.
 
     Args:
         source: a capture, or a source that :mod:`fourd.importing` can read.
         train: the training config.
         workers: number of processes.
-        has_points: whether the user gives the initial points.
+        has_points: whether the user provides the initial points.
 
     Raises:
-        UserError: if the source needs an import and no format matches.
+        UserError: if the source needs an import and has no known format.
     """
     facts = _read_facts(source, train)
     stages = _stage_durations(facts, train, max(workers, 1), has_points)
@@ -74,7 +76,7 @@ def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bo
 
 
 def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_points: bool) -> list[tuple[str, float]]:
-    """Names and expected seconds of the stages, in the order in which they run."""
+    """Names of the stages in the order in which they run, and their expected seconds."""
     frames = facts.frames or 1
     pictures_mp = facts.cameras * frames * facts.megapixels
     stages = []
@@ -106,7 +108,7 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
     if needs_import:
         imported = pick_format(None, source).read(source)
     else:
-        # Errors of a capture are reported later, by the check stage.
+        # Errors of a capture are ignored here, because the check stage reports them later.
         imported = Imported((), ())
         with suppress(UserError):
             imported = pick_format(None, source).read(source)
@@ -122,7 +124,8 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
 
 
 def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:
-    """Number of frames, or None if the video's header does not contain it, and (width, height) of a camera's images."""
+    """Number of frames, or None if the header of the video does not contain it, and size (width, height) of a camera's
+    images."""
     if isinstance(frames, PictureFiles):
         return len(frames.paths), picture_size(frames.paths[0])
     if isinstance(frames, EncodedPictures):

@@ -20,23 +20,23 @@ def run_here(stage: AnyStage, context: Context) -> None:
 
 
 class Runner:
-    """Runs stages in order.
+    """Runs stages in a given order.
 
-    With a record file, the runner prints the state of each stage. The runner skips a stage whose key is unchanged and
-    whose outputs exist. Before a stage with a new key starts, the runner removes the files that were written with the
-    old key. Without a record file, the runner executes every stage and prints nothing, and the work of each stage
-    itself detects and keeps finished files.
+    If a record file is given, the runner prints the state of each stage. It skips a stage whose key is unchanged and
+    whose outputs exist. Before it starts a stage whose key has changed, it removes the files that were written with the
+    old key. If no record file is given, the runner executes every stage and prints nothing. The stages themselves then
+    detect and keep finished files.
     """
 
     def __init__(self, context: Context, record: Path | None = None, execute: Execute = run_here) -> None:
         """Create a runner.
 
         Args:
-            context: console and number of processes for the stages' work.
-            record: JSON file with the key of each started and each finished stage. The runner writes the file
+            context: console, and number of processes for the stages' work.
+            record: JSON file with the key of each started and each finished stage. The runner writes this file
                 atomically after each change.
-            execute: function that runs the work of one stage and returns when the outputs are written. Pass another
-                function to execute stages in other processes or on a cluster.
+            execute: function that runs the work of one stage. It must return after the outputs were written. To execute
+                stages in other processes or on a cluster, pass another function.
         """
         self._context = context
         self._record = record
@@ -56,8 +56,8 @@ class Runner:
             self._report(f"{stage.name}: up to date{result}")
             return
         if self._record is not None and self._known.get(_started(stage)) != key:
-            # The keys are deleted before the files. If the removal of the files is interrupted, no key then matches the
-            # remaining files.
+            # The keys are deleted before the files are removed. Then no key matches the remaining files if their
+            # removal is interrupted.
             self._write({stage.name: None, _started(stage): None})
             for leftovers in stage.leftovers:
                 leftovers.remove()
@@ -68,7 +68,7 @@ class Runner:
         self._report(f"{stage.name}: finished{result}")
 
     def _write(self, changes: Mapping[str, str | None]) -> None:
-        """Change entries of the record file. The value None removes an entry."""
+        """Change entries of the record file. An entry whose new value is None is removed."""
         if self._record is None:
             return
         entries = {**self._known, **changes}
@@ -81,12 +81,12 @@ class Runner:
 
 
 def _started(stage: AnyStage) -> str:
-    """Name of the record file's entry that stores the key of a started stage."""
+    """Name of the entry in the record file that stores the key of a started stage."""
     return f"{stage.name} started"
 
 
 def _read_record(record: Path | None) -> dict[str, str]:
-    """Read the keys from a record file. If the file is missing or damaged, there are no keys, so that all stages
+    """Read the keys from a record file. If the file is missing or damaged, no keys are returned, so that all stages
     run."""
     if record is None:
         return {}

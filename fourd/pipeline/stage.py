@@ -1,4 +1,4 @@
-"""A stage: a frozen, picklable description of one step of the pipeline, which reads files and writes files."""
+"""A stage: a frozen, picklable description of one step of the pipeline. The step reads files and writes files."""
 
 from __future__ import annotations
 
@@ -28,10 +28,11 @@ class NoSettings:
 
 @dataclass(frozen=True)
 class Context:
-    """Runtime context of a stage: console and number of processes. The context does not affect the results of a stage.
+    """Runtime context of a stage: a console, and the number of processes. The context does not affect the results of a
+    stage.
 
     Attributes:
-        console: console for progress and log lines.
+        console: console on which progress and log lines are printed.
         workers: number of processes that the work may use.
     """
 
@@ -51,7 +52,7 @@ class Context:
 
 @dataclass(frozen=True)
 class Artefact:
-    """Files that a stage reads. The names, sizes and modification times of the files identify their version.
+    """Files that a stage reads. The version of the files is identified by their names, sizes and modification times.
 
     Attributes:
         path: a file, or a folder to which ``patterns`` are relative.
@@ -62,8 +63,8 @@ class Artefact:
     patterns: tuple[str, ...] = ()
 
     def fingerprint(self) -> str:
-        """A hash of the path and of every file's name, size and modification time. The contents of the files are not
-        read."""
+        """A hash of the path and of the name, size and modification time of every file. The contents of the files are
+        not read."""
         files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
         if not self.patterns and self.path.exists():
             files = [self.path]
@@ -76,8 +77,8 @@ class Artefact:
 
 @dataclass(frozen=True)
 class Leftovers:
-    """Files that a stage wrote with an older key. The runner removes these files before the stage starts with a new
-    key.
+    """Files that a stage may have written with an older key. The runner removes these files before the stage starts
+    with a new key.
 
     Attributes:
         folder: the folder to empty. The folder may be missing.
@@ -107,13 +108,13 @@ class Stage(Generic[Files, Settings]):
 
     Attributes:
         name: name of the stage, unique within a graph.
-        work: a module-level function that reads and writes ``files`` according to ``settings``. A second call with the
-            same arguments resumes an interrupted call.
+        work: a module-level function that reads and writes ``files`` according to ``settings``. If a call was
+            interrupted, a second call with the same arguments resumes the work.
         files: dataclass with the paths that ``work`` reads and writes.
-        settings: dataclass with all parameters that affect the result, apart from the content of files. The settings
+        settings: dataclass with all parameters that affect the result, apart from the contents of files. The settings
             are part of the key.
         inputs: artefacts that ``work`` reads. The fingerprints of the artefacts are part of the key.
-        outputs: paths that ``work`` writes. All outputs exist when the stage is finished.
+        outputs: paths that ``work`` writes. All outputs exist after the stage has finished.
         leftovers: files to remove before ``work`` starts with a new key.
         after: names of stages that must finish before this stage. The keys of these stages are part of this stage's
             key.
@@ -129,10 +130,10 @@ class Stage(Generic[Files, Settings]):
     after: tuple[str, ...] = ()
 
     def key(self, keys: Mapping[str, str]) -> str:
-        """A hash of everything that the result of the stage depends on.
+        """A hash of everything on which the result of the stage depends.
 
         Args:
-            keys: keys of earlier stages, by name. A name in ``after`` that is missing in ``keys`` is ignored.
+            keys: name of each earlier stage -> its key. Names in ``after`` that are missing in ``keys`` are ignored.
         """
         parts = [
             self.name,
@@ -147,7 +148,7 @@ class Stage(Generic[Files, Settings]):
         return all(path.exists() for path in self.outputs)
 
     def run(self, context: Context | None = None) -> None:
-        """Execute the work of the stage. Without a context, the work uses one process and prints nothing."""
+        """Execute the work of the stage. If ``context`` is None, the work uses one process and prints nothing."""
         self.work(self.files, self.settings, context or Context())
 
 

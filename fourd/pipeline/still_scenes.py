@@ -1,4 +1,4 @@
-"""Detection of captures in which nothing moves, and the training config of their scenes."""
+"""Detection of captures in which nothing moves, and the training config for such captures."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from fourd.training.config import TrainConfig
 SAMPLED_FRAMES = 5
 WIDTH_PX = 320
 MIN_DIFFERENCE = 24.0
-"""A pixel counts as changed if its grey level changes by more than this value. After blurring, sensor noise is
-smaller."""
+"""A pixel counts as changed if its grey level changes by more than this value. The images are blurred before, so that
+sensor noise stays below this value."""
 MAX_CHANGED = 1e-4
-"""Largest share of changed pixels in a capture that counts as still."""
+"""Maximum share of changed pixels in a capture in which nothing moves."""
 
 
 def stands_still(capture: Path, train: TrainConfig) -> bool:
-    """Whether a capture has no mattes, and either only one selected frame or no motion in its images.
+    """Whether a capture has no mattes and shows no motion. Captures with only one selected frame show no motion.
 
     Raises:
-        UserError: if nothing moves and ``train.scene`` is ``object``, which needs mattes, or if the capture cannot be
-            opened.
+        UserError: if nothing moves and ``train.scene`` is ``object``, because object scenes need mattes. Also if the
+            capture cannot be opened.
     """
     if has_masks(capture) or (capture / MATTES).is_dir():
         return False
@@ -54,7 +54,7 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
 
 
 def still_config(train: TrainConfig, capture: Path, log: Log) -> TrainConfig:
-    """The config of a scene without foreground: one frame, and only steps that train the background."""
+    """The config of a scene without foreground: only one frame is used, and all steps train the background."""
     views = None if train.views is None else list(train.views)
     opened = open_capture(capture, views=views, frames=train.frames)
     first = opened.frame_numbers[0]

@@ -1,1 +1,2 @@
-"""Fits a mesh to one frame of a capture by triangle splatting: soft triangles harden, are connected and refined."""
+"""Fits a mesh to one frame of a capture by triangle splatting. Soft triangles become opaque, are connected to a mesh,
+and the mesh is refined."""

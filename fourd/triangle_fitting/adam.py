@@ -1,4 +1,4 @@
-"""Parameters with one row per triangle or vertex, which Adam updates. Rows can be removed and added."""
+"""Parameters with one row per triangle or vertex. Adam updates the parameters. Rows can be removed and added."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ _NAME = "value"
 
 
 class AdamRows:
-    """A parameter with T rows, and the state of its optimizer.
+    """A parameter with T rows, and its state in the optimizer.
 
     Attributes:
         value: (T, ...) float32 leaf tensor that requires a gradient.
     """
 
     def __init__(self, value: Tensor, rate: float) -> None:
-        """Start with ``value`` (T, ...). ``rate`` is the learning rate."""
+        """Start with the values ``value`` (T, ...). ``rate`` is the learning rate."""
         self.value = value.detach().clone().requires_grad_()
         self._rate = rate
         self._adam = SelectiveAdam.initial({_NAME: _as_rows(value)}, BETAS)
 
     @torch.no_grad()
     def step(self, gradient: Tensor, factor: float = 1.0) -> None:
-        """Move all rows by one step. ``factor`` scales the learning rate."""
+        """Update all rows by one step of Adam. ``factor`` multiplies the learning rate."""
         parameters, gradients = {_NAME: _as_rows(self.value.detach())}, {_NAME: _as_rows(gradient)}
         self._adam.step(parameters, slice(None), gradients, {_NAME: self._rate * factor})
 
     @torch.no_grad()
     def replace(self, kept: Tensor, added: Tensor) -> None:
-        """Keep the rows ``kept`` (int64 indices), and append the rows ``added`` with moments of 0."""
+        """Keep the rows ``kept`` (int64 indices), and append the rows ``added`` with Adam moments of 0."""
         self.value = torch.cat([self.value[kept], added]).requires_grad_()
         self._adam.keep_rows(kept, len(added))
 

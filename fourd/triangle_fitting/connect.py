@@ -1,4 +1,5 @@
-"""Connects separate triangles to a closed mesh: a signed distance from their planes, and its zero surface."""
+"""Connects separate triangles to a closed mesh. The mesh is the zero surface of a signed distance, which is computed
+from the planes of the triangles."""
 
 from __future__ import annotations
 
@@ -25,21 +26,21 @@ from fourd.raster.triangles import rasterize
 from fourd.triangle_fitting.neighbours import unit_normals
 
 NEAREST = 12
-"""Number of triangles from which the distance of a point is computed."""
+"""Number of nearest triangles from which the signed distance of a point is computed."""
 SMOOTHING_CELLS = 1.0
-"""Standard deviation in cubes of the Gaussian weights of triangles."""
+"""Standard deviation, in units of a cube's side, of the Gaussian weights of triangles."""
 LEAST_SHARE = 1e-3
-"""Smallest absolute distance in cubes. A distance of 0 would give triangles without area."""
+"""Minimum absolute distance, in units of a cube's side. Distances of 0 would produce triangles without area."""
 
 
 @dataclass(frozen=True, eq=False)
 class OrientedPoints:
-    """Centres of visible triangles.
+    """Centres and normals of visible triangles.
 
     Attributes:
         xyz: (N, 3) float64 centres in world units.
-        normals: (N, 3) float64 unit normals towards the cameras that see the triangle.
-        weights: (N,) float64 number of pixels of all views that show the triangle, above 0.
+        normals: (N, 3) float64 unit normals. Each normal points towards the cameras that see the triangle.
+        weights: (N,) float64 number of pixels in all views that show the triangle, above 0.
     """
 
     xyz: Array
@@ -49,7 +50,8 @@ class OrientedPoints:
 
 @torch.no_grad()
 def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints:
-    """Centres and normals of the triangles (T, 3, 3) that are visible in a view if all triangles are opaque."""
+    """Centres and normals of the triangles (T, 3, 3) that are visible in at least one view when all triangles are
+    opaque."""
     count = len(corners)
     xyz, tri = corners.reshape(-1, 3), torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
     centres, normals = corners.mean(dim=1), unit_normals(corners)
@@ -71,16 +73,15 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
     """Make one closed mesh from oriented points.
 
     The signed distance of a point is the weighted mean of its signed distances to the planes of the nearest triangles
-    (Hoppe et al. 1992, with Gaussian weights), and at most its distance to the visual hull.
+    (Hoppe et al. 1992, but with Gaussian weights). It is limited to the distance to the visual hull.
 
     Args:
-        points: at least one point.
-        hull: silhouettes of the visual hull.
-        side: side of the cubes of the grid in world units.
+        points: oriented points, at least one.
+        hull: silhouettes that define the visual hull.
+        side: side length of the grid's cubes in world units.
 
-    Returns:
-        vertices (V, 3) float32 and triangles (M, 3) int32, counter-clockwise seen from outside. Without a surface,
-        there are no triangles.
+    Returns: vertices (V, 3) float32 and triangles (M, 3) int32, counter-clockwise seen from outside. If there is no
+        surface, there are no triangles.
     """
     cubes, first = surface_band(points.xyz - hull.origin, (points.xyz - hull.origin)[0], side)
     placed = cube_grid(cubes, first, side)
@@ -104,7 +105,7 @@ def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[n
     tree = cKDTree(points.xyz)
     away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
     away, index = np.asarray(away).reshape(len(xyz), -1), np.asarray(index).reshape(len(xyz), -1)
-    # Distances relative to the nearest point keep the weights above 0 far from the surface.
+    # Distances relative to the nearest point are used, because the weights would otherwise be 0 far from the surface.
     weight = np.exp(-(away**2 - away[:, :1] ** 2) / (2 * (SMOOTHING_CELLS * side) ** 2)) * points.weights[index]
     height = ((points.xyz[index] - xyz[:, None]) * points.normals[index]).sum(axis=2)
     return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
@@ -127,7 +128,8 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # At each vertex of a hole, as many open edges start as end, so the starts of the edges are the hole's vertices.
+    # At each vertex of a hole, equal numbers of open edges start and end. Therefore, the starts of the open edges are
+    # the hole's vertices.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

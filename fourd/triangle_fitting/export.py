@@ -27,12 +27,13 @@ def check_format(path: Path) -> None:
 
 
 def write_mesh(path: Path, mesh: ColouredMesh, up: Array) -> None:
-    """Write a mesh with colours at the vertices, atomically.
+    """Write a mesh with vertex colours, atomically.
 
     Args:
-        path: the file; its suffix, .glb or .ply, chooses the format.
+        path: the file. Its suffix, .glb or .ply, determines the format.
         mesh: the mesh, with at least one triangle.
-        up: (3,) up direction of the scene in world coordinates, not zero. It becomes +y in GLB files.
+        up: (3,) up direction of the scene in world coordinates. The direction must not be zero. In GLB files, this
+            direction becomes +y.
     """
     normals = vertex_normals(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles).long()).numpy()
     normals = normals.astype(np.float32)

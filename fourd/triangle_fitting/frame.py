@@ -1,4 +1,4 @@
-"""Fits triangles to one frame of a capture, and scores them on held-out views."""
+"""Fits triangles to one frame of a capture, and computes the scores of the result in held-out views."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ from fourd.triangle_fitting.surface import SurfaceFit
 from fourd.triangle_fitting.targets import Target
 
 BOUNDS_MARGIN = 0.03
-"""Margin of the box around the hull, as a share of its longest side."""
+"""Margin of the box around the hull, as a share of the box's longest side."""
 START_SHARE = 0.5
-"""Number of triangles at the start, as a share of the maximum."""
+"""Number of triangles at the start, as a share of the maximum number."""
 PERCENT = 100
 
 Picture = Callable[[Camera], NDArray[np.float32]]
-"""Renders a camera: (H, W, 3) colours on black in [0, 1]."""
+"""Function that renders an image for a camera: (H, W, 3) colours on black in [0, 1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,10 +46,10 @@ class FittedFrame:
 
     Attributes:
         mesh: the opaque mesh.
-        steps: number of finished steps.
-        soft: scores of the soft triangles in held-out views; None without held-out views or without a soft phase.
-        opaque: scores of the mesh in held-out views; None without held-out views.
-        is_interrupted: whether the fit ended early, by Ctrl-C.
+        steps: number of optimization steps that were done.
+        soft: scores of the soft triangles in held-out views. None if there are no held-out views or no soft phase.
+        opaque: scores of the mesh in held-out views. None if there are no held-out views.
+        is_interrupted: whether Ctrl-C ended the fit early.
     """
 
     mesh: ColouredMesh
@@ -62,13 +62,14 @@ class FittedFrame:
 def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untracked) -> FittedFrame:
     """Fit triangles to the first frame of a capture.
 
-    Soft triangles start on the visual hull of the training views' mattes. They harden until they are opaque, are
-    connected to a closed mesh, and are then fitted as an opaque mesh. A first KeyboardInterrupt ends the fit early.
+    At the start, soft triangles are placed on the visual hull of the training views' mattes. They become harder until
+    they are opaque. Then they are connected to a closed mesh, and the opaque mesh is fitted. The first
+    KeyboardInterrupt ends the fit early.
 
     Args:
         views: the capture with mattes, and its training and held-out cameras.
         settings: number of triangles, budget and seed.
-        track: progress callback.
+        track: callback that reports progress.
 
     Raises:
         UserError: if the capture has no mattes, or the hull is empty.
@@ -92,7 +93,7 @@ def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untrac
 
 
 class _FrameFit:
-    """The fit of one frame in progress."""
+    """The state of a fit of one frame."""
 
     def __init__(self, views: RunViews, settings: TriangleSettings) -> None:
         self.budget = Budget(settings.max_steps, settings.max_seconds)
@@ -106,7 +107,7 @@ class _FrameFit:
         self._surface: SurfaceFit | None = None
 
     def run(self) -> Iterator[int]:
-        """Fit until the budget is spent. Yields the spent budget in percent, each time that it grows."""
+        """Fit until the budget is spent. Yields the spent budget in percent each time that this number grows."""
         percent, is_scored = 0, False
         while (share := self.budget.share) < 1:
             if not is_scored and share >= self._settings.soft_share:
@@ -123,7 +124,7 @@ class _FrameFit:
             yield percent
 
     def finish(self) -> ColouredMesh:
-        """The mesh of the current state."""
+        """The mesh for the current state of the fit."""
         if self._surface is None:
             self._surface = self._opaque()
         return self._surface.mesh()
@@ -167,7 +168,7 @@ class _FrameFit:
         return Soup(corners, torch.from_numpy(colours).float() / 255, hull.spacing)
 
     def _opaque(self) -> SurfaceFit:
-        """The opaque mesh of the triangles: connected, or separate."""
+        """The opaque mesh that the triangles form, either connected or separate."""
         soup = self._soft.soup
         corners, colours = soup.corners.value.detach(), soup.colours.value.detach()
         if self._settings.connect:
@@ -224,7 +225,7 @@ def _training_views(views: RunViews) -> list[MeshView]:
 
 
 def _evaluate(views: RunViews, picture: Picture) -> Evaluation:
-    """Score the held-out views."""
+    """Compute the scores in the held-out views."""
     capture, scored = views.capture, []
     for index in views.test:
         matte = capture.mask(index, 0)

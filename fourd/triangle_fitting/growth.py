@@ -11,29 +11,31 @@ from fourd.cameras import Camera
 from fourd.triangle_fitting.soup import Soup
 
 MIN_WEIGHT = 0.022
-"""Triangles whose largest compositing weight since the last round is below this value are removed."""
+"""Triangles are removed if their largest compositing weight since the last round of pruning is below this value."""
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
-"""Triangles whose longest edge exceeds this number of pixels in a training view are split in four. Smaller triangles
-are cloned."""
+"""Triangles are split in four if their longest edge exceeds this number of pixels in a training view. Smaller triangles
+are duplicated."""
 CLONE_OFFSET = 0.2
-"""Standard deviation of the offset of a clone in the plane of its triangle, as a share of the edges."""
+"""Standard deviation of the offset of a duplicate in the plane of its triangle, as a share of the triangle's edges."""
 
 
 @torch.no_grad()
 def prune_and_grow(
     soup: Soup, weights: Tensor, priority: Tensor, cameras: Sequence[Camera], most: int, generator: torch.Generator
 ) -> None:
-    """Remove triangles that contribute nothing, then add triangles up to GROWTH times the number, at most ``most``.
+    """Remove triangles that contribute nothing. Then add triangles until there are GROWTH times as many, but at most
+    ``most``.
 
     Args:
         soup: the triangles, which are changed in place.
-        weights: (T,) largest compositing weights since the last round.
-        priority: (T,) positive weights. Triangles are drawn for growth with probabilities proportional to them.
+        weights: (T,) largest compositing weight of each triangle since the last round.
+        priority: (T,) positive numbers. Triangles are drawn for splitting or duplication with probabilities
+            proportional to these numbers.
         cameras: training cameras.
         most: maximum number of triangles.
-        generator: source of the draws.
+        generator: random generator for the draws.
     """
     opacity = soup.opacity(0.0)
     kept = torch.nonzero((weights >= MIN_WEIGHT) & (opacity > MIN_OPACITY))[:, 0]
@@ -41,7 +43,7 @@ def prune_and_grow(
         return
     wanted = min(int(GROWTH * len(kept)), most) - len(kept)
     is_large = longest_edges_px(soup.corners.value[kept], cameras) > SPLIT_PX
-    # Splitting adds three triangles, and cloning adds one.
+    # Splitting adds three triangles, and duplication adds one triangle.
     order = torch.multinomial(priority[kept] + 1e-12, len(kept), generator=generator) if wanted > 0 else kept[:0]
     added = torch.cumsum(torch.where(is_large[order], 3, 1), 0)
     chosen = order[added <= wanted]
@@ -49,7 +51,8 @@ def prune_and_grow(
     grown[chosen] = True
     split, cloned = kept[grown & is_large], kept[grown & ~is_large]
     corners, colours, logits = soup.corners.value, soup.colours.value, soup.logits.value
-    # With o' = 1 - sqrt(1 - o), two triangles at the same place are as opaque as one before.
+    # If a triangle with opacity o is duplicated, both triangles get the opacity o' = 1 - sqrt(1 - o). Together, they
+    # are as opaque as the original triangle.
     halved = torch.logit(1 - (1 - opacity[cloned]).sqrt(), eps=1e-6)
     logits.data[cloned] = halved
     parts = torch.cat([_in_four(corners[split]), corners[cloned] + _offsets(corners[cloned], generator)])
@@ -62,9 +65,9 @@ def prune_and_grow(
 
 
 def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """Return an upper limit (T,) of the length of each triangle's edges in the images of ``cameras``, in pixels.
+    """Return an upper limit (T,) of the longest edge of each triangle in the images of ``cameras``, in pixels.
 
-    A length is the edge's length in world units, magnified by the focal length and the depth of the triangle's centre.
+    The limit is the edge's length in world units times the focal length, divided by the depth of the triangle's centre.
     """
     edge = (corners - corners[:, [1, 2, 0]]).norm(dim=2).amax(dim=1)
     centre = corners.mean(dim=1)
@@ -78,7 +81,7 @@ def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
 
 
 def _in_four(corners: Tensor) -> Tensor:
-    """Split triangles (M, 3, 3) at the midpoints of their edges into (4 M, 3, 3)."""
+    """Split triangles (M, 3, 3) at the midpoints of their edges into triangles (4 M, 3, 3)."""
     a, b, c = corners.unbind(1)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]

@@ -1,4 +1,4 @@
-"""Smoothness of separate triangles: neighbours lie in a common plane and have similar normals."""
+"""Smoothness of separate triangles. Neighbouring triangles should lie in a common plane and have similar normals."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ NEIGHBOURS = 8
 
 @dataclass(frozen=True, eq=False)
 class Neighbours:
-    """Pairs of nearby triangles on the same side of the surface.
+    """Pairs of neighbouring triangles on the same side of the surface.
 
     Attributes:
         first: (P,) int64 triangle indices.
-        second: (P,) int64 indices of their neighbours.
+        second: (P,) int64 indices of a neighbour of each of these triangles.
     """
 
     first: Tensor
@@ -29,8 +29,7 @@ class Neighbours:
     @staticmethod
     @torch.no_grad()
     def of(corners: Tensor) -> Neighbours:
-        """Find the neighbours of triangles (T, 3, 3). The normals of neighbours differ by less than 90
-        degrees."""
+        """Find the neighbours of triangles (T, 3, 3). The normals of two neighbours differ by less than 90 degrees."""
         centres, normals = corners.mean(dim=1), unit_normals(corners)
         count = min(NEIGHBOURS + 1, len(corners))
         tree = cKDTree(centres.numpy())
@@ -42,7 +41,8 @@ class Neighbours:
 
 
 def unit_normals(corners: Tensor) -> Tensor:
-    """Unit normals (T, 3) of triangles (T, 3, 3), counter-clockwise seen from outside; 0 without area."""
+    """Unit normals (T, 3) of triangles (T, 3, 3), which are counter-clockwise seen from outside. The normal of a
+    triangle without area is 0."""
     a, b, c = corners.unbind(1)
     return functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-20)
 
@@ -50,9 +50,9 @@ def unit_normals(corners: Tensor) -> Tensor:
 def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> tuple[Tensor, Tensor]:
     """Disagreement of neighbouring triangles (T, 3, 3).
 
-    Returns:
-        the mean Huber loss of the distances of neighbours' centres from the planes of triangles, in spacings, and the
-        mean of 1 - cosine of the angle between their normals. Both are 0 if there are no neighbours.
+    Returns: the mean Huber loss of the distances between neighbours' centres and the planes of triangles, in units of
+        the spacing. Also the mean of 1 - cosine of the angle between the normals of neighbours. Both values are 0 if
+        there are no neighbours.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)
     if len(neighbours.first) == 0:

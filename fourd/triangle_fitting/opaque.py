@@ -1,4 +1,4 @@
-"""Opaque meshes with colours at the vertices, and their differentiable images."""
+"""Opaque meshes with vertex colours, and their differentiable rendering."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.raster.triangles import antialias, antialias_construct_topology, inte
 from fourd.raster.triangles.antialiasing import Topology
 
 SAMPLES = 2
-"""Samples of a pixel along each axis while fitting."""
+"""Number of samples per pixel along each axis during the fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,15 +40,14 @@ def render_opaque(
 
     Args:
         xyz: (V, 3) float32 vertices in world units.
-        rgb: (V, 3) colours of the vertices; colours are linear on a triangle.
+        rgb: (V, 3) colours of the vertices. Within a triangle, the colour is interpolated linearly.
         tri: (M, 3) int32 vertex indices.
         camera: pinhole camera.
-        topology: the neighbours of the triangles; computed if None.
-        samples: samples of a pixel along each axis.
+        topology: the neighbours of the triangles. If None, they are computed.
+        samples: number of samples per pixel along each axis.
 
-    Returns:
-        rgb (H, W, 3) and alpha (H, W), differentiable in vertices and colours. The silhouette is differentiable through
-        the antialiased edges.
+    Returns: rgb (H, W, 3) and alpha (H, W), differentiable in vertices and colours. At the silhouette, the gradient
+        passes through the antialiased edges.
     """
     fine = camera.resize(camera.width * samples, camera.height * samples)
     clip = clip_positions(xyz, fine)[None].contiguous()
@@ -61,7 +60,7 @@ def render_opaque(
 
 @torch.no_grad()
 def mesh_image(mesh: ColouredMesh, camera: Camera, samples: int = 3) -> NDArray[np.float32]:
-    """Image (H, W, 3) of a mesh on black, in [0, 1]."""
+    """Image (H, W, 3) of a mesh on black, with values in [0, 1]."""
     rgb = torch.from_numpy(mesh.rgb).float() / 255
     tri = torch.from_numpy(mesh.triangles)
     topology = antialias_construct_topology(tri)

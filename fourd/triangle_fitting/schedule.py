@@ -1,9 +1,9 @@
-"""The budget of a fit, and the schedule from soft to opaque triangles.
+"""The budget of a fit, and the schedule by which soft triangles become opaque.
 
-In the soft phase, the window's exponent sigma is 1.16 and opacities are free. Then sigma falls geometrically to 1e-4,
-and a lower limit of the opacity rises from 0.1 to 0.9999, so that the triangles become opaque up to their edges.
-Sigma at the start is from Held et al. 2025. The ranges of the hardening are those of their method with opaque
-triangles, as functions of the spent budget.
+In the soft phase, the exponent sigma of the window function is 1.16, and opacities are not limited. Then sigma
+decreases geometrically to 1e-4. At the same time, a lower limit of the opacity rises from 0.1 to 0.9999. As a result,
+the triangles become opaque up to their edges. The initial value of sigma is from Held et al. 2025. The ranges of sigma
+and of the lower limit are those of their method with opaque triangles. Here, both are functions of the spent budget.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ from fourd.triangle_fitting.settings import TriangleSettings
 SIGMA_RANGE = (1.16, 1e-4)
 FLOOR_RANGE = (0.1, 0.9999)
 SLOWEST_RATE = 0.1
-"""Learning rate at the end, as a share of the rate at the start."""
+"""Learning rate at the end, as a share of the learning rate at the start."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """The state of the schedule.
+    """State of the schedule at one time.
 
     Attributes:
-        sigma: exponent of the window.
+        sigma: exponent of the window function.
         floor: lower limit of the opacity.
-        rate: factor of the learning rate of positions.
-        grows: whether triangles are pruned and grown.
+        rate: factor that multiplies the learning rate of positions.
+        grows: whether pruning and growth of triangles are enabled.
     """
 
     sigma: float
@@ -39,7 +39,7 @@ class Phase:
 
 
 def phase_at(share: float, settings: TriangleSettings) -> Phase:
-    """Return the phase of the soft or hardening triangles after ``share`` of the budget, in [0, 1]."""
+    """Return the phase of soft or hardening triangles after the share ``share``, in [0, 1], of the budget."""
     rate = SLOWEST_RATE**share
     if share < settings.soft_share:
         return Phase(SIGMA_RANGE[0], 0.0, rate, True)
@@ -51,20 +51,22 @@ def phase_at(share: float, settings: TriangleSettings) -> Phase:
 
 
 def surface_rate(share: float, settings: TriangleSettings) -> float:
-    """Factor of the learning rates of opaque triangles: 1 at ``hard_share``, and SLOWEST_RATE at the end."""
+    """Factor that multiplies the learning rates of opaque triangles. It is 1 at ``hard_share`` and SLOWEST_RATE at the
+    end."""
     length = 1 - settings.hard_share
     return float(SLOWEST_RATE ** min(max((share - settings.hard_share) / length, 0.0), 1.0)) if length > 0 else 1.0
 
 
 class Budget:
-    """Measures which share of a budget is spent. The clock starts when the object is created.
+    """Measures the spent share of a budget. The clock starts when the object is created.
 
     Attributes:
-        steps: number of finished steps.
+        steps: number of optimization steps that were done.
     """
 
     def __init__(self, max_steps: int | None, max_seconds: float | None) -> None:
-        """Start. None means no limit. With both limits, the one that is reached first ends the fit."""
+        """Start. A limit of None means no limit. If both limits are given, the limit that is reached first ends the
+        fit."""
         self.steps = 0
         self._max_steps, self._max_seconds = max_steps, max_seconds
         self._start = monotonic()
@@ -80,7 +82,7 @@ class Budget:
         return min(max(steps, seconds), 1.0)
 
     def close(self) -> None:
-        """Count the whole budget as spent."""
+        """Mark the whole budget as spent."""
         self._is_closed = True
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""The fit of separate triangles from soft to opaque."""
+"""The fit of separate triangles, which become opaque during the fit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from fourd.triangle_fitting.soup import Soup
 from fourd.triangle_fitting.targets import Target, TargetOrder
 
 NEIGHBOUR_STEPS = 50
-"""Steps between two searches of neighbours."""
+"""Number of steps between two searches for neighbours."""
 
 
 class SoftFit:
@@ -28,7 +28,7 @@ class SoftFit:
     def __init__(
         self, soup: Soup, targets: Sequence[Target], settings: TriangleSettings, generator: torch.Generator
     ) -> None:
-        """Start a fit of ``soup`` to at least one target."""
+        """Start a fit of ``soup`` to one or more targets."""
         self.soup = soup
         self._order = TargetOrder(targets, generator)
         self._cameras = [target.camera for target in targets]
@@ -38,7 +38,7 @@ class SoftFit:
         self._reset_statistics()
 
     def step(self, phase: Phase) -> None:
-        """Fit all triangles to one view."""
+        """Update all triangles by one step of the fit to one view."""
         if self._steps % NEIGHBOUR_STEPS == 0:
             self._neighbours = Neighbours.of(self.soup.corners.value.detach())
         target = self._order.draw()

@@ -1,4 +1,4 @@
-"""Separate triangles of one colour each: their parameters, and how they are rendered."""
+"""Separate triangles, each of one colour: their parameters and their rendering."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fourd.triangle_fitting.schedule import Phase
 
 START_OPACITY = 0.28
 CIRCUMRADIUS_SPACINGS = 1.5
-"""Circumradius of the triangles at the start, as a multiple of the spacing of their centres."""
+"""Circumradius of the initial triangles, as a multiple of the distance between neighbouring centres."""
 POSITION_RATE_SPACINGS = 0.02
 COLOUR_RATE = 0.01
 OPACITY_RATE = 0.05
@@ -25,14 +25,14 @@ class Soup:
 
     Attributes:
         corners: (T, 3, 3) vertices in world units.
-        colours: (T, 3) RGB; 0 is black and 1 is white.
-        logits: (T,) logits of the opacity above its lower limit.
-        spacing: distance of neighbouring triangles at the start in world units, which scales the learning rate of
-            positions.
+        colours: (T, 3) RGB, where 0 is black and 1 is white.
+        logits: (T,) logits of the opacity between its lower limit and 1.
+        spacing: initial distance between neighbouring triangles in world units. The learning rate of positions is
+            proportional to this distance.
     """
 
     def __init__(self, corners: Tensor, colours: Tensor, spacing: float) -> None:
-        """Start with corners (T, 3, 3) and colours (T, 3)."""
+        """Start with the corners (T, 3, 3) and the colours (T, 3)."""
         self.spacing = spacing
         start = torch.full((len(corners),), START_OPACITY)
         self.corners = AdamRows(corners, POSITION_RATE_SPACINGS * spacing)
@@ -47,7 +47,7 @@ class Soup:
         return floor + (1 - floor) * torch.sigmoid(self.logits.value)
 
     def render(self, camera: Camera, phase: Phase) -> TriangleRender:
-        """Render the triangles on black, differentiable in all parameters."""
+        """Render the triangles on black. The result is differentiable in all parameters."""
         return splat_triangles(
             self.corners.value.reshape(-1, 3),
             triangle_indices(len(self)),
@@ -59,7 +59,7 @@ class Soup:
         )
 
     def step(self, loss: Tensor, phase: Phase) -> Tensor:
-        """Move all parameters by one step. Returns the gradient of the corners (T, 3, 3)."""
+        """Update all parameters by one step. Returns the gradient of the corners (T, 3, 3)."""
         rows = (self.corners, self.colours, self.logits)
         gradients = torch.autograd.grad(loss, [each.value for each in rows], materialize_grads=True)
         for each, gradient, factor in zip(rows, gradients, (phase.rate, 1.0, 1.0), strict=True):
@@ -75,13 +75,14 @@ def triangle_indices(count: int) -> Tensor:
 def start_triangles(
     xyz: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, generator: torch.Generator
 ) -> Tensor:
-    """Return equilateral triangles (N, 3, 3) around surface points, in the tangent planes, randomly rotated.
+    """Return equilateral triangles (N, 3, 3) that are centred on surface points and lie in the tangent planes. Each has
+    a random rotation.
 
     Args:
         xyz: (N, 3) points.
         normals: (N, 3) outward unit normals. The triangles are counter-clockwise seen from outside.
-        spacing: distance of neighbouring points.
-        generator: source of the rotations.
+        spacing: distance between neighbouring points.
+        generator: random generator for the rotations.
     """
     centres, normal = torch.from_numpy(xyz), torch.from_numpy(normals)
     random = torch.randn(len(xyz), 3, generator=generator)

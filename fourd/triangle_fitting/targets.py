@@ -1,4 +1,4 @@
-"""Training views and the loss of a rendered view."""
+"""Training views, and the loss of a rendered view."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ class Target:
 
     @staticmethod
     def of(view: MeshView) -> Target:
-        """The target of a view."""
+        """The training view as a target of the fit."""
         matte = torch.from_numpy(view.matte)
         return Target(view.camera, torch.from_numpy(view.rgb) * matte[..., None], matte)
 
     def loss(self, rgb: Tensor, alpha: Tensor) -> Tensor:
-        """Mean absolute error and structural dissimilarity of an image on black (H, W, 3), and the mean absolute error
-        of its alpha (H, W)."""
+        """Loss of an image on black (H, W, 3) and its alpha (H, W): mean absolute error and structural dissimilarity of
+        the image, plus mean absolute error of the alpha."""
         colours, matte = (rgb - self.rgb).abs().mean(), (alpha - self.matte).abs().mean()
         loss = (1 - SIMILARITY_WEIGHT) * colours + MATTE_WEIGHT * matte
         if min(rgb.shape[:2]) < WINDOW_PX:
@@ -48,10 +48,10 @@ class Target:
 
 
 class TargetOrder:
-    """Draws targets at random: all of them once, then all of them again."""
+    """Draws targets at random: each target is drawn once before any target is drawn again."""
 
     def __init__(self, targets: Sequence[Target], generator: torch.Generator) -> None:
-        """Draw from at least one target."""
+        """Draw from one or more targets."""
         self._targets, self._generator = targets, generator
         self._order: list[int] = []
 

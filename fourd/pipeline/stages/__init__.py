@@ -1,2 +1,2 @@
-"""The stages of the pipeline. Each stage has one module, which contains the stage's typed files, its settings and its
-work."""
+"""The stages of the pipeline. Each stage has one module, which contains the stage's file paths, settings and work
+function."""

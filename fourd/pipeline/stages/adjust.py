@@ -23,12 +23,13 @@ from fourd.training.config import RefineConfig
 from fourd.training.run_layout import CALIBRATION, START
 
 TILT = 12
-"""Index of the first coefficient of sensor tilt among OpenCV's 14 distortion coefficients."""
+"""Index of the first sensor-tilt coefficient among OpenCV's 14 distortion coefficients."""
 
 
 @dataclass(frozen=True)
 class AdjustFiles:
-    """Capture folder and run folder. The adjusted cameras are written to ``calibration/start/`` in the run folder."""
+    """The folders of the capture and of the run. The adjusted cameras are written to ``calibration/start/`` in the
+    folder of the run."""
 
     capture: Path
     run: Path
@@ -36,7 +37,7 @@ class AdjustFiles:
 
 @dataclass(frozen=True)
 class AdjustSettings:
-    """Selected views and frames, and the keys of :class:`RefineConfig` that the adjustment uses."""
+    """Selected views and frames, and the keys of :class:`RefineConfig` that affect the adjustment."""
 
     selection: DataSelection
     poses: bool
@@ -74,8 +75,8 @@ def adjust_stage(capture: Path, run: Path, settings: AdjustSettings) -> Stage[Ad
 
 
 def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -> None:
-    """Bundle-adjust the training cameras from matched features, and write the adjusted cameras. Adjusted cameras that
-    already exist are kept.
+    """Bundle-adjust the training cameras from matched features, and write the adjusted cameras. If adjusted cameras
+    already exist, they are kept.
 
     Held-out cameras are neither used nor changed.
     """
@@ -104,8 +105,7 @@ def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -
 
 
 def _prior(capture: Capture, training: list[int], settings: AdjustSettings) -> Prior:
-    """Prior of the adjustment: for each camera, the expected standard deviations of the errors in the given
-    calibration."""
+    """Prior of the adjustment: for each camera, the expected standard deviations of errors in the given calibration."""
     given = [capture.cameras[index] for index in training]
     focus = viewing_centre(given)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])

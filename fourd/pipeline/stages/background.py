@@ -1,4 +1,4 @@
-"""Background: compute the initial points of the static background of a full scene from clean plates."""
+"""Background: computes the initial points of the static background of a full scene from clean plates."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class BackgroundFiles:
     Attributes:
         capture: the capture's folder.
         run: the run's folder. The points are written to ``background/points.ply`` in this folder.
-        seeds: the user's own PLY file of background points. With None, the points are computed from the plates.
+        seeds: PLY file with background points from the user. If None, the points are computed from the plates.
         adjusted: whether the run has adjusted cameras.
     """
 
@@ -81,7 +81,8 @@ def background_stage(
 
 
 def run_background(files: BackgroundFiles, settings: BackgroundSettings, context: Context) -> None:
-    """Compute and write the background points. An existing file of points is kept. Held-out views are not used."""
+    """Compute and write the background points. If the file of points already exists, it is kept. Held-out views are not
+    used."""
     target = files.run / BACKGROUND / POINTS
     if target.exists():
         return
@@ -108,7 +109,7 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
 def _log_unstable(shares: dict[str, float], log: Log) -> None:
     """Warn about cameras whose background changes over time.
 
-    ``shares`` maps the name of each of these cameras to the share of changing pixels.
+    ``shares`` maps the name of each such camera to the share of changing pixels.
     """
     if not shares:
         return
@@ -121,7 +122,7 @@ def _log_unstable(shares: dict[str, float], log: Log) -> None:
 
 
 def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, context: Context) -> ColouredPoints:
-    """Compute points on the surfaces that the plates show, with the method that the settings select."""
+    """Compute points on the surfaces that the plates show. The settings select the method."""
     count, seed, workers = settings.points, settings.seed, context.workers
     if settings.seeding == "sfm":
         return seed_from_stereo(plates, count, seed=seed, workers=workers, log=context.log, track=context.track)
@@ -131,7 +132,8 @@ def _find_points(plates: tuple[PlateView, ...], settings: BackgroundSettings, co
 
 
 def _read_seeds(path: Path, count: int, seed: int) -> ColouredPoints:
-    """Read the user's own points. If the file has more than ``count`` points, keep a uniform random sample."""
+    """Read the points that the user provided. If the file has more than ``count`` points, a uniform random sample is
+    returned."""
     xyz, rgb = read_ply(path)
     if len(xyz) == 0:
         raise UserError(f"{path}: expected points of the background, got none; use another PLY")

@@ -1,4 +1,4 @@
-"""Baking: convert a trained run to a .4dv scene."""
+"""Baking: converts a trained run to a .4dv scene."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.training.run import load_run
 
 @dataclass(frozen=True)
 class BakeFiles:
-    """The folder of the run, and the scene file to write."""
+    """The folder of the run, and the path of the scene file to be written."""
 
     run: Path
     scene: Path
@@ -24,9 +24,9 @@ class BakeFiles:
 
 @dataclass(frozen=True)
 class BakeSettings:
-    """Number of points composited per pixel, playback rate in frames per second, and how the scene is packed.
+    """Number of points composited per pixel, playback rate in frames per second, and settings for packing the scene.
 
-    If the rate is None, the scene has the frame rate of the run's capture. If ``pack`` is None, the scene is not
+    If the rate is None, the scene gets the frame rate of the run's capture. If ``pack`` is None, the scene is not
     packed.
     """
 
@@ -38,7 +38,7 @@ class BakeSettings:
 def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = None) -> Stage[BakeFiles, BakeSettings]:
     """Create the stage that bakes the newest checkpoint of a run.
 
-    The stage runs again if the frame rate that is stored in ``capture`` changes.
+    If the frame rate that is stored in ``capture`` changes, the stage runs again.
     """
     inputs = () if capture is None else (Artefact(capture / NAME),)
     return Stage("bake", run_bake, files, settings, inputs=inputs, outputs=(files.scene,), after=("train",))

@@ -1,4 +1,4 @@
-"""Carving: compute the initial points of each frame and the scene's bounds from visual hulls."""
+"""Carving: computes the initial points of each frame and the scene's bounds from visual hulls."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class CarveFiles:
     Attributes:
         capture: the capture's folder.
         hull: folder to which FRAME.ply and bounds.json are written.
-        run: run folder with adjusted cameras. With None, the cameras of the capture are used.
+        run: run folder with adjusted cameras. If None, the cameras of the capture are used.
     """
 
     capture: Path
@@ -41,12 +41,12 @@ class CarveStageSettings:
     Attributes:
         selection: views and frames. Held-out views are not used.
         points: maximum number of points per frame.
-        agreement: minimum share in (0, 1]. Of the views that see a point, at least this share must have the point in
+        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point in
             their mattes.
-        least_views: minimum share in (0, 1]. At least this share of all views must see a point.
-        trim: whether to remove protruding parts of the hull; the remaining hull still covers all silhouettes.
+        least_views: a share in (0, 1]. At least this share of all views must see a hull point.
+        trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
-        seed: random seed for the order of the points.
+        seed: seed of the random order of the points.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """
 
@@ -75,8 +75,8 @@ def carve_stage(capture: Path, hull: Path, settings: CarveStageSettings) -> Stag
 def carve_run_stage(
     capture: Path, run: Path, settings: CarveStageSettings, adjusted: bool
 ) -> Stage[CarveFiles, CarveStageSettings]:
-    """Create the stage that carves ``capture`` for a run. With ``adjusted``, the stage uses the run's adjusted
-    cameras."""
+    """Create the stage that carves ``capture`` for a run. If ``adjusted`` is true, the stage uses the adjusted cameras
+    of the run."""
     return Stage(
         "carve",
         run_carve,
@@ -90,7 +90,7 @@ def carve_run_stage(
 
 
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
-    """Carve every frame. Keep the frames that an earlier call with the same settings has finished."""
+    """Carve every frame. Frames that an earlier call with the same settings has finished are kept."""
     capture = _open_training_views(files, settings.selection)
     if not capture.has_masks:
         raise UserError(
@@ -117,7 +117,8 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
     """Raise UserError if the hulls of a few frames cover less than a third of the mattes' area.
 
-    An empty hull raises no error here, because carving raises one that names the views that disagree most.
+    If a hull is empty, no error is raised here, because carving raises an error that names the views that disagree
+    most.
     """
     quality = measure_mattes(
         capture,
@@ -131,8 +132,8 @@ def _require_hull(capture: Capture, settings: CarveStageSettings, context: Conte
 
 
 def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture:
-    """Open the capture without the held-out views. Held-out views must not influence the scene, because they are used
-    to evaluate the scene."""
+    """Open the capture without the held-out views. Held-out views must not influence the scene, because the scene is
+    evaluated in these views."""
     if not selection.test_views and files.run is None:
         views = None if selection.views is None else list(selection.views)
         return _open(files.capture, selection, views)

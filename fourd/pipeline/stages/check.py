@@ -1,4 +1,4 @@
-"""Check: verify that the files of a capture are complete and consistent."""
+"""Check: verifies that the files of a capture are complete and consistent."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fourd.errors import UserError
 from fourd.pipeline.stage import Artefact, Context, NoSettings, Stage
 
 INPUT_PATTERNS = ("*.yml", "videos.json", "videos/*", "images/*/*", "masks/*/*")
-"""Glob patterns that match the input files of a capture, but not the files that fourd derives from them."""
+"""Glob patterns that match the input files of a capture, but not the files that fourd writes."""
 
 
 @dataclass(frozen=True)

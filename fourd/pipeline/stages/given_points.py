@@ -1,4 +1,4 @@
-"""Given points: use the points of the user's own FRAME.ply files instead of carved points."""
+"""Given points: uses points from the user's FRAME.ply files instead of carved points."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
 @dataclass(frozen=True)
 class GivenPointFiles:
-    """Capture folder, folder of the user's points, and run folder. The points are written to ``hull/`` in the run
-    folder."""
+    """The folders of the capture, of the user's points and of the run. The points are written to ``hull/`` in the
+    folder of the run."""
 
     capture: Path
     source: Path
@@ -40,7 +40,7 @@ class GivenPointSettings:
 def given_points_stage(
     capture: Path, source: Path, run: Path, settings: GivenPointSettings
 ) -> Stage[GivenPointFiles, GivenPointSettings]:
-    """Create the stage that copies the points in the folder ``source`` as the initial points of a run."""
+    """Create the stage that copies the points in the folder ``source`` to a run as initial points."""
     return Stage(
         "points",
         run_given_points,
@@ -54,8 +54,8 @@ def given_points_stage(
 
 
 def run_given_points(files: GivenPointFiles, settings: GivenPointSettings, context: Context) -> None:
-    """Copy a uniform random sample of each frame's points. Write the bounds of the points of all frames, padded by
-    5%."""
+    """Copy a uniform random sample of each frame's points. Also write the bounds of the points of all frames, extended
+    by 5%."""
     capture = open_run_views(files.capture, settings.selection).capture
     rng = np.random.default_rng(settings.seed)
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)

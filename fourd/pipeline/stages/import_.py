@@ -1,4 +1,4 @@
-"""Import: convert videos or images, with or without another program's calibration, to a capture."""
+"""Import: converts videos or images to a capture. The input may have the calibration of another program."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def import_stage(source: Path, capture: Path, options: ImportOptions) -> Stage[I
 
 
 def run_import(files: ImportFiles, options: ImportOptions, context: Context) -> None:
-    """Detect the format of the source and import the source."""
+    """Detect the format of the source, and import the source."""
     log = context.log
     picked = pick_format(None if options.calibration is None else VIDEOS_FORMAT, files.source)
     log(f"{files.source}: {picked.name}, {picked.summary}")

@@ -1,4 +1,4 @@
-"""Mattes: make foreground masks of all images, and a contact sheet for checking the masks."""
+"""Mattes: makes foreground mattes of all images, and a contact sheet with which the user can check the mattes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 QUALITY = DERIVED / "matte_quality.json"
-"""File with the share of each matte that the hull of the other views covers, by frame and camera."""
+"""File with the share of each matte that the hull of the other views covers, for each frame and camera."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class MatteStageSettings:
 
 
 def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFiles, MatteStageSettings]:
-    """Create the stage that makes mattes for ``capture``. The capture must not contain the user's own masks in
+    """Create the stage that makes mattes for ``capture``. The capture must not contain masks that the user provided in
     masks/."""
     return Stage(
         "mattes",
@@ -49,7 +49,8 @@ def mattes_stage(capture: Path, settings: MatteStageSettings) -> Stage[MatteFile
 
 
 def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context) -> None:
-    """Make the missing mattes, then the contact sheet. Mattes of an earlier call with the same settings are kept."""
+    """Make the missing mattes, and then the contact sheet. Mattes of an earlier call with the same settings are
+    kept."""
     selection = Selection(files.capture, settings.views, settings.frames)
     index_capture(files.capture, settings.views, context.track)
     made = make_mattes(selection, settings.mattes, context.workers, context.track)
@@ -63,7 +64,7 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
 
 
 def write_quality(capture: Capture, context: Context) -> None:
-    """Measure how well the views' mattes agree, write the shares to QUALITY, and report poor mattes."""
+    """Measure how well the mattes of the views agree, write the shares to QUALITY, and report poor mattes."""
     quality = measure_mattes(capture, track=context.track)
     if quality is None:
         return

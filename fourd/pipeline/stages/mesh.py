@@ -1,4 +1,4 @@
-"""Meshes: fit and texture one mesh for each frame, and score the meshes on held-out views."""
+"""Meshes: fits and textures one mesh for each frame, and computes the scores of the meshes in held-out views."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class MeshFiles:
     Attributes:
         capture: the capture's folder.
         meshes: folder to which the meshes are written.
-        run: run folder with adjusted cameras. With None, the cameras of the capture are used.
+        run: run folder with adjusted cameras. If None, the cameras of the capture are used.
     """
 
     capture: Path
@@ -43,7 +43,7 @@ class MeshFiles:
 
 @dataclass(frozen=True)
 class MeshStageSettings:
-    """Selected views and frames, and the settings of the meshes. Held-out views are only used for scores."""
+    """Selected views and frames, and the settings of the meshes. Held-out views are used only for scores."""
 
     selection: DataSelection
     mesh: MeshSettings
@@ -57,7 +57,7 @@ class MeshScore:
         camera: name of the camera.
         frame: number of the frame.
         iou: intersection over union of the mesh's silhouette and the matte.
-        psnr: PSNR in dB in the matte's bounding box, on black; None if the matte is empty.
+        psnr: PSNR in dB inside the matte's bounding box, on black; None if the matte is empty.
     """
 
     camera: str
@@ -79,7 +79,7 @@ def mesh_stage(files: MeshFiles, settings: MeshStageSettings) -> Stage[MeshFiles
 
 
 def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) -> None:
-    """Make the mesh of every frame. Keep the frames that an earlier call with the same settings has finished."""
+    """Make the mesh of every frame. Frames that an earlier call with the same settings has finished are kept."""
     whole, training, test = _open_views(files, settings.selection)
     paths = mesh_capture(training, files.meshes, settings.mesh, context.track)
     if not test or settings.mesh.format != "glb":
@@ -94,7 +94,7 @@ def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) ->
 
 
 def score_mesh(path: Path, capture: Capture, views: Sequence[int], frame: int) -> list[MeshScore]:
-    """Compare the mesh of a frame with the images of the cameras ``views``, indices into ``capture.cameras``."""
+    """Compare the mesh of a frame with the images of some cameras. ``views`` are indices into ``capture.cameras``."""
     mesh, number = read_mesh(path), capture.frame_numbers[frame]
     scores = []
     for view in views:
@@ -110,27 +110,27 @@ def score_mesh(path: Path, capture: Capture, views: Sequence[int], frame: int) -
 
 @dataclass(frozen=True)
 class MeanScore:
-    """Mean scores: intersection over union, and PSNR in dB or None if all mattes are empty."""
+    """Mean scores: intersection over union, and PSNR in dB. The PSNR is None if all mattes are empty."""
 
     iou: float
     psnr: float | None
 
 
 def mean_score(scores: Sequence[MeshScore]) -> MeanScore:
-    """Mean of the scores of at least one image."""
+    """Mean of the scores of one or more images."""
     decibels = [score.psnr for score in scores if score.psnr is not None]
     return MeanScore(float(np.mean([score.iou for score in scores])), float(np.mean(decibels)) if decibels else None)
 
 
 def read_scores(folder: Path) -> MeanScore:
-    """Read the mean scores that :func:`run_mesh` wrote to the folder of the meshes."""
+    """Read the mean scores that :func:`run_mesh` wrote into the folder of the meshes."""
     content = json.loads((folder / SCORES_NAME).read_text(encoding="utf-8"))
     return MeanScore(**content["mean"])
 
 
 def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Capture, list[int]]:
-    """Open the capture, the capture without its held-out views, and the indices of the held-out cameras in the
-    first."""
+    """Open the capture. Return the whole capture, the capture without held-out views, and the indices of the held-out
+    cameras in the whole capture."""
     if selection.views is not None and len(selection.views) < 2:
         raise UserError(f"--views: expected at least 2 views, got {len(selection.views)}; choose more views")
     views = open_run_views(files.capture, selection)
@@ -147,7 +147,7 @@ def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Ca
 
 
 def _with_run_cameras(capture: Capture, run: Path) -> Capture:
-    """The capture with the newest cameras of a run, which training refined."""
+    """The capture with the newest cameras of a run, which may have been refined by training."""
     refined = load_run(run).run.capture
     known = dict(zip(refined.names, refined.cameras, strict=True))
     for name in capture.names:

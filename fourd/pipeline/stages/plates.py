@@ -1,4 +1,4 @@
-"""Plates: compute an image of the background without the subject for each camera, from images and mattes."""
+"""Plates: computes, for each camera, an image of the background without the subject, from images and mattes."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")
 RUN_KEY = "run"
-"""Cache key of the plates in a run folder. This key is constant, whereas the key of the plates in a capture folder
-depends on the settings of the mattes."""
+"""Key in the cache for the plates in a run folder. This key is constant. In contrast, the key of the plates in a
+capture folder depends on the settings of the mattes."""
 
 
 @dataclass(frozen=True)
 class RunPlateFiles:
-    """Capture folder and run folder. The plates are written to ``background/plates/`` in the run folder."""
+    """The folders of the capture and of the run. The plates are written to ``background/plates/`` in the folder of the
+    run."""
 
     capture: Path
     run: Path
@@ -54,8 +55,8 @@ def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context
 
 
 def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[RunPlateFiles, DataSelection]:
-    """Create the stage that makes plates for a run's training views, unless the capture has a plate for each of
-    them."""
+    """Create the stage that makes plates for the training views of a run. The stage makes none if the capture has a
+    plate for each of these views."""
     return Stage(
         "plates",
         make_run_plates,
@@ -68,8 +69,8 @@ def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stag
 
 
 def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Context) -> None:
-    """Make clean plates of all training views if the capture lacks the plate of one of them. Held-out views are not
-    used."""
+    """Make clean plates of all training views, if at least one of these plates is missing in the capture. Held-out
+    views are not used."""
     folder = files.run / BACKGROUND
     folder.mkdir(parents=True, exist_ok=True)
     names = open_run_views(files.capture, selection).training_names

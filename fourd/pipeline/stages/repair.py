@@ -1,7 +1,8 @@
-"""Repair: correct a calibration with large residuals, if the correction reduces the residuals of held-out matches.
+"""Repair: corrects a calibration with large residuals. A correction is used only if it reduces the residuals of
+held-out matches.
 
-The given capture is not changed. A corrected capture is a folder with links to the files of the given capture and with
-corrected calibration files.
+The given capture is not changed. The corrected capture is a new folder, with links to the files of the given capture
+and with corrected calibration files.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ MIN_SHARE = 0.5
 
 @dataclass(frozen=True)
 class RepairFiles:
-    """The given capture, and the folder for the corrected capture and for repair.json."""
+    """The given capture, and the new folder, which gets the corrected capture and repair.json."""
 
     capture: Path
     repaired: Path
@@ -50,15 +51,16 @@ def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, NoSettings
 
 
 def repaired_capture(capture: Path, repaired: Path) -> Path:
-    """The corrected capture if :func:`run_repair` wrote one, else ``capture``."""
+    """The corrected capture if :func:`run_repair` wrote one, otherwise ``capture``."""
     is_changed = json.loads((repaired / RESULT).read_text(encoding="utf-8"))["changed"]
     return repaired if is_changed else capture
 
 
 def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> None:
-    """Match the images. If the residuals are large and a correction reduces them, write a corrected capture.
+    """Match features between the images. If the residuals are large and a correction reduces them, write a corrected
+    capture.
 
-    Cameras that are late, and mattes that do not belong to the images, are logged as warnings.
+    Warnings are logged for cameras whose videos start late, and for mattes that do not belong to the images.
 
     Raises:
         UserError: if two cameras' calibrations are exchanged, or a view is upside down.
@@ -81,7 +83,7 @@ def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> No
     else:
         log(f"calibration: {score} of their epipolar lines; trying corrections")
         repair = repair_cameras(found.cameras, found.matches)
-        # If most residuals stay large after a correction, the calibration belongs to other cameras.
+        # If most residuals remain large after a correction, the calibration probably belongs to other cameras.
         is_changed = repair.is_changed and not is_disagreeing(repair.after)
         for trial in repair.trials:
             kept = "kept" if trial.is_kept else "not kept"

@@ -1,7 +1,8 @@
-"""Still scenes: a scene of the background alone, from one frame or from a recording in which nothing moves.
+"""Still scenes: scenes that consist only of a background. The source is one frame, or a recording in which nothing
+moves.
 
-The given capture is not changed. A new folder gets links to its files, and empty mattes, so that each image is its own
-clean plate. The run gets frames without foreground points.
+The given capture is not changed. A new folder gets links to the capture's files, and empty mattes. With empty mattes,
+each image is the clean plate of its camera. The run gets frames that have no foreground points.
 """
 
 from __future__ import annotations
@@ -27,12 +28,13 @@ from fourd.training.run_layout import BACKGROUND, CALIBRATION, HULL
 
 DONE = "still.json"
 BOUNDS_SHARE = 0.25
-"""Half the side of the scene's bounds, as a share of the cameras' mean distance from the point that they face."""
+"""Half the side length of the scene's bounds, as a share of the mean distance between the cameras and the point that
+they face."""
 
 
 @dataclass(frozen=True)
 class StillFiles:
-    """The capture, and the folder for the capture with empty mattes."""
+    """The folder of the capture, and the folder that gets the capture with empty mattes."""
 
     capture: Path
     still: Path
@@ -40,14 +42,15 @@ class StillFiles:
 
 @dataclass(frozen=True)
 class NoPointFiles:
-    """The capture with empty mattes, and the run folder, to which ``hull/`` without points is written."""
+    """The folder of the capture with empty mattes, and the folder of the run, to which ``hull/`` without points is
+    written."""
 
     capture: Path
     run: Path
 
 
 def still_stage(capture: Path, still: Path) -> Stage[StillFiles, NoSettings]:
-    """Create the stage that gives ``capture`` empty mattes, in the new folder ``still``."""
+    """Create the stage that writes ``capture`` with empty mattes to the new folder ``still``."""
     return Stage(
         "still",
         run_still,
@@ -74,7 +77,7 @@ def run_still(files: StillFiles, settings: NoSettings, context: Context) -> None
 
 
 def no_points_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[NoPointFiles, DataSelection]:
-    """Create the stage that writes a run's frames without foreground points."""
+    """Create the stage that writes the frames of a run without foreground points."""
     return Stage(
         "points",
         run_no_points,
@@ -87,7 +90,7 @@ def no_points_stage(capture: Path, run: Path, selection: DataSelection) -> Stage
 
 
 def run_no_points(files: NoPointFiles, selection: DataSelection, context: Context) -> None:
-    """Write an empty PLY for each frame, and bounds around the point that the cameras face."""
+    """Write an empty PLY file for each frame, and bounds around the point that the cameras face."""
     views = open_run_views(files.capture, selection)
     cameras = [views.capture.cameras[index] for index in views.training]
     centre = viewing_centre(cameras)

@@ -1,4 +1,4 @@
-"""Training: write the run's config.yaml, then train until the budget is used up."""
+"""Training: writes the run's config.yaml, and then trains until the budget is spent."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATIO
 
 @dataclass(frozen=True)
 class TrainFiles:
-    """Capture folder, run folder, and path of the LPIPS weights. With None, the default locations are searched; see
-    :func:`load_lpips`."""
+    """The folders of the capture and of the run, and the path of the LPIPS weights. If this path is None, the default
+    locations are searched; see :func:`load_lpips`."""
 
     capture: Path
     run: Path
@@ -30,7 +30,7 @@ class TrainFiles:
 
 
 def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, TrainConfig]:
-    """Create the stage that trains a run until the budget of the config is used up."""
+    """Create the stage that trains a run until the budget in the config is spent."""
     return Stage(
         "train",
         run_train,
@@ -43,7 +43,7 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
 
 
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
-    """Start the run, or resume the run from its newest checkpoint. On a resumed run, only the budget may change."""
+    """Start the run, or resume the run from its newest checkpoint. For a resumed run, only the budget may change."""
     lpips = load_lpips(files.lpips_weights)
     run = open_run(files.run) if (files.run / CONFIG_NAME).exists() else start_run(files.capture, files.run, config)
     if lpips is None:
