@@ -32,7 +32,7 @@ class LoadedScene:
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # Frames of a run are baked on demand. A minimal buffer of frames leaves more CPU time for training.
+        # Frames of a run are baked on demand. The buffer of frames is minimal, which leaves more CPU time for training.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.checkpoint = self._run.checkpoint if self._run else ""

@@ -111,7 +111,7 @@ class Window:
         from imgui_bundle import imgui
         from OpenGL import GL
 
-        # The backend later binds the current shader program again, which fails if the shader program has been deleted.
+        # No program stays bound: the backend binds the current program again later, which fails for a deleted program.
         GL.glUseProgram(0)
         imgui.render()
         self._ui.render(imgui.get_draw_data())

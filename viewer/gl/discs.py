@@ -141,7 +141,7 @@ class Discs:
 
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
         """Pixels by which sprites can extend past the image. None if sprites may exceed the driver's limits."""
-        # The first, cheap bound is too large for scenes with a background: background points have large radii, but are
+        # The first bound is cheap. It is too large for scenes with a background, whose points have large radii but are
         # far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):
             margin = math.ceil(float(request.camera.intrinsics[1, 1]) * ratio(order, request)) + 1

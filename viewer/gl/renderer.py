@@ -52,7 +52,7 @@ class GLRenderer:
         self.sort_seconds = order.seconds
         ordered_request = replace(request, frame=order.frame)
         self._context.disable(moderngl.CULL_FACE | moderngl.BLEND | moderngl.DEPTH_TEST)
-        # A context without a window has no default framebuffer. Transform feedback fails unless a framebuffer is bound.
+        # Transform feedback needs a bound framebuffer, and a context without a window has no default framebuffer.
         target = canvas.framebuffer(request.camera.width, request.camera.height)
         target.use()
         self._compositor.discs.project(self._upload(order.frame), order.points, ordered_request)

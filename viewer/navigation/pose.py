@@ -68,8 +68,8 @@ class Pose:
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # The tilt axis is horizontal. For a rolled camera, a rotation about the image's x axis could go past the
-        # vertical.
+        # The tilt axis is horizontal, because for a rolled camera, a rotation about the image's x axis could go past
+        # the vertical.
         level = level / length if length > 1e-6 else self.rotation[0]
         if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down
@@ -109,7 +109,7 @@ def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, 
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
-    # A pose has square pixels. The shorter of the two focal lengths avoids cropping.
+    # A pose has square pixels, so it has one focal length. The shorter of the two focal lengths avoids cropping.
     focal = zoom * float(min(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
     distance = float((np.asarray(focus, np.float64) - camera.centre) @ camera.forward)
     if not distance > _MIN_DISTANCE:

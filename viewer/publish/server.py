@@ -108,7 +108,7 @@ class SiteHandler(BaseHTTPRequestHandler):
         while left > 0:
             content = stream.read(min(left, _CHUNK))
             if not content:
-                # The file became shorter. The client notices that the connection ends early.
+                # The file has become shorter. The connection then ends early, which the client detects.
                 self.close_connection = True
                 return
             try:

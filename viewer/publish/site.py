@@ -92,7 +92,7 @@ def copy_player(folder: Path, title: str, is_live: bool = False) -> None:
         page = (web / "index.html").read_text(encoding="utf-8")
         page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{scene}}", SCENE_NAME)
         page = page.replace("{{live}}", " live" if is_live else "")
-        # With these links, browsers fetch all modules at once. Without them, a module is fetched after its importer.
+        # With these links, browsers fetch all modules at once, although the modules import each other.
         modules = sorted(path.relative_to(folder).as_posix() for path in (folder / PLAYER_FOLDER).rglob("*.js"))
         links = (f'<link rel="modulepreload" href="{name}" />' for name in modules if "worker" not in name)
         page = page.replace("{{preload}}", "\n    ".join(links))
