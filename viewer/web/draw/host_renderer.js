@@ -10,7 +10,7 @@ import { FULL_SCREEN_VERTEX } from "./shaders.js";
 /**
  * Where an image is drawn in the framebuffer of another program.
  * @typedef {object} HostTarget
- * @property {WebGLFramebuffer | null} framebuffer If null, the canvas.
+ * @property {WebGLFramebuffer | null} framebuffer Null stands for the canvas.
  * @property {[number, number]} corner Pixel (x, y) of the framebuffer at the image's bottom left corner.
  * @property {[number, number]} depthRange A point at depth z has the normalised device coordinate a + b / z.
  * @property {WebGLTexture | null} depthTexture Depth of the host's objects. Its texels are the framebuffer's pixels.

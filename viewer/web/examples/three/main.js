@@ -9,9 +9,9 @@ const renderer = new THREE.WebGLRenderer({ canvas, antialias: false });
 const gl = /** @type {WebGL2RenderingContext} */ (renderer.getContext());
 const camera = new THREE.PerspectiveCamera(40, 1, 0.05, 100);
 const controls = new OrbitControls(camera, canvas);
-/** Objects that three.js draws before the points. They hide the points behind them. */
+/** Objects that three.js draws before the points. These objects hide the points behind them. */
 const opaque = new THREE.Scene();
-/** Objects that three.js draws after the points. The points hide them. */
+/** Objects that three.js draws after the points. The points hide objects behind them. */
 const transparent = new THREE.Scene();
 /** Colour and depth of the opaque objects. */
 const target = new THREE.WebGLRenderTarget(1, 1, { samples: 4, depthTexture: new THREE.DepthTexture(1, 1) });
