@@ -94,7 +94,8 @@ def copy_player(folder: Path, title: str, is_live: bool = False) -> None:
         page = page.replace("{{live}}", " live" if is_live else "")
         # With these links, browsers fetch all modules at once, although the modules import each other.
         modules = sorted(path.relative_to(folder).as_posix() for path in (folder / PLAYER_FOLDER).rglob("*.js"))
-        links = (f'<link rel="modulepreload" href="{name}" />' for name in modules if "worker" not in name)
+        loaded = (name for name in modules if not name.endswith(("worker.js", "fourd-scene.js")))
+        links = (f'<link rel="modulepreload" href="{name}" />' for name in loaded)
         page = page.replace("{{preload}}", "\n    ".join(links))
         (folder / PAGE_NAME).write_text(page, encoding="utf-8")
         shutil.copyfile(web / "page.css", folder / "page.css")

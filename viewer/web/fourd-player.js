@@ -9,6 +9,7 @@ import { SceneFile } from "./scene/scene_file.js";
 import { Panel } from "./ui/panel.js";
 import { addShortcuts } from "./ui/shortcuts.js";
 import { STYLE } from "./ui/style.js";
+import { VrSession, supportsVr } from "./xr/vr_session.js";
 /** @typedef {import("./navigate/pose.js").Pose} Pose */
 
 const SPINNER_DELAY_MS = 300;
@@ -41,6 +42,8 @@ export class FourdPlayer extends HTMLElement {
     this.stage = null;
     /** @type {DecodePool | null} */
     this.pool = null;
+    /** @type {VrSession | null} */
+    this.vr = null;
     this.generation = 0;
     this.cameraIndex = -1;
     /** @type {Pose | null} */
@@ -58,6 +61,7 @@ export class FourdPlayer extends HTMLElement {
   connectedCallback() {
     if (!this.hasAttribute("tabindex")) this.tabIndex = 0;
     this.panel.bar.hidden = this.getAttribute("controls") === "none";
+    supportsVr().then((supported) => (this.panel.vr.hidden = !supported));
     const poster = this.getAttribute("poster");
     if (poster) Object.assign(this.panel.poster, { src: poster, hidden: false });
     this.observer = new ResizeObserver(() => this.#resize());
@@ -156,6 +160,22 @@ export class FourdPlayer extends HTMLElement {
     change.catch(() => this.panel.showNote("The browser does not allow full screen here."));
   }
 
+  /** Shows the scene in a headset, or ends this. The browser allows the start only while it handles a click. */
+  async toggleVr() {
+    if (this.vr) return this.vr.end();
+    const { stage } = this;
+    if (!stage?.renderer) return;
+    try {
+      this.vr = await VrSession.start(stage, (error) => {
+        this.vr = null;
+        if (error) this.#fail(error);
+      });
+      if (stage !== this.stage) this.vr.end();
+    } catch (error) {
+      this.panel.showNote(`The browser does not start VR: ${error instanceof Error ? error.message : error}`);
+    }
+  }
+
   #listen() {
     const { panel } = this;
     panel.play.addEventListener("click", () => this.togglePlay());
@@ -166,12 +186,14 @@ export class FourdPlayer extends HTMLElement {
     panel.shoot.addEventListener("click", () => this.saveImage());
     panel.link.addEventListener("click", () => this.copyLink());
     panel.full.addEventListener("click", () => this.toggleFullScreen());
+    panel.vr.addEventListener("click", () => this.toggleVr());
     panel.canvas.addEventListener("pointerdown", () => this.focus());
     for (const name of ["pointermove", "pointerdown", "keydown", "focusin"]) {
       this.addEventListener(name, () => (this.lastInput = performance.now()));
     }
     panel.canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
+      this.vr?.end();
       this.stage?.loseContext();
       panel.showError("The graphics driver was reset. The player waits for it.");
     });
@@ -306,6 +328,7 @@ export class FourdPlayer extends HTMLElement {
 
   #close() {
     this.generation++;
+    this.vr?.end();
     this.stage?.release();
     this.pool?.release();
     this.stage = this.pool = null;

@@ -1,5 +1,7 @@
 import { DecodePool } from "./decode/pool.js";
+import { setInitialState } from "./draw/gl.js";
 import { HostRenderer } from "./draw/host_renderer.js";
+import { ProjectedPoints } from "./draw/projected_points.js";
 import { hostCamera, multiply4 } from "./navigate/host_camera.js";
 import { addScaled, apply, length, transpose } from "./navigate/math.js";
 import { uprightMatrix } from "./navigate/placement.js";
@@ -49,7 +51,9 @@ export class FourdScene {
   constructor(gl, file, pool, failed) {
     this.manifest = file.manifest;
     this.pool = pool;
-    this.renderer = new HostRenderer(gl, file.manifest);
+    setInitialState(gl);
+    this.points = new ProjectedPoints(gl, file.manifest);
+    this.renderer = new HostRenderer(gl, file.manifest, this.points);
     this.playback = new Playback(file, pool, () => {}, failed);
     /** Maps the scene's world to the host's world: a rotation, a translation and a uniform scale. */
     this.matrix = /** @type {ArrayLike<number>} */ (IDENTITY);
@@ -125,6 +129,7 @@ export class FourdScene {
   release() {
     this.playback.release();
     this.renderer.release();
+    this.points.release();
     this.pool.release();
   }
 

@@ -2,10 +2,10 @@ import { dot, row } from "../navigate/math.js";
 import { SortedCompositor } from "./compositors.js";
 import { bindTexture, makeProgram, setInitialState } from "./gl.js";
 import { HOST_COLOUR_FRAGMENT, HOST_DEPTH, HOST_DEPTH_FRAGMENT, HOST_DISC_FRAGMENT } from "./host_shaders.js";
-import { ProjectedPoints } from "./projected_points.js";
 import { FULL_SCREEN_VERTEX } from "./shaders.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 /** @typedef {import("./projected_points.js").Picture} Picture */
+/** @typedef {import("./projected_points.js").ProjectedPoints} ProjectedPoints */
 
 /**
  * Where an image is drawn in the framebuffer of another program.
@@ -22,12 +22,12 @@ export class HostRenderer {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {Manifest} manifest
+   * @param {ProjectedPoints} points Belongs to the caller.
    */
-  constructor(gl, manifest) {
-    setInitialState(gl);
+  constructor(gl, manifest, points) {
     this.gl = gl;
     this.manifest = manifest;
-    this.points = new ProjectedPoints(gl, manifest);
+    this.points = points;
     this.colour = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_COLOUR_FRAGMENT);
     this.depth = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_DEPTH_FRAGMENT);
     this.emptyArray = gl.createVertexArray();
@@ -70,7 +70,6 @@ export class HostRenderer {
   /** Deletes all WebGL objects that the renderer has created. */
   release() {
     for (const compositor of this.compositors.values()) compositor.release();
-    this.points.release();
     for (const program of [this.colour, this.depth]) program.release();
     this.gl.deleteVertexArray(this.emptyArray);
   }

@@ -36,6 +36,8 @@ export class Stage {
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
     this.isDirty = true;
+    /** Whether another program draws the scene, so that nothing is drawn into the canvas. */
+    this.isSuspended = false;
     this.movedAt = 0;
     this.hasDrawn = false;
     this.images = 0;
@@ -71,6 +73,7 @@ export class Stage {
    * @param {number} elapsed Seconds since the last call.
    */
   update(now, elapsed) {
+    if (this.isSuspended) return;
     const isMoving = this.clock.isPlaying || now - this.movedAt < REST_MS;
     // Browsers delay the next call if the graphics driver has not finished the last image.
     if (!isMoving) this.quality.rest();

@@ -43,10 +43,12 @@ export class Panel {
     this.shoot = button("save", "Save the image (I)");
     this.link = button("link", "Copy a link to this view (C)");
     this.full = button("full", "Full screen (F)");
+    this.vr = button("vr", "Enter VR");
+    this.vr.hidden = true;
     this.question = button("help", "Controls");
     this.bar = element("div", { className: "bar" });
     this.bar.append(this.play, this.scrub, this.time, this.loop, this.speed, this.camera);
-    this.bar.append(this.shoot, this.link, this.full, this.question);
+    this.bar.append(this.shoot, this.link, this.full, this.vr, this.question);
     root.append(this.canvas, this.poster, this.spinner, this.bar, this.help, this.message);
     this.question.addEventListener("click", () => (this.help.hidden = !this.help.hidden));
     /** @type {ReturnType<typeof setTimeout> | undefined} */
