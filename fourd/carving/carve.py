@@ -74,8 +74,7 @@ def carve_frame(
         label: name of the masks for error messages.
 
     Raises:
-        UserError: if the hull is empty. The error message names the 3 views that remove most of the hull of the other
-            views.
+        UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
         ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, a share is
             outside (0, 1], or ``inset`` is negative.
     """
