@@ -71,7 +71,7 @@ def match_lenses(
             if abs(np.log(lens.width / lens.height * height / width)) > MAX_ASPECT_DIFFERENCE:
                 raise UserError(
                     f"--intrinsics: {path}: {name}: expected a lens for images of {width} x {height}, got "
-                    f"{lens.width} x {lens.height}, which has another shape; calibrate that lens again"
+                    f"{lens.width} x {lens.height}, which has another aspect ratio; calibrate that lens again"
                 )
             lens = lens.resize(width, height)
         found.append(lens)

@@ -189,12 +189,14 @@ def _warnings(report: CameraReport, shared: Sequence[int]) -> list[str]:
                 "length uncertain; tilt the board by 30 to 45 degrees in all directions"
             )
         if report.focal_std > MAX_FOCAL_STD:
-            found.append(f"the focal length is uncertain by {report.focal_std:.1%}; tilt the board more, and closer")
+            found.append(
+                f"the focal length is uncertain by {report.focal_std:.1%}; hold the board closer and more tilted"
+            )
         direction = float(np.degrees(max(report.centre_std_px) / report.focal_px[0]))
         if direction > MAX_CENTRE_STD_DEGREES:
             found.append(
-                f"the principal point is uncertain by {max(report.centre_std_px):.0f} px, and so the orientation by "
-                f"{direction:.1f} degrees; film the board closer and tilted, or give a known lens by --intrinsics"
+                f"the principal point is uncertain by {max(report.centre_std_px):.0f} px, and therefore the orientation "
+                f"by {direction:.1f} degrees; film the board closer and tilted, or give a known lens by --intrinsics"
             )
     if report.rotation_std_degrees > MAX_ROTATION_STD_DEGREES:
         found.append(f"the orientation is uncertain by {report.rotation_std_degrees:.1f} degrees; film more frames")

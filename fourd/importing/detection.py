@@ -78,7 +78,7 @@ def pick_format(name: str | None, source: Path) -> Format:
         UserError: when the source is missing, the name is unknown, or the source matches no format.
     """
     if not source.exists():
-        raise UserError(f"{source}: expected files to import, but it does not exist; check the path")
+        raise UserError(f"{source}: expected files to import, got a path that does not exist; check the path")
     by_name = {each.name: each for each in FORMATS}
     if name is not None and name not in by_name:
         near = get_close_matches(name, by_name, 1)

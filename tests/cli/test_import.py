@@ -43,7 +43,7 @@ def test_arguments_are_checked(ball_capture: Path, tmp_path: Path, capsys: pytes
     """Catches a mistyped format name that is used as a path, and a missing source without an error."""
     out = tmp_path / "out"
     assert "got 'easymocab'; did you mean 'easymocap'?" in refused_line(capsys, "easymocab", ball_capture, out)
-    assert "but it does not exist; check the path" in refused_line(capsys, tmp_path / "gone", out)
+    assert "got a path that does not exist; check the path" in refused_line(capsys, tmp_path / "gone", out)
     assert "expected [FORMAT] SRC OUT, got 1 arguments" in refused_line(capsys, ball_capture)
     (tmp_path / "empty").mkdir()
     line = refused_line(capsys, tmp_path / "empty", out)

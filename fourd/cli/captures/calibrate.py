@@ -30,7 +30,10 @@ FLOOR_HELP = (
     "Number of a frame in which the board lies on the floor. The world's origin is then a corner of the board, "
     "and z points up."
 )
-OFFSET_HELP = "Number of frames by which events appear later in the video of camera CAM. Example: cam02=3,cam05=-1."
+OFFSET_HELP = (
+    "Number of frames by which events appear later in the video of camera CAM than in the other videos. "
+    "Example for two cameras: cam02=3,cam05=-1."
+)
 UNLESS_PRINTED = "(required, except with --print-board)"
 PRINT_HELP = "Print the board to a PDF file at true scale, and stop. VIDEOS and -o are not needed."
 

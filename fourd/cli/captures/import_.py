@@ -31,8 +31,8 @@ WORDS_HELP = (
 )
 
 OFFSET_HELP = (
-    "Number of frames by which events appear later in the video of camera CAM. Fractions are allowed. Example for two "
-    "cameras: cam02=3,cam05=-1.5."
+    "Number of frames by which events appear later in the video of camera CAM than in the other videos. "
+    "Fractions are allowed. Example for two cameras: cam02=3,cam05=-1.5."
 )
 SCALE_HELP = (
     "CAM,CAM=METRES: distance between the optical centres of two cameras. One world unit becomes one metre. "

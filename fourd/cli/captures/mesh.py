@@ -46,7 +46,7 @@ class Arguments:
     test_views: Annotated[str | None, option("NAME,NAME", "none, or the held-out views of the run")] = None
     """Names of held-out cameras, separated by commas. The meshes do not depend on held-out cameras. The meshes are
     compared with the images of these cameras, and the scores are written to scores.json."""
-    scale: Annotated[float | None, option("FLOAT", "1, or the run's")] = None
+    scale: Annotated[float | None, option("FLOAT", "1, or the scale of the run")] = None
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     cells: int = MeshSettings.cells
     """Number of grid cells along the longest side of the subject. The number of triangles is proportional to the square
