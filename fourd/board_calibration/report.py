@@ -196,7 +196,8 @@ def _warnings(report: CameraReport, shared: Sequence[int]) -> list[str]:
         if direction > MAX_CENTRE_STD_DEGREES:
             found.append(
                 f"the principal point is uncertain by {max(report.centre_std_px):.0f} px, and therefore the "
-                f"orientation by {direction:.1f} degrees; film the board closer and tilted, or give a known lens by --intrinsics"
+                f"orientation by {direction:.1f} degrees; film the board closer and tilted, or give a known lens by "
+                "--intrinsics"
             )
     if report.rotation_std_degrees > MAX_ROTATION_STD_DEGREES:
         found.append(f"the orientation is uncertain by {report.rotation_std_degrees:.1f} degrees; film more frames")
