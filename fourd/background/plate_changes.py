@@ -35,7 +35,8 @@ def find_changing_backgrounds(
         cameras: index in the capture of each plate's camera.
         plates: clean plates.
 
-    Returns: camera name -> share in [0, 1] of the background that changed, in the frame with the largest change.
+    Returns:
+        camera name -> share in [0, 1] of the background that changed, in the frame with the largest change.
     """
     shares = {
         plate.name: max(

@@ -138,8 +138,8 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    The text ``selection`` is A:B or A:B:S. It selects the frames A, A + S, A + 2 S, ... below B. The default step S is
-    1. If ``selection`` is None, all frames are selected. Raises UserError.
+    The text ``selection`` is A:B or A:B:S. It selects the frames A, A + S, A + 2 S, ... below B. If S is left
+    out, the step is one. If ``selection`` is None, all frames are selected. Raises UserError.
     """
     numbers = playable.frame_numbers
     if selection is None:

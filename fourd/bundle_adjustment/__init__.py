@@ -1,1 +1,1 @@
-"""Bundle adjustment of given cameras with feature matches between images. Bundle adjustment runs before carving."""
+"""Bundle adjustment of given cameras, from feature matches between images. Bundle adjustment runs before carving."""

@@ -1,7 +1,7 @@
-"""Correction of given cameras by bundle adjustment of feature matches.
+"""Correction of given cameras by bundle adjustment with feature matches.
 
-After features are matched, bundle adjustment runs three times. Each run of bundle adjustment uses only matches near
-their epipolar lines. The maximum distance from the epipolar lines decreases from run to run.
+After features were matched, bundle adjustment runs three times. Each of the three runs uses only matches near their
+epipolar lines. The maximum distance from the epipolar lines decreases from one run to the next.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from fourd.progress import Track
 
 MAX_FRAMES = 2
 MIN_FEATURES = 20
-"""Minimum number of features per camera; a camera with fewer features keeps its given calibration."""
+"""Minimum number of features per camera. A camera with fewer features keeps its given calibration."""
 INLIER_SCALES = 4.0
-"""Features are outliers if their reprojection error exceeds this multiple of the scale of the Cauchy loss."""
+"""A feature is an outlier if its reprojection error exceeds this multiple of the scale of the Cauchy loss."""
 FINAL_BAND_PX = 3.0
 """Maximum distance of a match from its epipolar lines in the last of the three bundle adjustments, in pixels."""
 FINAL_SCALE_PX = 1.0
@@ -65,15 +65,15 @@ class Adjustment:
 
 
 def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, band: float, track: Track) -> Adjustment:
-    """Adjust the selected cameras of a capture with feature matches from at most two of the capture's frames.
+    """Adjust the selected cameras of a capture with feature matches from one or two of the capture's frames.
 
     Args:
         capture: undistorted images and an approximate calibration.
-        cameras: indices of the cameras to adjust.
-        prior: standard deviations of the given calibration.
-        band: maximum distance of a match from the epipolar lines of the given cameras, as a fraction of the longer
-            side of an image.
-        track: progress callback.
+        cameras: indices of the cameras to be adjusted.
+        prior: standard deviations of errors in the given calibration.
+        band: maximum distance of a match from the epipolar lines of the given cameras, as a share of the longer side of
+            an image.
+        track: callback that reports progress.
 
     Returns:
         the adjusted cameras in the order of ``cameras``. A camera with too few matches keeps its given calibration.
@@ -107,7 +107,7 @@ def _adjust_once(
     band_px: float,
     scale_px: float,
 ) -> tuple[tuple[Camera, ...], Observations, float]:
-    """Run one bundle adjustment that starts at the cameras ``start``.
+    """Run one bundle adjustment with the initial cameras ``start``.
 
     Returns:
         the adjusted cameras, the inlier features, and the median reprojection error of the inliers in pixels.
@@ -128,7 +128,7 @@ def _adjust_once(
 
 
 def _frame_features(capture: MaskSource, cameras: Sequence[int], frame: int, track: Track) -> list[Features]:
-    """Extract the features of each camera in one frame."""
+    """Detect the features of each camera in one frame."""
     views = []
     for index in cameras:
         picture = capture.image(index, frame)

@@ -1,9 +1,9 @@
-"""Repair of a given calibration: corrections that are kept only if they reduce the residuals of held-out matches.
+"""Repair of a given calibration. Corrections are kept only if they reduce the residuals of held-out matches.
 
 The feature tracks are split into two parts. The cameras are fitted to the matches of two thirds of the tracks. The
-matches of the other third are held out: their residuals decide whether a correction is kept. The first correction
-mirrors principal points (see :mod:`fourd.calibration.principal_points`). Three bundle adjustments follow: the first
-adjusts the poses, the second also the focal lengths, and the third also the principal points.
+matches of the other tracks are held out. Their residuals determine whether a correction is kept. The first correction
+mirrors principal points (see :mod:`fourd.calibration.principal_points`). Then, three bundle adjustments follow. The
+first adjusts the poses. The second also adjusts the focal lengths, and the third also the principal points.
 """
 
 from __future__ import annotations
@@ -26,21 +26,20 @@ from fourd.calibration.residuals import Pair, compute_residuals
 from fourd.cameras import Camera
 
 Feature = tuple[int, int]
-"""Index of a camera, and number of a feature in the camera's image."""
+"""Index of a camera, and index of a feature in the camera's image."""
 
 HELD_OUT = 3
-"""One of this number of tracks is held out."""
+"""One out of this number of tracks is held out."""
 MIN_MATCHES = 60
-"""Minimum number of matches for a repair."""
+"""Minimum number of matches that a repair needs."""
 MIN_GAIN = 0.9
-"""A correction is kept only if the median residual of held-out matches is at most this multiple of the previous
-median."""
+"""A correction is kept only if it multiplies the median residual of held-out matches by at most this factor."""
 BAND = 0.03
 """Maximum distance of a match from its epipolar line, as a share of the longer image side."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
-"""Assumed standard deviations of the errors of the given calibration. Rotations are in degrees. Positions are shares of
-the camera's distance from the scene's centre. Focal lengths are shares of the focal length. Principal points are shares
-of the longer image side."""
+"""Assumed standard deviations of the errors in the given calibration. Rotations are in degrees. Positions are shares of
+the distance between the camera and the scene's centre. Focal lengths are shares of the given focal length. Principal
+points are shares of the longer image side."""
 DISTORTION_ROUNDS = 3
 """Number of rounds of a bundle adjustment that changes intrinsics. Each round undistorts the matches with the latest
 intrinsics."""
@@ -48,10 +47,10 @@ intrinsics."""
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One correction that was tried.
+    """A correction that was tried.
 
     Attributes:
-        name: what was corrected.
+        name: description of the corrected quantities.
         score: score of the held-out matches.
         is_kept: whether the correction is part of the result.
     """
@@ -121,13 +120,13 @@ def repair_cameras(cameras: Sequence[Camera], matches: Mapping[Pair, Matches]) -
 
 
 def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[Pair, Matches], dict[Pair, Matches]]:
-    """Split matches into a part for the fit and a held-out part.
+    """Split matches into matches for the fit and held-out matches.
 
-    No feature is in both parts. A match that connects tracks of different parts is in neither part.
+    No feature belongs to both parts. A match between tracks of different parts belongs to neither part.
     """
     _, rows = _index_features(matches, cameras)
     tracks = _label_tracks(rows)
-    # The order is random, because consecutive tracks are near each other in the image.
+    # The order of the tracks is random, because consecutive tracks are near each other in the image.
     order = np.random.default_rng(0).permutation(max(tracks.values(), default=0) + 1)
     fitted, held_out = {}, {}
     for (i, j), found in matches.items():
@@ -142,7 +141,7 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
 def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
     """Number of the track of each feature.
 
-    A match joins two tracks only if no camera is in both tracks, because a camera sees each point at most once. Without
+    Because a camera sees each point at most once, a match joins two tracks only if no camera is in both tracks. Without
     this condition, a few wrong matches would join all tracks.
     """
     members: list[dict[int, Feature]] = []
@@ -168,7 +167,7 @@ def _is_better(now: MatchScore, before: MatchScore) -> bool:
 def _adjust(
     given: Sequence[Camera], matches: Mapping[Pair, Matches], has_focal: bool, has_principal: bool
 ) -> tuple[Camera, ...]:
-    """Bundle-adjust ``given`` with the matches."""
+    """Bundle-adjust the cameras ``given`` with the matches."""
     straight = [replace(camera, distortion=None) for camera in given]
     focus = viewing_centre(straight)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])
@@ -187,7 +186,7 @@ def _adjust(
 
 
 def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> FrameMatches:
-    """Convert the matches to features, undistorted with the distortion of ``cameras``."""
+    """Convert the matches to features. The features are undistorted with the distortion of ``cameras``."""
     frame, rows = _index_features(matches, len(cameras))
     features = tuple(
         Features(undistort_points(camera, each.xy), each.descriptors)
@@ -197,7 +196,7 @@ def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera
 
 
 def _index_features(matches: Mapping[Pair, Matches], cameras: int) -> tuple[FrameMatches, dict[Pair, NDArray[np.intp]]]:
-    """Number the features of each camera. Matches with equal positions in one camera share one feature."""
+    """Number the features of each camera. Matches with the same position in a camera share one feature."""
     positions = []
     for camera in range(cameras):
         parts = [found.first_px for (i, _), found in matches.items() if i == camera]

@@ -1,9 +1,9 @@
 """Bundle adjustment with a prior on the given calibration.
 
-The solver uses the Levenberg-Marquardt algorithm and eliminates the points with the Schur complement (Triggs et al.,
+The solver uses the Levenberg-Marquardt algorithm. The points are eliminated with the Schur complement (Triggs et al.,
 Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1). The cost is the sum of two terms: the reprojection error under
-a Cauchy loss, and a Gaussian prior on each camera's correction. The prior fixes the gauge. Without a prior, rotating,
-translating or scaling all cameras and points together would not change the cost.
+a Cauchy loss, and a Gaussian prior on the correction of each camera. The prior fixes the gauge. Without a prior, the
+cost would not change if all cameras and points were rotated, translated or scaled together.
 """
 
 from __future__ import annotations
@@ -28,23 +28,24 @@ PARAMETERS = 9
 """Number of parameters per camera."""
 MAX_STEPS = 40
 MIN_RELATIVE_DECREASE = 1e-5
-"""The solver stops when a step decreases the cost by less than this fraction of the cost."""
+"""The solver stops when a step decreases the cost by less than this share of the cost."""
 DAMPING = 1e-3
 """Initial damping factor of the Levenberg-Marquardt algorithm."""
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Standard deviations of the given cameras' parameters and of the features.
+    """Standard deviations of errors in the given cameras' parameters and in the positions of features.
 
     Attributes:
-        rotation: standard deviation of rotations in radians; 0 keeps all rotations fixed.
-        position: (V,) standard deviation of each camera's position in world units; 0 keeps all positions fixed.
-        focal: standard deviation of the logarithm of the focal length; 0 keeps all focal lengths fixed.
-        pixel: standard deviation of a feature's position in pixels. The measured standard deviation is a third of a
-            pixel. The default is larger, because errors of features on one surface are correlated. With a smaller
-            value, the adjustment follows these errors and deforms rings of cameras.
-        principal_px: standard deviation of the principal point in pixels; 0 keeps all principal points fixed.
+        rotation: standard deviation of rotations in radians. With 0, all rotations are fixed.
+        position: (V,) standard deviation of the position of each camera in world units. With 0, all positions are
+            fixed.
+        focal: standard deviation of the logarithm of the focal length. With 0, all focal lengths are fixed.
+        pixel: standard deviation of the position of a feature in pixels. Its measured value is a third of a pixel. The
+            default is larger, because the errors of features on the same surface are correlated. With a smaller value,
+            the adjustment would follow these errors and deform rings of cameras.
+        principal_px: standard deviation of the principal point in pixels. With 0, all principal points are fixed.
     """
 
     rotation: float
@@ -63,18 +64,18 @@ class _State:
 def solve(
     given: Sequence[Camera], start: Sequence[Camera], tracks: Observations, xyz: Array, prior: Prior, scale_px: float
 ) -> tuple[tuple[Camera, ...], Array]:
-    """Minimise the cost of bundle adjustment over the cameras' parameters and the points' positions.
+    """Minimise the cost of bundle adjustment over the parameters of the cameras and the positions of the points.
 
     Args:
-        given: cameras with the given calibration; they are the mean of the prior.
+        given: cameras with the given calibration, which is the mean of the prior.
         start: initial cameras.
         tracks: observed features.
-        xyz: (P, 3) initial world points.
-        prior: standard deviations of the given calibration.
+        xyz: (P, 3) initial positions of the points in world coordinates.
+        prior: standard deviations of errors in the given calibration.
         scale_px: scale of the Cauchy loss in pixels.
 
     Returns:
-        the optimised cameras and points (P, 3). Cameras without features keep their given calibration.
+        the optimised cameras, and the optimised points (P, 3). Cameras without features keep their given calibration.
     """
     state = _State(tuple(start), xyz)
     damping, cost = DAMPING, _cost(state, given, tracks, prior, scale_px)
@@ -95,7 +96,7 @@ def solve(
 
 
 def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz: Array) -> Array:
-    """Reprojection error (M,) of each feature in pixels; infinite for points behind the camera."""
+    """Reprojection error (M,) of each feature in pixels. The error is infinite for points behind the camera."""
     residual, in_camera = _residuals(_State(tuple(cameras), xyz), tracks)
     return np.where(in_camera[:, 2] > 0, np.linalg.norm(residual, axis=1), np.inf)
 
@@ -122,7 +123,7 @@ class _System:
 
     @classmethod
     def at(cls, state: _State, given: Sequence[Camera], tracks: Observations, prior: Prior, scale_px: float) -> _System:
-        """Linearise the cost at ``state`` and build the normal equations."""
+        """Linearise the cost at ``state``, and build the normal equations."""
         residual, in_camera = _residuals(state, tracks)
         weight = _weights(residual, in_camera, prior, scale_px)
         by_camera, by_point = _jacobians(state, tracks, in_camera)
@@ -171,7 +172,8 @@ def _sparse_blocks(
 
 
 def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
-    """Residuals (M, 2) in pixels (projection minus feature), and the features' points (M, 3) in camera coordinates."""
+    """Residuals (M, 2) in pixels (projection minus feature), and the points (M, 3) of the features in camera
+    coordinates."""
     rotation, centre, k = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("rotation", "centre", "intrinsics")
@@ -183,7 +185,8 @@ def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
 
 
 def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[Array, Array]:
-    """Jacobians of the projections with respect to the cameras (M, 2, 9) and to the points (M, 2, 3)."""
+    """Jacobians of the projections with respect to the parameters of the cameras (M, 2, 9) and to the points (M, 2,
+    3)."""
     k, rotation = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("intrinsics", "rotation")
@@ -203,8 +206,8 @@ def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[A
 
 
 def _update_camera(camera: Camera, change: Array) -> Camera:
-    """Translate a camera along its own axes, rotate it about its centre, scale its focal length and shift its
-    principal point."""
+    """Translate a camera along its axes, rotate it about its centre, scale its focal length and shift its principal
+    point."""
     rotation = cv2.Rodrigues(change[ROTATION])[0] @ camera.rotation
     centre = camera.centre + camera.rotation.T @ change[POSITION]
     intrinsics = camera.intrinsics.copy()
@@ -214,7 +217,7 @@ def _update_camera(camera: Camera, change: Array) -> Camera:
 
 
 def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
-    """Parameter changes (V, 9) from the given cameras ``given`` to the cameras ``cameras``."""
+    """Changes (V, 9) of the parameters from the cameras ``given`` to the cameras ``cameras``."""
     rows = []
     for camera, before in zip(cameras, given, strict=True):
         rotation = cv2.Rodrigues(camera.rotation @ before.rotation.T)[0].ravel()
@@ -227,7 +230,7 @@ def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
 def _prior_precision(prior: Prior, views: int) -> Array:
     """Inverse variances (V, 9) of the prior.
 
-    The inverse variance of fixed parameters is 1, because 0 would make the normal equations singular.
+    For fixed parameters, the inverse variance is 1, because 0 would make the normal equations singular.
     """
     deviation = np.ones((views, PARAMETERS))
     deviation[:, ROTATION] = prior.rotation
@@ -239,7 +242,7 @@ def _prior_precision(prior: Prior, views: int) -> Array:
 
 
 def _free(prior: Prior) -> NDArray[np.bool_]:
-    """(9,) bool: whether each of the 9 camera parameters is optimised."""
+    """(9,) bool, true for camera parameters that are optimised."""
     free = np.zeros(PARAMETERS, bool)
     free[ROTATION], free[POSITION] = prior.rotation > 0, bool((prior.position > 0).all())
     free[LOG_FOCAL], free[PRINCIPAL] = prior.focal > 0, prior.principal_px > 0
@@ -247,7 +250,8 @@ def _free(prior: Prior) -> NDArray[np.bool_]:
 
 
 def _weights(residual: Array, in_camera: Array, prior: Prior, scale_px: float) -> Array:
-    """Weight (M,) of each squared error: the Cauchy weight divided by ``Prior.pixel`` squared; 0 behind the camera."""
+    """Weight (M,) of each squared error: the Cauchy weight divided by the square of ``Prior.pixel``. The weight is 0
+    for points behind the camera."""
     weight = 1 / (1 + np.square(residual).sum(axis=1) / scale_px**2) / prior.pixel**2
     return np.where(in_camera[:, 2] > 1e-6, weight, 0)
 

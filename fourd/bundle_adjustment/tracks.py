@@ -1,4 +1,4 @@
-"""Feature tracks across cameras, and the triangulation of one point from each track."""
+"""Feature tracks across cameras, and triangulation of one point per track."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class Observations:
     """M observed features of P points.
 
     Attributes:
-        camera: (M,) index of each feature's camera.
-        point: (M,) index of each feature's point.
+        camera: (M,) index of the camera of each feature.
+        point: (M,) index of the point of each feature.
         pixel: (M, 2) position of each feature in pixels.
     """
 
@@ -36,16 +36,17 @@ class Observations:
 
     @property
     def points(self) -> int:
-        """Number P of points; every index from 0 to P - 1 is used."""
+        """Number P of points. Every index from 0 to P - 1 is used."""
         return int(self.point.max()) + 1 if len(self.point) else 0
 
     def of_points(self, kept: NDArray[np.bool_]) -> Observations:
-        """Select the features of the points in ``kept`` (P,) bool and renumber the points."""
+        """Select the features of the points in ``kept`` (P,) bool, and renumber the points."""
         rows = kept[self.point]
         return Observations(self.camera[rows], (np.cumsum(kept) - 1)[self.point[rows]], self.pixel[rows])
 
     def select(self, rows: NDArray[np.bool_]) -> Observations:
-        """Select the features in ``rows`` (M,) bool; drop points with fewer than two features and renumber the rest."""
+        """Select the features in ``rows`` (M,) bool. Then drop points with fewer than two features, and renumber the
+        other points."""
         camera, point, pixel = self.camera[rows], self.point[rows], self.pixel[rows]
         enough = np.bincount(point, minlength=self.points) >= 2
         return Observations(camera, point, pixel).of_points(enough)
@@ -65,7 +66,7 @@ class FrameMatches:
 
 
 def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Connect matches to tracks across cameras; ignore matches farther than ``band_px`` from their epipolar lines.
+    """Connect matches to tracks across cameras. Matches farther than ``band_px`` from their epipolar lines are ignored.
 
     If a track has several features in the same camera, all of these features are dropped.
     """
@@ -82,7 +83,7 @@ def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band
 
 
 def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Build the tracks of one frame. Tracks are the connected components of the graph of matches."""
+    """Build the tracks of one frame. The tracks are the connected components of the graph of matches."""
     features = frame.features
     counts = [len(each.xy) for each in features]
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.intp)
@@ -104,7 +105,7 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """For each match (M,), the larger of the two features' distances in pixels from their epipolar lines."""
+    """For each match (M,), the larger of the two distances, in pixels, of its features from their epipolar lines."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix
@@ -114,11 +115,11 @@ def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other
 
 
 def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple[Array, NDArray[np.bool_]]:
-    """Triangulate each track: find the point with the smallest sum of squared distances to the track's rays.
+    """Triangulate one point per track: the point with the smallest sum of squared distances to the track's rays.
 
     Returns:
-        world points (P, 3), and (P,) bool: whether the rays of each point span at least about 2 degrees. If the rays of
-        a point span a smaller angle, the position of the point is undefined.
+        world points (P, 3), and (P,) bool, true for points whose rays span an angle of at least about 2 degrees. If the
+        rays span a smaller angle, the position of the point is undefined.
     """
     origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
     rays = _ray_directions(tracks, cameras)
@@ -128,8 +129,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
     sums = np.zeros((tracks.points, 3))
     np.add.at(sums, tracks.point, rays)
-    # The mean of unit vectors is shorter for wider angles between the vectors. For two vectors, the length of the mean
-    # is cos(angle / 2).
+    # The wider the angles between unit vectors, the shorter is the mean of the vectors. For two vectors, the length of
+    # the mean is cos(angle / 2).
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)
@@ -138,7 +139,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
 
 
 def _ray_directions(tracks: Observations, cameras: Sequence[Camera]) -> Array:
-    """Unit vectors (M, 3) along the viewing rays of the features, in world coordinates."""
+    """Unit vectors (M, 3) in world coordinates along the viewing rays of the features."""
     R_world_pixel = np.stack([camera.rotation.T @ np.linalg.inv(camera.intrinsics) for camera in cameras])
     pixels = np.column_stack([tracks.pixel, np.ones(len(tracks.pixel))])
     rays = np.einsum("mij,mj->mi", R_world_pixel[tracks.camera], pixels)

@@ -214,7 +214,8 @@ def removed_shares(views: Silhouettes, half: float) -> list[float]:
 def candidate_cells(views: Silhouettes, half: float) -> tuple[NDArray[np.float32], float]:
     """Find the cells that may contain the object. The cells are subdivided until COARSE_CELLS cells span the object.
 
-    Returns: centres (3, N) of the cells, and the side length of a cell in world units.
+    Returns:
+        centres (3, N) of the cells, and the side length of a cell in world units.
     """
     size = half / 4
     cells = root_cells(np.full(3, -half), np.full(3, half), size)

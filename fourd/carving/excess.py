@@ -104,13 +104,14 @@ def replace_excess(
     """Remove the surface points of the hull's excess parts. Add points on the surface that remains without these parts.
 
     Args:
-        views: the silhouettes. lower, upper: (3,) corners of the search box, relative to the origin of ``views``.
+        views: the silhouettes.
+        lower, upper: (3,) corners of the search box, relative to the origin of ``views``.
         xyz: (N, 3) points on the hull's surface, relative to the origin of ``views``.
         normals: (N, 3) outward unit normals of the hull at the points.
         size: distance between neighbouring points in world units.
 
-    Returns: points (M, 3) and their outward unit normals (M, 3). The added points have the same distance from each
-        other.
+    Returns:
+        points (M, 3) and their outward unit normals (M, 3). The added points have the same distance from each other.
     """
     thickness = float(np.einsum("ni,ni->n", xyz - xyz.mean(axis=0), normals).mean()) / 3
     if thickness <= 0:

@@ -162,7 +162,8 @@ class Silhouettes:
         """Compute distances and deciding views of points (3, N). Points that are more than ``outside`` away from the
         hull are dropped.
 
-        Returns: indices of the remaining points, their signed distances to the hull, and their deciding views.
+        Returns:
+            indices of the remaining points, their signed distances to the hull, and their deciding views.
         """
         kept = int(self.tolerated_outliers(np.array(len(self.views)))) + 1
         lowest = np.full((kept, xyz.shape[1]), np.inf, dtype=np.float32)
@@ -198,7 +199,8 @@ class Silhouettes:
 def view_distance(view: SilhouetteView, xyz: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Signed distances of points (3, N) to the silhouette of one view.
 
-    Returns: distances (N,) in world units, positive inside, and (N,) bool, true for points that the view sees.
+    Returns:
+        distances (N,) in world units, positive inside, and (N,) bool, true for points that the view sees.
     """
     x, y, z = view.project(xyz)
     value = sample(view.distance, x, y, cv2.INTER_LINEAR)

@@ -125,9 +125,10 @@ def blend(
             and colour c contributes the colour v c + (1 - v) base instead of c.
         view_weights: (V,) factors in [0, 1] that multiply the weights of each view, or None if all factors are 1.
 
-    Returns: (N, 3) colours. A point that is visible in no view gets ``base``. Without ``base``, such a point gets the
-        mean of the views' colours, weighted by ``view_weights``. In a baked scene, points whose stored weights are all
-        0 also get this mean.
+    Returns:
+        (N, 3) colours. A point that is visible in no view gets ``base``. Without ``base``, such a point gets the mean
+        of the views' colours, weighted by ``view_weights``. In a baked scene, points whose stored weights are all 0
+        also get this mean.
     """
     visibility = zero_low_visibility(visibility)
     if base is not None:

@@ -1,6 +1,6 @@
 """The differentiable point renderer: :func:`render_points` and :func:`point_visibility`.
 
-torch is loaded on the first use of one of the two functions, not when this package is imported.
+Importing this package does not import torch. The first use of one of the two functions imports torch.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ class PointRender:
     Attributes:
         features: (H, W, C) composited features, including the background if a background is given.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) weighted mean camera depth of the composited points in world units. The weight of a point is the
-            transmittance in front of it times its alpha. The depth is 0 where ``alpha`` is 0.
+        depth: (H, W) weighted mean of the camera depths of the composited points in world units. The weight of a point
+            is its alpha times the transmittance in front of it. The depth is 0 where ``alpha`` is 0.
     """
 
     features: Tensor
@@ -49,34 +49,36 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    With intrinsics K, point i has depth z_i, projected centre q_i and radius rho_i = K[1, 1] * radius_i / z_i in
-    pixels. The opacity of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0). Points with
-    alpha_i(p) > 0 are sorted by depth, and by index at equal depth. The first ``layers`` points are composited.
+    With intrinsics K, point i has depth z_i and projected centre q_i. Its radius in pixels is rho_i = K[1, 1] *
+    radius_i / z_i. The alpha of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0). The
+    points with alpha_i(p) > 0 are sorted by depth. Points with equal depth are sorted by index. The first ``layers``
+    points are composited.
 
-    The results are differentiable in xyz, features, radius, density and background. The gradient treats the selection
-    of points as constant. On the CPU, results and gradients are bit-identical for any number of threads.
+    The results are differentiable in xyz, features, radius, density and background. For the gradient, the selection of
+    points is treated as constant. On the CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
         xyz: (N, 3) positions, world units.
-        features: (N, C) colours or other features, with C from 1 to 32. Values are not checked. NaN and infinity
+        features: (N, C) colours or other features, with C from 1 to 32. The values are not checked. NaN and infinity
             propagate to all pixels that composite the point.
-        radius: (N,) radii, world units.
+        radius: (N,) radii in world units.
         density: (N,) opacity at the centre, in [0, 1]. Larger values are clamped to 1.
         camera: a pinhole camera without lens distortion.
-        layers: maximum number of points that a pixel composites.
-        near: camera depth, in world units, below which points are culled. Points are also culled if their radius or
-            density is not positive, or if their position, radius, density or projection is not finite. Culled points
-            have zero gradients.
-        background: (C,) or (H, W, C) features behind the points, weighted by 1 - alpha. None means zeros.
-        backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
-            "auto" for the kernel of the tensors' device.
-        transmittance_min: transmittance below which compositing of a pixel stops. Gradients require the exact value 0.
-            The value 1e-4 is faster. The "reference" backend ignores this argument.
+        layers: maximum number of points that are composited per pixel.
+        near: camera depth, in world units, below which points are not rendered (culled). Points are also culled if
+            their radius or density is not positive. The same applies to points whose position, radius, density or
+            projection is not finite. Culled points have zero gradients.
+        background: (C,) or (H, W, C) features behind the points, which are weighted by 1 - alpha. None means zeros.
+        backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
+            float32 kernels, or "auto" for the kernel of the tensors' device.
+        transmittance_min: compositing of a pixel stops when the transmittance falls below this value. For exact
+            gradients, the value must be 0. With the value 1e-4, rendering is faster. The "reference" backend ignores
+            this argument.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if the backend is not built.
+        RuntimeError: if the backend was not built.
     """
     arrays = {"xyz": xyz, "features": features, "radius": radius, "density": density}
     chosen = _check(arrays, camera, layers, near, backend)
@@ -107,9 +109,9 @@ def point_visibility(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Compute every point's largest compositing weight (transmittance times alpha) over all pixels of ``camera``.
+    """Compute the largest compositing weight (transmittance times alpha) of every point over all pixels of ``camera``.
 
-    Arguments, culling and errors are the same as for :func:`render_points`.
+    Arguments, culling and errors are those of :func:`render_points`.
 
     Returns:
         (N,) weights in [0, 1] with the dtype of xyz, not differentiable. Points that are not visible have weight 0.

@@ -1,1 +1,1 @@
-"""Estimation of time offsets between cameras without a common trigger."""
+"""Estimation of time offsets between cameras that have no common trigger."""

@@ -1,4 +1,4 @@
-"""Detection of cameras that are late or early, from the motion in the images of all cameras."""
+"""Detection of cameras whose images are late or early. The motion in the images of all cameras is compared."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from fourd.sync.motion import (
 )
 
 MAX_FRAMES = 300
-"""Maximum number of frames that are compared. They are taken from the middle of the capture."""
+"""Maximum number of frames that are compared. The compared frames are taken from the middle of the capture."""
 MIN_FRAMES = 36
-"""Minimum number of frames for the comparison."""
+"""Minimum number of frames that are needed for the comparison."""
 
 
 def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
-    """Find the cameras in which motion is early or late by more than 3 frames, compared with the other cameras.
+    """Find the cameras in which motion is early or late by more than 3 frames compared with the other cameras.
 
     Args:
         path: the capture's folder.
-        track: progress callback.
+        track: callback that reports progress.
 
     Returns:
-        One line for each such camera. The list is empty for captures of fewer than 36 frames or 3 cameras.
+        one line of text for each such camera. The list is empty for captures of fewer than 36 frames or 3 cameras.
 
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.

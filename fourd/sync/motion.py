@@ -22,29 +22,30 @@ NOISE_SIGMAS = 3.0
 ENERGY_FLOOR = 0.1
 """Constant that is added to the motion energy before its logarithm is taken, as a share of the median energy.
 
-The constant limits the steps of the logarithm at frames without motion.
+The constant limits the changes of the logarithm at frames without motion.
 """
 FINE_SIGMA_FRAMES, COARSE_SIGMA_FRAMES = 1.0, 6.0
 """Standard deviations in frames of the two Gaussians whose difference is the band-pass filter."""
 MAX_SIGNAL = 4.0
 """Level, in robust standard deviations, at which the band-passed signal is clipped.
 
-Clipping limits the effect of cuts and flashes that occur in one camera only.
+Clipping limits the effect of cuts and flashes that occur in only one camera.
 """
 PEAK_RADIUS_FRAMES = 3
 WIDTH_PX = 200
-"""Width in pixels to which images are reduced before their motion energy is computed."""
+"""Width in pixels to which images are reduced before the motion energy is computed."""
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of an offset that is applied or reported."""
 UNRELIABLE_FRAMES = 3
-"""Error in frames of offsets from motion. Smaller offsets from motion are neither applied nor reported."""
+"""Error in frames of offsets that are estimated from motion. Smaller offsets are neither applied nor reported."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2
 NOISE_CORRELATION = 4.0
-"""Numerator of the noise level of a correlation. The denominator is the square root of the number of frames.
+"""Numerator of the noise level of a correlation between two signals. The denominator is the square root of the number
+of frames.
 
-The noise level is the maximum correlation of two independent signals over some tens of lags.
+The noise level is the maximum correlation that two independent signals reach over some tens of lags.
 """
 
 MARGIN, LABEL, PANEL, ROW = 16, 290, 480, 56
@@ -55,18 +56,19 @@ INK, GRID, WARNING = (40, 40, 40), (215, 215, 215), (60, 60, 200)
 class Offsets:
     """Time offset of each camera's video relative to the first camera's video.
 
-    Let o be the offset of a camera. An event at frame f of the first camera's video is at frame f + o of that camera's
-    video. A camera that starts to record 7 frames after the first camera has o = -7.
+    Let o be the offset of a camera. An event at frame f of the first camera's video is at frame f + o of the video of
+    this camera. A camera that starts to record 7 frames after the first camera has o = -7.
 
     Attributes:
-        frames: offsets in whole frames; 0 for the first camera.
-        subframes: offsets in frames, with fractions, from parabolas through the peaks of the correlations.
-        confidence: confidence of each camera's offset in [0, 1]. Values above 0.3 are good. With a confidence below
-            0.1, the offset is unreliable. For a pair of cameras, let p1 be the peak of the correlation of their
-            signals. Let p2 be the highest correlation more than 3 frames away from the peak, and let c = 4 /
-            sqrt(frames) be the noise level. The pair's confidence is the smaller of (p1 - c) / (1 - c) and 2 (p1 - p2).
-            The pair's confidence is 0 if the pair's lag differs by more than one frame from the difference of the two
-            cameras' offsets. A camera's confidence is the mean confidence of the better half of its pairs.
+        frames: offsets in whole frames. The offset of the first camera is 0.
+        subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
+        confidence: confidence of each camera's offset in [0, 1]. Offsets with values above 0.3 are reliable. Offsets
+            with values below 0.1 are unreliable. The confidence of a pair of cameras is defined as follows. Let p1 be
+            the peak of the correlation of the two signals. Let p2 be the highest correlation at lags more than 3 frames
+            away from the peak. Let c = 4 / sqrt(frames) be the noise level. The pair's confidence is the smaller of
+            (p1 - c) / (1 - c) and 2 (p1 - p2). The pair's confidence is 0 if the pair's lag differs by more than one
+            frame from the difference of the two cameras' offsets. The confidence of a camera is the mean over the half
+            of its pairs with the highest confidence.
     """
 
     frames: tuple[int, ...]
@@ -77,12 +79,12 @@ class Offsets:
 def motion_energy(pictures: Iterable[Grey]) -> Array:
     """Compute the motion energy (F,) of F images: the mean absolute difference of consecutive images in grey levels.
 
-    Changes of the whole image, such as exposure flicker, are fitted by a gain and an offset and removed. Differences
-    below 3 standard deviations of the noise count as 0. The noise is estimated from the median difference. The first
-    image gets the energy of the second image.
+    Changes of the whole image, such as exposure flicker, are fitted by a gain and an offset, and then removed.
+    Differences below 3 standard deviations of the noise count as 0. The noise is estimated from the median of the
+    differences. The first image gets the energy of the second image.
 
     Args:
-        pictures: F grey images (H, W) uint8, which are read one at a time. A width of 200 pixels is enough.
+        pictures: F grey images (H, W) uint8, which are read one after the other. A width of 200 pixels is enough.
 
     Raises:
         ValueError: if the images differ in size.
@@ -108,7 +110,8 @@ def _difference(before: NDArray[np.float32], now: NDArray[np.float32]) -> float:
 
 
 def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tuple[float, float]:
-    """Fit ``now = gain * before + offset`` by linear regression. Repeat the fit without the pixels that show motion."""
+    """Fit ``now = gain * before + offset`` by linear regression. The fit is repeated without the pixels that show
+    motion."""
     gain, offset = 1.0, float(np.median(now - before))
     for _ in range(3):
         error = np.abs(now - gain * before - offset)
@@ -117,7 +120,7 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
         centred = x - x.mean()
         power = float(centred @ centred)
         if power < len(x):
-            # A uniform image does not determine the gain.
+            # An image with only one grey value does not determine the gain.
             return 1.0, float(np.median(now - before))
         gain = float(centred @ y) / power
         offset = float(y.mean() - gain * x.mean())
@@ -125,25 +128,26 @@ def _fit_exposure(before: NDArray[np.float32], now: NDArray[np.float32]) -> tupl
 
 
 def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
-    """Estimate each camera's time offset relative to the first camera from the motion energies of all cameras.
+    """Estimate the time offset of each camera relative to the first camera, from the motion energies of all cameras.
 
-    The logarithm of each motion energy is band-passed by a difference of Gaussians, which removes gains and slow
-    trends. The band-passed signals are correlated for every pair of cameras, which gives one lag per pair. The offsets
-    are fitted to the lags by iteratively reweighted least squares, which approximates least absolute deviations. Pairs
-    with a flat, ambiguous or inconsistent correlation have little weight in the fit of the offsets.
+    The logarithm of each motion energy is band-pass filtered with a difference of Gaussians. The filter removes gains
+    and slow trends. The filtered signals of every pair of cameras are correlated, which gives one lag per pair. The
+    offsets are fitted to the lags by iteratively reweighted least squares, which approximates least absolute
+    deviations. Pairs whose correlation is flat, ambiguous or inconsistent have little weight in this fit.
 
     Each camera records a different part of the motion. For slow and smooth motion, the best lag can therefore be wrong
-    by some frames. The confidence does not reveal an error of some frames. For a balancing man recorded from four
-    sides, the error was up to 3 frames at 60 Hz. For sudden motion, such as claps or steps, the estimate is exact. An
-    offset of up to 3 frames does not prove that the cameras lack a common trigger.
+    by some frames. A high confidence does not exclude such an error. In a test with a balancing man who was recorded
+    from four sides, the error was up to 3 frames at 60 Hz. For sudden motion, such as claps or steps, the estimate is
+    exact to the frame. Therefore, an offset of up to 3 frames does not prove that the cameras lack a common trigger.
 
     Args:
-        energies: :func:`motion_energy` (F,) of each camera. The number of frames F may differ between cameras.
-        max_offset: largest offset in frames, at least 1. At least 12 frames of two videos must overlap at the largest
-            offset.
+        energies: result (F,) of :func:`motion_energy` for each camera. The number of frames F may differ between
+            cameras.
+        max_offset: maximum offset in frames, at least 1. Two videos that are shifted by this offset must overlap in at
+            least 12 frames.
 
     Raises:
-        ValueError: if there is no camera, or there are too few frames for ``max_offset``.
+        ValueError: if there is no camera, or if there are too few frames for ``max_offset``.
     """
     if not energies or max_offset < 1:
         raise ValueError(
@@ -168,8 +172,8 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
 
 
 def _bandpass(energy: Array) -> Array:
-    """Compute the band-passed, normalised and clipped logarithm (F,) of the motion energy. The result is 0 if the
-    energy is constant."""
+    """Compute the logarithm (F,) of the motion energy after band-pass filtering, normalisation and clipping. The result
+    is 0 if the energy is constant."""
     level = ENERGY_FLOOR * float(np.median(energy)) + 1e-3 * float(np.max(energy, initial=0)) + 1e-9
     logarithm = np.log(energy + level)
     band = gaussian_filter1d(logarithm, FINE_SIGMA_FRAMES) - gaussian_filter1d(logarithm, COARSE_SIGMA_FRAMES)
@@ -179,10 +183,10 @@ def _bandpass(energy: Array) -> Array:
 
 
 def _estimate_lag(first: Array, second: Array, max_lag: int) -> tuple[float, float]:
-    """Find the lag in frames, with fraction, at which ``second[f + lag]`` correlates best with ``first[f]``.
+    """Find the lag, in frames and fractions of a frame, at which ``second[f + lag]`` correlates best with ``first[f]``.
 
     Returns:
-        The lag, and the weight in [0, 1] of the pair of cameras.
+        the lag, and the weight in [0, 1] of this pair of cameras.
     """
     scores = np.array([_correlation(first, second, lag) for lag in range(-max_lag, max_lag + 1)])
     top = int(scores.argmax())
@@ -210,10 +214,10 @@ def _correlation(first: Array, second: Array, lag: int) -> float:
 
 
 def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Array], offsets: Offsets) -> None:
-    """Write a PNG plot of all motion energies atomically. The left panel shows the energies as recorded, and the right
+    """Write a PNG plot of all motion energies, atomically. The left panel shows the energies as recorded. The right
     panel shows them shifted by the offsets.
 
-    Each camera has a row with its name, offset and confidence. Confidences below 0.1 are red. Each row has its own
+    Each camera has a row with its name, offset and confidence. Confidences below 0.1 are red. Each row has a separate
     vertical scale. The grey lines mark the same frame numbers in both panels.
     """
     height = 3 * MARGIN + ROW * len(names) + MARGIN
@@ -252,7 +256,8 @@ def _draw_curve(canvas: Grey, energy: Array, shift: int, left: int, top: int, lo
 
 
 def _tick_frames(longest: int) -> int:
-    """Number of frames between two grey lines: 1, 2 or 5 times a power of ten, so that the plot has about ten lines."""
+    """Number of frames between two grey lines: 1, 2 or 5 times a power of ten. It is chosen such that the plot has
+    about ten lines."""
     rough = max(longest / 10, 1)
     power = 10 ** int(np.floor(np.log10(rough)))
     return int(next(power * step for step in (1, 2, 5, 10) if power * step >= rough))

@@ -13,17 +13,18 @@ Array = NDArray[np.float64]
 def solve_offsets(
     pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, count: int, tolerance: float
 ) -> Array:
-    """Fit one offset per camera, shape (count,), to the lags of the pairs. The first camera's offset is 0.
+    """Fit one offset per camera, as an array of shape (count,), to the lags of the pairs. The first camera's offset is
+    0.
 
-    The fit is iteratively reweighted least squares, which approximates least absolute deviations. A camera whose pairs
-    all have weight 0 gets offset 0.
+    The fit uses iteratively reweighted least squares, which approximates least absolute deviations. A camera whose
+    pairs all have weight 0 gets offset 0.
 
     Args:
         pairs: indices (i, j) of the two cameras of each pair.
         lags: (P,) offset of camera j minus offset of camera i, in any unit of time.
         pair_weights: (P,) weights in [0, 1].
         count: number of cameras.
-        tolerance: deviations of lags below this value, in the unit of the lags, all have the same weight.
+        tolerance: deviation of a lag, in the unit of the lags, below which all deviations have the same weight.
     """
     if not pairs:
         return np.zeros(count)
@@ -41,7 +42,7 @@ def solve_offsets(
 
 
 def camera_confidence(weights: Sequence[float]) -> float:
-    """Confidence of a camera: the mean of the larger half of the weights of its pairs. If there is only one camera, the
-    confidence is 1."""
+    """Confidence of a camera: the mean over the half of its pairs with the larger weights. If there is only one camera,
+    the confidence is 1."""
     better = sorted(weights, reverse=True)[: (len(weights) + 1) // 2]
     return float(np.mean(better)) if better else 1.0

@@ -1,7 +1,7 @@
-"""Time offsets between cameras from their soundtracks, by GCC-PHAT.
+"""Time offsets between cameras, estimated from their soundtracks by GCC-PHAT.
 
-GCC-PHAT: C. Knapp and G. Carter, "The generalized correlation method for estimation of time delay", 1976. The phase of
-the cross-spectrum is correlated, so different levels and microphones have no effect.
+GCC-PHAT: C. Knapp and G. Carter, "The generalized correlation method for estimation of time delay", 1976. Only the
+phase of the cross-spectrum is correlated. Different levels and microphones therefore have no effect.
 """
 
 from __future__ import annotations
@@ -25,39 +25,42 @@ Samples = NDArray[np.float32]
 RATE = 8000
 """Sampling rate in Hz to which soundtracks are converted."""
 MAX_SECONDS = 300.0
-"""Maximum duration in seconds of the used part of a soundtrack. This limits the memory to 10 MB per camera."""
+"""Maximum duration, in seconds, of the part of a soundtrack that is used. This limits the memory to 10 MB per
+camera."""
 LOW_HZ, HIGH_HZ = 200.0, 3000.0
-"""Pass band in Hz. Wind and handling noise have lower frequencies, and much of the noise of phones has higher
-frequencies."""
+"""Lower and upper frequency of the pass band in Hz. Wind and handling noise are below this band, and much of the noise
+of phones is above it."""
 MAX_LAG_SECONDS = 60.0
 MIN_OVERLAP_SECONDS = 0.25
 MAX_GAP_SECONDS = 0.005
-"""If a block of sound is later than expected by more than this number of seconds, silence is inserted."""
+"""If a block of sound starts more than this number of seconds later than expected, silence is inserted before the
+block."""
 SILENCE_RMS = 1e-4
-"""A soundtrack counts as silent if its level is below this share of full scale (-80 dB)."""
+"""A soundtrack counts as silent if its level, as a share of full scale, is below this value (-80 dB)."""
 ECHO_SECONDS = 0.06
-"""Peaks within this number of seconds of the highest peak count as its echoes."""
+"""Correlation peaks whose lag differs by at most this number of seconds from that of the highest peak count as its
+echoes."""
 NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
-"""Height of the peak, in standard deviations of the correlation, at which the confidence is 0 and 1.
+"""Heights of the correlation peak, in standard deviations of the correlation, at which the confidence is 0 and 1.
 
-Without common sound, the highest value of the correlation of short clips was below 11 standard deviations.
+For short clips without common sound, the highest value of the correlation was below 11 standard deviations.
 """
 MAX_LAG_ERROR_SECONDS = 0.003
 LAG_TOLERANCE_SECONDS = 2e-4
 MAX_ALL_PAIRS = 6
-"""With at most this number of cameras, all pairs are correlated. With more cameras, each camera is correlated with the
-first camera and with the next camera."""
+"""Up to this number of cameras, all pairs of cameras are correlated. With more cameras, each camera is correlated with
+the first camera and with the next camera."""
 SPEED_OF_SOUND = 343.0
 """Speed of sound in air at 20 degrees Celsius in m/s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Soundtrack:
-    """The sound of a video.
+    """The soundtrack of a video.
 
     Attributes:
         samples: (N,) mono samples at 8 kHz, relative to full scale.
-        start: time in seconds of the first sample after the video's first frame; it can be negative.
+        start: time in seconds of the first sample, relative to the video's first frame. It can be negative.
     """
 
     samples: Samples
@@ -73,13 +76,14 @@ class SoundOffsets:
     """Time offset of each camera's video relative to the first camera's video.
 
     Attributes:
-        seconds: offsets. A sound at the time t of the first video is at the time t + offset of the camera's video.
+        seconds: offsets. A sound at the time t of the first camera's video is at the time t + offset of this camera's
+            video.
         confidence: confidence of each offset in [0, 1]. The confidence of a pair of cameras rises from 0 to 1 while the
-            peak of the correlation rises from 10 to 20 standard deviations of the correlation. It is lower if another
-            peak, more than 60 ms away, has more than 3/4 of the height. It is 0 if the pair's lag differs from the
-            difference of the two offsets by more than 3 ms. A camera's confidence is the mean of the larger half of the
-            confidences of its pairs.
-        sigmas: height of the highest peak of each camera's pairs, in standard deviations of the correlation.
+            peak of the correlation rises from 10 to 20 standard deviations of the correlation. The confidence of the
+            pair is lower if another peak, more than 60 ms away, has more than 3/4 of the height. The confidence of the
+            pair is 0 if its lag differs from the difference of the two offsets by more than 3 ms. The confidence of a
+            camera is the mean over the half of its pairs with the highest confidence.
+        sigmas: for each camera, height of the highest peak of its pairs, in standard deviations of the correlation.
     """
 
     seconds: tuple[float, ...]
@@ -88,11 +92,11 @@ class SoundOffsets:
 
 
 def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
-    """Decode the first 5 minutes of a video's first soundtrack. Returns None if the video has no soundtrack.
+    """Decode the first 5 minutes of the first soundtrack of a video. Returns None if the video has no soundtrack.
 
     Args:
         path: the video file.
-        video_start: presentation time of the video's first frame in seconds.
+        video_start: presentation time of the first frame of the video in seconds.
 
     Raises:
         UserError: if the soundtrack is damaged.
@@ -129,17 +133,17 @@ def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
 
 
 def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:
-    """Estimate each camera's time offset relative to the first camera, from sound that all cameras have recorded.
+    """Estimate the time offset of each camera relative to the first camera, from sound that all cameras have recorded.
 
     The soundtracks of pairs of cameras are correlated by GCC-PHAT from 200 to 3000 Hz. A parabola through the peak of
     the correlation gives the lag with sub-sample accuracy. The offsets are fitted to the lags of the pairs. The offsets
     include the time that sound travels from its source to each camera; see :func:`travel_times`.
 
     Args:
-        soundtracks: the soundtrack of each camera, at least one, none of them silent.
+        soundtracks: the soundtrack of each camera. There must be at least one, and none may be silent.
 
     Raises:
-        ValueError: if a soundtrack is silent, or there is none.
+        ValueError: if a soundtrack is silent, or if there is no soundtrack.
     """
     if not soundtracks or any(track.is_silent for track in soundtracks):
         raise ValueError("soundtracks: expected at least one soundtrack, none of them silent")
@@ -164,17 +168,17 @@ def travel_times(centres: Mapping[str, Array], source: Array) -> dict[str, float
     """Time in seconds that sound travels from ``source`` to each camera, at 343 m/s.
 
     Args:
-        centres: (3,) position of each camera in metres, by name.
+        centres: camera name -> (3,) position of the camera in metres.
         source: (3,) position of the source of the sound in metres.
     """
     return {name: float(np.linalg.norm(centre - source)) / SPEED_OF_SOUND for name, centre in centres.items()}
 
 
 def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, float]:
-    """Find the lag of the second soundtrack by GCC-PHAT.
+    """Find the lag of the second soundtrack relative to the first by GCC-PHAT.
 
     Returns:
-        The lag in seconds on the clocks of the two videos, the weight of the pair in [0, 1], and the height of the peak
+        the lag in seconds on the clocks of the two videos, the weight of the pair in [0, 1], and the height of the peak
         in standard deviations.
     """
     shortest = min(len(first.samples), len(second.samples))
@@ -202,7 +206,7 @@ def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, 
 def _phat(first: Samples, second: Samples, limit: int) -> Array:
     """Correlation (2 limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
 
-    For a delayed copy of the same sound, the correlation at the lag of the delay is 1.
+    If one signal is a delayed copy of the other signal, the correlation is 1 at the lag of the delay.
     """
     size = next_fast_len(max(len(first) + len(second), 2 * limit + 1), real=True)
     cross = np.conj(rfft(first, size)) * rfft(second, size)

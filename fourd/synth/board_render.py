@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 SUPERSAMPLING = 2
-"""Samples per pixel along each axis."""
+"""Number of samples per pixel along each axis."""
 PIXELS_PER_SQUARE = 96
 BORDER_SQUARES = 0.5
 """Width of the plain border around the pattern, in squares."""
@@ -27,7 +27,7 @@ UNDISTORT_STEPS = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-10)
 
 @dataclass(frozen=True, eq=False)
 class BoardPose:
-    """Pose from board to world: x_world = rotation @ x_board + translation, in metres."""
+    """Pose from board to world coordinates: x_world = rotation @ x_board + translation, in metres."""
 
     rotation: Array
     translation: Array
@@ -39,7 +39,7 @@ class Optics:
 
     Attributes:
         blur_px: standard deviation of the Gaussian blur in pixels.
-        noise: standard deviation of the noise in grey levels.
+        noise: standard deviation of the image noise in grey levels.
     """
 
     blur_px: float = 0.6
@@ -47,10 +47,10 @@ class Optics:
 
 
 class BoardRenderer:
-    """Renders one board for one camera.
+    """Renders one board as seen by one camera.
 
-    The ray of each sample is undistorted numerically and intersected with the board's plane. The only error of the
-    image is the resolution of the board's pattern, 1/96 of a square.
+    The ray of each sample is undistorted numerically, and then intersected with the plane of the board. The only error
+    of the image comes from the resolution of the board's pattern, which is 1/96 of a square.
     """
 
     def __init__(self, board: CalibrationBoard, camera: Camera, optics: Optics) -> None:
@@ -62,8 +62,8 @@ class BoardRenderer:
         self._rays = _sample_rays(camera)
 
     def render(self, poses: Sequence[BoardPose], generator: np.random.Generator) -> Picture:
-        """Render the mean of the images at ``poses``, which shows the motion blur of a moving board. Returns (H, W)
-        uint8."""
+        """Render the mean of the images for all ``poses``. The mean has the motion blur of a moving board. Returns (H,
+        W) uint8."""
         exposure = np.mean([self._render_sharp(pose) for pose in poses], axis=0)
         blurred = cv2.GaussianBlur(exposure, (0, 0), self.optics.blur_px)
         noisy = blurred + generator.normal(0, self.optics.noise, blurred.shape)
@@ -79,7 +79,8 @@ class BoardRenderer:
         rays = self._rays[SUPERSAMPLING * top : SUPERSAMPLING * bottom, SUPERSAMPLING * left : SUPERSAMPLING * right]
         rotation = self.camera.rotation @ pose.rotation
         centre = self.camera.rotation @ pose.translation + self.camera.translation
-        # Rays in board coordinates start at the camera's centre and have camera depth 1 per unit.
+        # Rays in board coordinates start at the camera's centre. Their length is such that a step of 1 along a ray
+        # changes the camera depth by 1.
         start = -rotation.T @ centre
         directions = rays @ rotation.astype(np.float32)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -104,7 +105,8 @@ class BoardRenderer:
         return whole
 
     def _bounding_box(self, pose: BoardPose) -> tuple[int, int, int, int] | None:
-        """Pixels (left, top, right, bottom) that may show the board, or None if it is not in the image."""
+        """Pixel bounds (left, top, right, bottom) of the region that may show the board, or None if the board is not in
+        the image."""
         width, height = self.board.size_m
         border = BORDER_SQUARES * self.board.square_m
         x, y = np.meshgrid(np.linspace(-border, width + border, 9), np.linspace(-border, height + border, 9))
@@ -124,7 +126,7 @@ class BoardRenderer:
 
 
 def _sample_rays(camera: Camera) -> NDArray[np.float32]:
-    """Rays (S H, S W, 3) of the samples in camera coordinates, with z = 1."""
+    """Rays (S H, S W, 3) through the samples in camera coordinates, scaled to z = 1."""
     steps = (np.arange(max(camera.width, camera.height) * SUPERSAMPLING) + 0.5) / SUPERSAMPLING
     x, y = np.meshgrid(steps[: camera.width * SUPERSAMPLING], steps[: camera.height * SUPERSAMPLING])
     pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)

@@ -29,15 +29,16 @@ SETTINGS_NAME = "synth_board.json"
 VERSION = 1
 FPS = 10
 RADIUS_M = 1.7
-"""Distance in metres of the cameras from the centre of the board's motion."""
+"""Distance of the cameras from the centre of the board's motion, in metres."""
 ARC_DEGREES = 110.0
-"""Angle at the centre between the first and the last camera. The cameras see the board's front."""
+"""Angle between the first and the last camera, measured at the centre of the board's motion, in degrees. All cameras
+see the front of the board."""
 REACH_M = 0.38
-"""Amplitude of the board's motion along each axis."""
+"""Amplitude of the board's motion along each axis, in metres."""
 TILT_DEGREES = 35.0
-"""Amplitude of the board's tilts."""
+"""Amplitude of the board's rotations, in degrees."""
 EXPOSURE = 0.05
-"""Exposure time as a share of the frame interval. It determines the motion blur."""
+"""Exposure time as a share of the time between two frames. The exposure time determines the motion blur."""
 EXPOSURE_SAMPLES = 3
 BOARD = CalibrationBoard(7, 5, 0.08, 0.06, "DICT_4X4_50")
 """The default board."""
@@ -51,7 +52,7 @@ class BoardSettings:
         frames: number of frames, 3 to 10000.
         cameras: number of cameras on an arc of 110 degrees, 2 to 100.
         size: width and height of the images in pixels, 128 to 4096.
-        seed: random seed of the lenses, the motion and the noise.
+        seed: seed of all random numbers: the lenses, the motion and the noise.
         board: the board.
         optics: blur and noise.
 
@@ -77,8 +78,8 @@ class BoardSettings:
 def make_board_videos(out: Path, settings: BoardSettings, track: Track) -> None:
     """Write videos/CAM.mp4, board.toml and truth/ (intri.yml, extri.yml, board_poses.json) into the folder ``out``.
 
-    The world is in metres, with z up. ``board_poses.json`` lists for each frame the rotation matrix and the translation
-    from board to world.
+    World units are metres, and +z points up. ``board_poses.json`` lists, for each frame, the rotation matrix and the
+    translation from board to world coordinates.
 
     Raises:
         UserError: if ``out`` contains other files.
@@ -102,7 +103,7 @@ def make_board_videos(out: Path, settings: BoardSettings, track: Track) -> None:
 
 
 def rig_cameras(settings: BoardSettings) -> list[Camera]:
-    """Cameras on an arc around the origin at two heights, each with its own lens."""
+    """Cameras on an arc around the origin, at two heights. Each camera has a different lens."""
     generator = np.random.default_rng([settings.seed, 1])
     angles = np.radians(np.linspace(-ARC_DEGREES / 2, ARC_DEGREES / 2, settings.cameras))
     size, cameras = settings.size, []
@@ -120,14 +121,14 @@ def rig_cameras(settings: BoardSettings) -> list[Camera]:
 
 
 def board_pose(settings: BoardSettings, time: float) -> BoardPose:
-    """Pose of the board at a time in frames. The board moves smoothly, and its front faces the middle of the cameras'
-    arc."""
+    """Pose of the board at a time, which is given in frames. The board moves smoothly, and its front faces the middle
+    of the cameras' arc."""
     generator = np.random.default_rng([settings.seed, 2])
     phases, cycles = generator.uniform(0, 2 * np.pi, 6), generator.uniform(2.0, 5.0, 6)
-    # The board's speed does not depend on the number of frames, so motion blur does not depend on it either.
+    # The speed of the board does not depend on the number of frames, so the motion blur does not depend on it either.
     waves = np.sin(2 * np.pi * cycles * time / 60 + phases)
     tilts = np.radians(TILT_DEGREES) * waves[3:] * (1.0, 1.0, 1.5)
-    # Upright, with the board's x axis to the right and its front towards -y.
+    # In this orientation, the board is upright. Its x axis points to the right, and its front faces the direction -y.
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rotation = np.asarray(upright @ Rotation.from_rotvec(tilts).as_matrix())
     middle = REACH_M * waves[:3] * (1.0, 0.8, 0.8)
@@ -136,7 +137,8 @@ def board_pose(settings: BoardSettings, time: float) -> BoardPose:
 
 
 def write_grey_video(path: Path, pictures: Iterator[Picture], fps: int) -> None:
-    """Encode grey images (H, W) uint8 as H.264 at nearly lossless quality, or as MPEG-4 where H.264 is missing."""
+    """Encode grey images (H, W) uint8 as H.264 video with nearly lossless quality. If H.264 is not available, MPEG-4 is
+    used."""
     encoder = "libx264" if "libx264" in av.codecs_available else "mpeg4"
     options = {"crf": "10", "preset": "veryfast", "threads": "1"} if encoder == "libx264" else {"qscale": "1"}
     with av.open(str(path), "w") as container:

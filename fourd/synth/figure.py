@@ -1,7 +1,8 @@
-"""The synthetic figure: rounded parts on a skeleton whose joint angles are smooth, periodic functions of time.
+"""The synthetic figure, which consists of rounded parts on a skeleton. The joint angles are smooth, periodic functions
+of time.
 
-World units are metres, and +z points up. The figure is at the origin and faces +x. The axis +y points to the figure's
-left.
+World units are metres, and +z points up. The figure stands at the origin and faces +x. The axis +y points to the
+figure's left.
 """
 
 from __future__ import annotations
@@ -19,15 +20,15 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A part of the figure: the convex hull of two spheres (a rounded cone), scaled along the part's own axes.
+    """A part of the figure: the convex hull of two spheres (a rounded cone), scaled along the axes of the part.
 
     Attributes:
-        frame: (3, 3) rotation R_world_part from part axes to world axes.
-        origin: (3,) centre of the first sphere in the world, in metres.
+        frame: (3, 3) rotation R_world_part from the part's axes to the world's axes.
+        origin: (3,) centre of the first sphere in world coordinates, in metres.
         stretch: (3,) scale factors along the part's axes.
-        length: distance in metres along +z from the first sphere's centre to the second sphere's centre, before
-            scaling. With a length of 0, the part is an ellipsoid.
-        radii: radii in metres of the first and the second sphere, before scaling.
+        length: distance along +z between the centres of the first and the second sphere before scaling, in metres. If
+            the length is 0, the part is an ellipsoid.
+        radii: radii of the first and of the second sphere before scaling, in metres.
         pattern: colours of the surface.
     """
 
@@ -39,8 +40,8 @@ class Part:
     pattern: Pattern
 
     def spheres(self) -> list[tuple[Array, float]]:
-        """Two spheres whose convex hull contains the part. Each sphere is given by its centre (3,) in the world and its
-        radius, in metres."""
+        """Two spheres whose convex hull contains the part. Each sphere is given by its centre (3,) in world coordinates
+        and its radius, both in metres."""
         scale = float(self.stretch.max())
         end = self.origin + self.frame[:, 2] * (self.length * self.stretch[2])
         return [(self.origin, self.radii[0] * scale), (end, self.radii[1] * scale)]
@@ -51,12 +52,12 @@ class Figure:
     """Random properties of a figure.
 
     Attributes:
-        leg: scale factor of the legs' length.
-        arm: scale factor of the arms' length.
-        girth: scale factor of the width of trunk and limbs.
-        head: scale factor of the head.
-        swing: scale factor of the swing angles of arms and legs.
-        start: phase of the gait in frame 0, in cycles.
+        leg: factor that scales the length of the legs.
+        arm: factor that scales the length of the arms.
+        girth: factor that scales the width of trunk and limbs.
+        head: factor that scales the head.
+        swing: factor that scales the swing angles of arms and legs.
+        start: phase of the gait in frame 0, in gait cycles.
         wardrobe: patterns of the parts.
     """
 
@@ -84,9 +85,9 @@ def make_figure(seed: int) -> Figure:
 
 
 def pose_figure(figure: Figure, phase: float) -> list[Part]:
-    """Compute the parts of the figure at the gait phase ``phase``.
+    """Compute the parts of the figure at the gait phase ``phase``, in gait cycles.
 
-    The phase is in gait cycles. One cycle consists of two steps, and each step includes a leap.
+    One gait cycle consists of two steps, and each step includes a leap.
     """
     p = 2 * np.pi * (phase + figure.start)
     hips = _rotation_z(0.45 * np.sin(p) + 0.2 * np.sin(2 * p))
@@ -184,7 +185,8 @@ def _make_head(figure: Figure, rotation: Array, chest: Array, waist: Array, p: f
 
 
 def _make_ponytail(rotation: Array, root: Array, p: float, pattern: Pattern) -> list[Part]:
-    """Create the three links of the ponytail. Each link swings later than the previous link."""
+    """Create the three links of the figure's ponytail. The swing of each link is delayed relative to the previous
+    link."""
     parts = []
     frame = rotation @ _rotation_y(1.1)
     for link, (thin, thick) in enumerate(((0.03, 0.047), (0.047, 0.043), (0.043, 0.018))):
@@ -208,14 +210,15 @@ def _cone(
 
 
 def _limb(frame: Array, joint: Array, length: float, first: float, second: float, pattern: Pattern) -> Part:
-    """Create a part that extends from ``joint`` along the -z axis of ``frame``."""
+    """Create a part that extends from ``joint`` in the direction -z of ``frame``."""
     return _cone(frame @ np.diag([1.0, -1.0, -1.0]), joint, length, first, second, pattern)
 
 
 def _lowest_height(parts: Sequence[Part]) -> float:
     """Approximate height in metres of the lowest point of ``parts``: a soft minimum over the spheres of the parts.
 
-    The soft minimum keeps the height smooth over time, even when the lowest point changes from one foot to the other.
+    With the soft minimum, the height changes smoothly over time, even when the lowest point changes from one foot to
+    the other.
     """
     heights = np.array([centre[2] - radius for part in parts for centre, radius in part.spheres()])
     softness = 0.02

@@ -32,25 +32,26 @@ CYCLE_FRAMES = 24
 RING_RADIUS = 3.6
 RING_HEIGHTS = (1.35, 0.75, 2.15)
 FILL = 0.9
-"""Largest extent of the figure in any image over a whole gait cycle, as a share of the image's side."""
+"""Maximum extent of the figure in any image over a whole gait cycle, as a share of the image's side length."""
 
 
 @dataclass(frozen=True)
 class SynthSettings:
-    """Settings that determine every byte of a synthetic capture.
+    """Settings of a synthetic capture. They determine every byte of the capture.
 
     Attributes:
-        frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each,
-            so that the capture can be played in a loop.
-        cameras: number of cameras, 3 to 100. The cameras are evenly spaced on a ring with a radius of 3.6 m, at three
-            heights.
+        frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each.
+            Therefore, the capture can be played in a loop.
+        cameras: number of cameras, 3 to 100. The cameras are evenly spaced on a ring with a radius of 3.6 m. They are
+            at three heights.
         size: width and height of the images, 32 to 4096 pixels.
-        seed: random seed, at least 0. The seed determines the clothes, the proportions and the gait phase in frame 0.
+        seed: seed of all random numbers, at least 0. The seed determines the clothes, the proportions and the gait
+            phase in frame 0.
         gloss: strength of the highlights, 0 to 1.
-        fps: frame rate of the capture in 1/s, 0.01 to 1000. It does not change the images.
+        fps: frame rate of the capture in frames per second, 0.01 to 1000. The frame rate does not change the images.
 
     Raises:
-        UserError: if a value is out of range. The error message contains the option's name.
+        UserError: if a value is out of range. The error message contains the name of the option.
     """
 
     frames: int = 24
@@ -84,17 +85,17 @@ def make_synthetic(
     The capture contains images/CAM/FRAME.jpg, masks/CAM/FRAME.png (soft mattes, 255 = figure), intri.yml, extri.yml,
     truth/depth/CAM/FRAME.png (uint16 camera depth in millimetres at pixel centres, 0 = background), truth/bgs/CAM.png
     (the empty studio) and synth.json (the settings). World units are metres, and +z points up. The same settings give
-    bit-identical files. A finished synthetic capture with the same settings in ``out`` is kept. A synthetic capture
-    with other settings is replaced.
+    bit-identical files. If ``out`` contains a finished synthetic capture with the same settings, the capture is kept. A
+    synthetic capture with other settings is replaced.
 
     Args:
         out: folder that does not exist, is empty, or contains a synthetic capture.
         frames: number of frames; see :class:`SynthSettings`.
         cameras: number of cameras.
         size: width and height of the images in pixels.
-        seed: random seed.
+        seed: seed of all random numbers.
         gloss: strength of the highlights.
-        fps: frame rate in 1/s, stored in capture.json.
+        fps: frame rate in frames per second, which is stored in capture.json.
 
     Raises:
         UserError: if a number is out of range or ``out`` contains other files.
@@ -145,7 +146,7 @@ def _write_settings(out: Path, settings: SynthSettings, *, finished: bool) -> No
 
 
 def _prepare_folder(out: Path) -> None:
-    """Create the folder ``out``. Remove an older synthetic capture, so that its frames do not mix with the new
+    """Create the folder ``out``. An older synthetic capture is removed, so that its frames do not mix with the new
     frames."""
     if out.exists() and not out.is_dir():
         raise UserError(f"{out}: expected a folder, got a file; name another folder")
@@ -161,13 +162,13 @@ def _prepare_folder(out: Path) -> None:
 
 
 def _phase(frame: int, frames: int) -> float:
-    """Gait phase of a frame in cycles. The capture covers a whole number of cycles, so that the capture can be played
-    in a loop."""
+    """Phase of a frame in gait cycles. The capture covers a whole number of cycles. Therefore, it can be played in a
+    loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 
 def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
-    """Create cameras that face the figure. All cameras have the longest common focal length at which the figure is
+    """Create cameras that face the figure. All cameras have the same focal length: the longest with which the figure is
     inside all images."""
     unit = np.eye(3)
     poses = [pose_figure(figure, step / 48) for step in range(48)]
@@ -199,7 +200,7 @@ def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
 def _write_camera(
     out: Path, name: str, camera: Camera, figure: Figure, settings: SynthSettings, advance: Callable[[], None]
 ) -> None:
-    """Write the plate and all frames of one camera."""
+    """Write the clean plate and all frames of one camera."""
     plate = render_plate(camera, 2 * np.pi * figure.start)
     _write_image(out / "truth" / "bgs" / f"{name}.png", np.round(255 * plate).astype(np.uint8)[..., ::-1])
     for frame in range(settings.frames):

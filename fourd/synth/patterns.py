@@ -1,4 +1,5 @@
-"""Surface colours as functions of the position in a part's own coordinates, so that the colours move with the part."""
+"""Surface colours as functions of the position in the coordinates of a part. The colours therefore move with the
+part."""
 
 from __future__ import annotations
 
@@ -17,18 +18,18 @@ Kind = Literal["stripes", "hoops", "checks", "dots", "noise", "plain"]
 
 @dataclass(frozen=True)
 class Pattern:
-    """Two colours and the rule that mixes them.
+    """A pattern: two colours, and a rule by which they are mixed.
 
     Attributes:
-        kind: kind of pattern. Stripes are oblique to the part's axis. Hoops are perpendicular to the axis. Checks and
-            dots repeat along and around the axis. Noise varies smoothly. A plain pattern has the first colour only.
+        kind: kind of pattern. Stripes run at an angle to the part's axis. Hoops are perpendicular to the axis. Checks
+            and dots repeat along and around the axis. Noise varies smoothly. A plain pattern has only the first colour.
         first: first colour, RGB in [0, 1].
         second: second colour, RGB in [0, 1].
-        period: period along the part's axis in metres.
+        period: period along the part's axis, in metres.
         around: number of repetitions around the axis for checks and dots.
         phase: shift of the pattern in radians.
-        badge: radius in metres of a coloured disc on the front and the back of the part; 0 for no disc.
-        badge_height: height of the disc's centre along the axis in metres.
+        badge: radius, in metres, of a coloured disc on the front and on the back of the part; 0 means no disc.
+        badge_height: position of the disc's centre along the part's axis, in metres.
         badge_colour: colour of the disc, RGB in [0, 1].
     """
 
@@ -45,7 +46,7 @@ class Pattern:
     def colours(self, xyz: Array) -> Array:
         """Colours (N, 3), RGB in [0, 1], at positions ``xyz`` (N, 3).
 
-        The positions are in metres in the part's coordinates, whose z axis is the part's axis.
+        The positions are in metres and in the coordinates of the part. The z axis is the part's axis.
         """
         weight = self._second_weight(xyz)[:, None]
         colours = np.asarray(self.first) * (1 - weight) + np.asarray(self.second) * weight
@@ -76,13 +77,14 @@ class Pattern:
         return _sharpen(waves) if self.kind == "checks" else _sharpen(np.abs(waves) - 0.45)
 
     def _brightness(self, xyz: Array) -> Array:
-        """Brightness factor (N,) that varies smoothly, so that large areas of one colour still have texture."""
+        """Brightness factor (N,) that varies smoothly over the surface, so that large areas of one colour still have
+        texture."""
         return 0.95 + 0.05 * np.sin(xyz @ np.array([23.0, 31.0, 27.0]) + self.phase)
 
 
 def _sharpen(waves: Array) -> Array:
-    """Turn a sine wave in [-1, 1] into a square wave in [0, 1]. The soft edges of the square wave are about a tenth of
-    the period wide."""
+    """Convert a sine wave in [-1, 1] to a square wave in [0, 1]. The soft edges of the square wave have a width of
+    about a tenth of the period."""
     return np.clip(0.5 + 2.5 * waves, 0, 1)
 
 

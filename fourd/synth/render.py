@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 SAMPLES = 3
-"""Number of rays along each side of a pixel. The number is odd, so that one ray passes through the pixel centre and
-gives the depth."""
+"""Number of rays per pixel along each axis. The number is odd, so that one ray passes through the centre of the pixel.
+This ray gives the depth."""
 
 BAND_SAMPLES = 1 << 20
-"""Approximate number of rays that are traced at once. This number limits the memory use for large images."""
+"""Approximate number of rays that are traced at once. This number limits the memory for large images."""
 
 KEY_LIGHT = np.array([0.45, 0.35, 0.82]) / np.linalg.norm([0.45, 0.35, 0.82])
 FILL_LIGHT = np.array([-0.7, -0.5, 0.35]) / np.linalg.norm([-0.7, -0.5, 0.35])
@@ -33,7 +33,7 @@ class RenderedFigure:
     Attributes:
         rgb: (H, W, 3) uint8 colours.
         mask: (H, W) uint8 share of each pixel's rays that hit the figure; 255 means all rays.
-        depth: (H, W) uint16 camera depth at the pixel centre in millimetres; 0 means background.
+        depth: (H, W) uint16 camera depth at the pixel centre, in millimetres; 0 means background.
     """
 
     rgb: NDArray[np.uint8]
@@ -97,8 +97,8 @@ def _trace(
     """Trace the rays of a band of pixels.
 
     Returns:
-        Premultiplied colour (h, w, 3), hit (h, w) and camera depth (h, w) in metres of each ray. A hit is 1 if the ray
-        meets the figure, otherwise 0.
+        for each ray, the premultiplied colour (h, w, 3), the hit (h, w) and the camera depth (h, w) in metres. A hit is
+        1 if the ray meets the figure, and 0 otherwise.
     """
     left, top, right, bottom = band
     u, v = _pixel_rays(
@@ -128,11 +128,11 @@ def _trace(
 
 
 def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
-    """Camera depths (len(v), len(u)) at which rays (u, v, 1) enter the part. The depth is infinite for rays that miss
-    the part.
+    """Camera depths (len(v), len(u)) at which the rays (u, v, 1) enter the part. The depth is infinite for rays that
+    miss the part.
 
-    In its unscaled axes, the part is a convex rounded cone. A ray enters the part where the ray first meets one of the
-    two spheres or the lateral surface.
+    Along its axes before scaling, the part is a convex rounded cone. A ray enters the part at the first point where it
+    meets one of the two spheres or the lateral surface.
     """
     to_part = (part.frame / part.stretch).T
     eye = to_part @ (camera.centre - part.origin)
@@ -169,7 +169,7 @@ def _enter_sphere(square: Array, across: Array, excess: float) -> Array:
 
 
 def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> Array:
-    """RGB colours (N, 3) of the part at the points ``eye + t direction``, where rays enter the part."""
+    """RGB colours (N, 3) of the part at the points ``eye + t direction``, where the rays enter the part."""
     local = (eye - part.origin + direction * t[:, None]) @ part.frame
     normal = _normals(part, local / part.stretch) / part.stretch @ part.frame.T
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -184,10 +184,10 @@ def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> 
 
 
 def _normals(part: Part, local: Array) -> Array:
-    """Outward normals (N, 3) of the unscaled part at surface points ``local`` (N, 3), not normalised.
+    """Outward normals (N, 3), not normalised, of the part before scaling, at surface points ``local`` (N, 3).
 
-    For each surface point, an inscribed sphere touches the surface at this point. The normal is the vector from the
-    centre of this sphere to the surface point.
+    At each surface point, one sphere inside the part touches the surface. The normal is the vector from the centre of
+    this sphere to the surface point.
     """
     normal = local.copy()
     if part.length > 0:
@@ -200,8 +200,8 @@ def _normals(part: Part, local: Array) -> Array:
 def _bounding_box(part: Part, camera: Camera) -> Box:
     """Pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
 
-    The bounds ``right`` and ``bottom`` are exclusive. All four bounds are computed from the exact bounds of the part's
-    two projected spheres.
+    The bounds ``right`` and ``bottom`` are exclusive. The bounds are computed from the exact bounds of the projections
+    of the part's two spheres.
     """
     k = camera.intrinsics
     edges: list[list[float]] = [[], []]
@@ -232,16 +232,17 @@ def projected_extent(parts: Sequence[Part], camera: Camera) -> Array:
 
 
 def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
-    """Rays (u, v, 1) through pixels, in camera axes. Returns u for each column x, and v for each row y.
+    """Rays (u, v, 1) through the samples of pixels, in camera coordinates. Returns u for each column x and v for each
+    row y.
 
-    The parameter along a ray (u, v, 1) is the camera depth.
+    The parameter along a ray (u, v, 1) is equal to the camera depth.
     """
     k = camera.intrinsics
     return (x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1]
 
 
 def _average_samples(samples: Array) -> Array:
-    """Average the S x S rays of each pixel. The shape changes from (h S, w S, ...) to (h, w, ...)."""
+    """Average the S x S rays of each pixel. The shape of the array changes from (h S, w S, ...) to (h, w, ...)."""
     height, width = samples.shape[0] // SAMPLES, samples.shape[1] // SAMPLES
     tiles: Array = samples.reshape(height, SAMPLES, width, SAMPLES, *samples.shape[2:])
     return np.asarray(tiles.mean(axis=(1, 3)), dtype=np.float64)

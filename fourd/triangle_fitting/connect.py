@@ -80,8 +80,9 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
         hull: silhouettes that define the visual hull.
         side: side length of the grid's cubes in world units.
 
-    Returns: vertices (V, 3) float32 and triangles (M, 3) int32, counter-clockwise seen from outside. If there is no
-        surface, there are no triangles.
+    Returns:
+        vertices (V, 3) float32 and triangles (M, 3) int32, counter-clockwise seen from outside. If there is no surface,
+        there are no triangles.
     """
     cubes, first = surface_band(points.xyz - hull.origin, (points.xyz - hull.origin)[0], side)
     placed = cube_grid(cubes, first, side)

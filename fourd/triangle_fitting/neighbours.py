@@ -50,9 +50,10 @@ def unit_normals(corners: Tensor) -> Tensor:
 def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> tuple[Tensor, Tensor]:
     """Disagreement of neighbouring triangles (T, 3, 3).
 
-    Returns: the mean Huber loss of the distances between neighbours' centres and the planes of triangles, in units of
-        the spacing. Also the mean of 1 - cosine of the angle between the normals of neighbours. Both values are 0 if
-        there are no neighbours.
+    Returns:
+        the mean Huber loss of the distances between neighbours' centres and the planes of triangles, in units of the
+        spacing. Also the mean of 1 - cosine of the angle between the normals of neighbours. Both values are 0 if there
+        are no neighbours.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)
     if len(neighbours.first) == 0:

@@ -46,8 +46,9 @@ def render_opaque(
         topology: the neighbours of the triangles. If None, they are computed.
         samples: number of samples per pixel along each axis.
 
-    Returns: rgb (H, W, 3) and alpha (H, W), differentiable in vertices and colours. At the silhouette, the gradient
-        passes through the antialiased edges.
+    Returns:
+        rgb (H, W, 3) and alpha (H, W), differentiable in vertices and colours. At the silhouette, the gradient passes
+        through the antialiased edges.
     """
     fine = camera.resize(camera.width * samples, camera.height * samples)
     clip = clip_positions(xyz, fine)[None].contiguous()

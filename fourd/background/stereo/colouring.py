@@ -29,8 +29,9 @@ def sample_coloured_points(
         points: requested number of points, at least 1. If the surfaces are small, fewer points are returned.
         seed: random seed of the points' order.
 
-    Returns: the points in random order. Also, for each surface, the depth-map cells from which points were sampled,
-        with one entry per point. For every N, the first N points are a uniform sample of all points.
+    Returns:
+        the points in random order. Also, for each surface, the depth-map cells from which points were sampled, with one
+        entry per point. For every N, the first N points are a uniform sample of all points.
     """
     samples = sample_surfaces(surfaces, [plate.seen for plate in reduced], points)
     found = _fuse_colours(plates, surfaces, samples)

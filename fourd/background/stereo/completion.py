@@ -101,7 +101,8 @@ def _complete(
         xyz: (M, 3) world points that are used for harmonic interpolation.
         prefers_planes: whether interpolated depths are used only for cells whose ray hits no plane.
 
-    Returns: the completed surface, and (N,) bool, true for cells with an interpolated depth.
+    Returns:
+        the completed surface, and (N,) bool, true for cells with an interpolated depth.
     """
     grid = surface.depths.grid
     (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape))

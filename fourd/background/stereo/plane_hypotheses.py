@@ -65,9 +65,10 @@ def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
 def triangle_planes(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
     """Create planes from a Delaunay triangulation of the projections of points ``xyz`` (M, 3).
 
-    Returns: up to two sets of planes (N, 3), one plane per cell. The first set has the plane of the triangle that
-        contains the cell, or NaN outside all triangles. The second set has, for each cell, the fronto-parallel plane at
-        the depth of the point that is nearest in the image.
+    Returns:
+        up to two sets of planes (N, 3), one plane per cell. The first set has the plane of the triangle that contains
+        the cell, or NaN outside all triangles. The second set has, for each cell, the fronto-parallel plane at the
+        depth of the point that is nearest in the image.
     """
     pixels, depth = camera.project(xyz)
     pixels, depth = pixels[depth > 0] - 0.5, depth[depth > 0]

@@ -56,7 +56,8 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
         target: the view whose pixels show the points.
         sources: views with which the target view is compared, at least one.
 
-    Returns: the loss as a scalar, 0 if no source view sees a point.
+    Returns:
+        the loss as a scalar, 0 if no source view sees a point.
     """
     wanted = target.rgb[0][:, pixels[:, 0], pixels[:, 1]].T
     differences, seen = [], []

@@ -50,7 +50,8 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
         xyz: (N, 3) vertices, differentiable.
         topology: edges of the mesh.
 
-    Returns: a scalar in squared world units, 0 for a mesh without edges.
+    Returns:
+        a scalar in squared world units, 0 for a mesh without edges.
     """
     first, second = topology.edges.unbind(dim=1)
     degree = torch.zeros(len(xyz), dtype=xyz.dtype, device=xyz.device)
@@ -73,7 +74,8 @@ def normal_consistency_loss(xyz: Tensor, triangles: Tensor, topology: MeshTopolo
         triangles: (M, 3) integer vertex indices with a consistent orientation.
         topology: edges of the mesh.
 
-    Returns: a scalar in [0, 2], 0 for a mesh without neighbouring triangles.
+    Returns:
+        a scalar in [0, 2], 0 for a mesh without neighbouring triangles.
     """
     normals = triangle_normals(xyz, triangles)
     cosine = (normals[topology.neighbours[:, 0]] * normals[topology.neighbours[:, 1]]).sum(dim=1)
@@ -89,7 +91,8 @@ def edge_length_loss(xyz: Tensor, topology: MeshTopology, length: float | None =
         length: target length of the edges in world units, more than 0. If ``length`` is None, the target length is the
             mean length of the edges, which is treated as a constant.
 
-    Returns: a scalar without unit, 0 for a mesh without edges.
+    Returns:
+        a scalar without unit, 0 for a mesh without edges.
 
     Raises:
         ValueError: if ``length`` is not positive.

@@ -62,7 +62,8 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
         tetrahedra: (T, 4) int64 vertex indices with positive determinants, as in
             :class:`fourd.mesh.surface.grid.TetrahedralGrid`.
 
-    Returns: The surface. The surface has no vertices if all distances have the same sign. For gradients, the set of
+    Returns:
+        The surface. The surface has no vertices if all distances have the same sign. For gradients, the set of
         triangles is treated as constant.
 
     Raises:

@@ -26,7 +26,8 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
         known: (N,) bool, true for vertices with a known colour.
         triangles: (M, 3) vertex indices.
 
-    Returns: (N, 3) colours. Known colours are unchanged. Parts without a known colour become grey.
+    Returns:
+        (N, 3) colours. Known colours are unchanged. Parts without a known colour become grey.
     """
     count = len(rgb)
     if known.all():

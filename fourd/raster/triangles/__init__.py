@@ -1,6 +1,6 @@
 """Differentiable rasterization of triangles: the public API.
 
-torch is loaded on the first use of one of the functions, not when this package is imported.
+Importing this package does not import torch. The first use of one of the functions imports torch.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _MODULES: dict[str, str] = {
     "texture": "textures",
     "texture_construct_mip": "textures",
 }
-"""Public names, and the modules of this package that define them."""
+"""Public names -> modules of this package that define them."""
 
 __all__ = [
     "DepthPeeler",

@@ -17,23 +17,24 @@ from fourd.ops.meshes.checks import check_resolution, check_tensor, check_triang
 
 @dataclass(frozen=True)
 class Topology:
-    """The neighbours of the triangles of a mesh, for :func:`antialias`.
+    """The neighbours of the triangles of a mesh, which :func:`antialias` uses.
 
     Attributes:
-        opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle, and is the third
-            vertex of the neighbour across this edge. -1 marks an edge that belongs to one triangle, or to more than
-            two. Such an edge is always a silhouette.
+        opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle. It contains the third
+            vertex of the neighbouring triangle at this edge. -1 marks an edge that belongs to only one triangle, or to
+            more than two triangles. Such an edge is always a silhouette.
     """
 
     opposite: Tensor
 
 
 def antialias_construct_topology(tri: Tensor) -> Topology:
-    """Find the neighbours of all triangles, to call :func:`antialias` several times with the same triangles.
+    """Find the neighbours of all triangles. Use the result if :func:`antialias` is called several times with the same
+    triangles.
 
     Args:
-        tri: (T, 3) int32 vertex indices. Triangles are neighbours if they share two vertex indices, whatever their
-            orientation.
+        tri: (T, 3) int32 vertex indices. Triangles are neighbours if they share two vertex indices, regardless of the
+            triangles' orientation.
 
     Raises:
         TypeError, ValueError: for an invalid ``tri``. The error message names the expected value.
@@ -56,33 +57,33 @@ def antialias(
     """Blend pixels across silhouette edges (Laine et al. 2020, "Modular primitives for high-performance differentiable
     rendering", section 3.5).
 
-    Each pixel is compared with its right and its lower neighbour. Let p and q be two such neighbours that show
-    different triangles, and let p be the pixel whose triangle has the smaller z/w. If a silhouette edge of this
-    triangle crosses the segment from the centre of p to the centre of q, let t be the distance of the crossing from the
-    centre of p, in pixels. If t < 0.5, the colour of p changes by (0.5 - t) (q - p), where p and q stand for the
-    colours. Otherwise the colour of q changes by (t - 0.5) (p - q). Edges whose angle to the segment is below 45
+    Each pixel is compared with its right and its lower neighbour. Let p and q be two neighbouring pixels that show
+    different triangles. Let p be the pixel whose triangle has the smaller z/w. A silhouette edge of this triangle may
+    cross the segment from the centre of p to the centre of q. In this case, let t be the distance of the crossing from
+    the centre of p, in pixels. If t < 0.5, the colour of p changes by (0.5 - t) (q - p), where p and q stand for the
+    colours. Otherwise, the colour of q changes by (t - 0.5) (p - q). Edges whose angle to the segment is below 45
     degrees are ignored.
 
-    An edge is a silhouette edge if it belongs to only one triangle, if it belongs to more than two triangles, or if its
-    two triangles lie on the same side of it in the image.
+    An edge is a silhouette edge in three cases: it belongs to only one triangle, it belongs to more than two triangles,
+    or its two triangles lie on the same side of the edge in the image.
 
     The result is differentiable in ``color`` and, through t, in x, y and w of ``pos``. On the CPU, results and
-    gradients have the same bits for any number of threads. On a GPU, the last bits of the gradient of ``pos`` vary
+    gradients are bit-identical for any number of threads. On a GPU, the last bits of the gradient of ``pos`` can differ
     between calls.
 
     Args:
-        color: (B, H, W, C) image to antialias. Values are not checked.
-        rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. Pixels with ids of at least T + 1 count as
-            background.
-        pos: (B, V, 4) vertices in clip space, or (V, 4) for all images ("range mode"). Edges with values that are not
-            finite are not blended.
+        color: (B, H, W, C) image to antialias. The values are not checked.
+        rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. Pixels whose encoded triangle index is T + 1
+            or more count as background.
+        pos: (B, V, 4) vertices in clip space, or (V, 4) if all images share the vertices ("range mode"). Edges whose
+            values are not finite are not blended.
         tri: (T, 3) int32 vertex indices. On a GPU, triangles with indices out of range are not blended. On the CPU,
             such an index is an error.
-        topology: result of :func:`antialias_construct_topology` for ``tri``. If it is None, each call finds the
-            neighbours of the triangles again.
-        pos_gradient_boost: the gradient of ``pos`` is multiplied by this number.
-        backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
-            "auto" for the kernel of the tensors' device.
+        topology: result of :func:`antialias_construct_topology` for ``tri``. If None, each call finds the neighbours of
+            the triangles again.
+        pos_gradient_boost: number by which the gradient of ``pos`` is multiplied.
+        backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
+            float32 kernels, or "auto" for the kernel of the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Returns:
@@ -90,7 +91,7 @@ def antialias(
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if the backend is not built.
+        RuntimeError: if the backend was not built.
     """
     chosen = check_antialias(color, rast, pos, tri, topology, pos_gradient_boost, backend)
     opposite = opposite_vertices(tri) if topology is None else topology.opposite

@@ -1,4 +1,4 @@
-"""Clip coordinates of fourd's cameras: :func:`clip_matrix`."""
+"""Clip coordinates of fourd's cameras, computed with :func:`clip_matrix`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from fourd.cameras import Camera
 def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
     """Return the matrix that maps homogeneous world coordinates to clip coordinates, (4, 4) float32.
 
-    ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. With this matrix, the result of
-    :func:`fourd.raster.triangles.rasterize` has the same rows and columns as the camera's image, so row 0 is the top
-    row. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
+    The clip coordinates of points are ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. With this matrix,
+    the result of :func:`fourd.raster.triangles.rasterize` has the same rows and columns as the camera's image: row 0 is
+    the top row. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
 
     Args:
         camera: pinhole camera without lens distortion.
@@ -23,7 +23,7 @@ def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
 
     Raises:
         TypeError: if ``camera`` is not a camera.
-        ValueError: for a camera with lens distortion, or wrong depths.
+        ValueError: if the camera has lens distortion, or the depths are wrong.
     """
     if not isinstance(camera, Camera):
         raise TypeError(f"camera: expected a fourd.cameras.Camera, got {type(camera).__name__}")

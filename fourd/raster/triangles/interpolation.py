@@ -26,21 +26,22 @@ def interpolate(
 ) -> tuple[Tensor, Tensor]:
     """Interpolate vertex attributes at the pixels of :func:`fourd.raster.triangles.rasterize`.
 
-    A pixel gets ``u a_0 + v a_1 + (1 - u - v) a_2``, with the attributes a_k of the vertices of its triangle.
+    The value at a pixel is ``u a_0 + v a_1 + (1 - u - v) a_2``, where a_k are the attributes of the vertices of the
+    pixel's triangle.
 
     Args:
         attr: (B, V, C) float32 attributes of each mesh, or (1, V, C) or (V, C) attributes that all images share.
             C is at least 1.
         rast: (B, H, W, 4) result of ``rasterize``.
-        tri: (T, 3) int32 vertices of the triangles.
-        rast_db: (B, H, W, 4) derivatives from ``rasterize``; needed with ``diff_attrs``.
-        diff_attrs: channels whose derivatives are wanted, as a list (negative indices count from the end), or "all".
+        tri: (T, 3) int32 vertex indices of the triangles.
+        rast_db: (B, H, W, 4) derivatives from ``rasterize``. They are needed if ``diff_attrs`` is given.
+        diff_attrs: channels whose derivatives are computed: a list (negative indices count from the end), or "all".
         backend, threads: see ``rasterize``.
 
     Returns:
         ``out`` (B, H, W, C) and ``out_da`` (B, H, W, 2 D) for D channels in ``diff_attrs``. ``out_da`` has the
-        derivatives per pixel along columns (X) and rows (Y), in the order d0/dX, d0/dY, d1/dX, d1/dY and so on. Pixels
-        are 0 if they show no triangle, or if their triangle index is T or more.
+        derivatives with respect to the pixel position along columns (X) and rows (Y), in the order d0/dX, d0/dY, d1/dX,
+        d1/dY and so on. Pixels that show no triangle, or a triangle with index T or more, have the value 0.
 
         ``out`` is differentiable in ``attr`` and in u and v of ``rast``. ``out_da`` is differentiable in ``attr`` and
         in ``rast_db``. Second derivatives are not supported. On the CPU, gradients are bit-identical for any number of
@@ -48,7 +49,7 @@ def interpolate(
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if ``backend`` needs CUDA kernels that are not built.
+        RuntimeError: if ``backend`` needs CUDA kernels that were not built.
     """
     attributes = _check_attributes(attr)
     like = ("attr", attributes)
@@ -68,7 +69,7 @@ def interpolate(
 
 
 def _check_attributes(attr: object) -> Tensor:
-    """Check the attributes and return them as (B or 1, V, C)."""
+    """Check the attributes, and return them as (B or 1, V, C)."""
     is_shared = isinstance(attr, Tensor) and attr.ndim == 2
     shape = ("V", "C") if is_shared else ("B", "V", "C")
     attributes = check_tensor("attr", attr, shape, dtypes=(torch.float32, torch.float64))
@@ -78,7 +79,7 @@ def _check_attributes(attr: object) -> Tensor:
 
 
 def _channels(diff_attrs: Literal["all"] | Sequence[int] | None, channels: int) -> list[int]:
-    """Return the channels whose derivatives are wanted, as indices from 0."""
+    """Return the channels whose derivatives are computed, as indices from 0."""
     if diff_attrs is None:
         return []
     if isinstance(diff_attrs, str):

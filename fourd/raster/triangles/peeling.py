@@ -1,4 +1,4 @@
-"""Rasterization of the layers of triangles behind each other: :class:`DepthPeeler`."""
+"""Rasterization of triangles that lie behind each other, one layer after the other: :class:`DepthPeeler`."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from fourd.raster.triangles.rasterization import check_mesh
 
 
 class DepthPeeler:
-    """Rasterizes a mesh layer by layer, from front to back.
+    """Rasterizes the layers of a mesh one after the other, from front to back.
 
-    The triangles at a pixel are ordered by z/w, and by triangle index at equal z/w. Layer k shows the k-th triangle of
-    this order, from k = 0. Two triangles of equal depth, such as coincident triangles, are therefore in consecutive
-    layers. If a pixel has no triangle in one layer, it has none in all later layers.
+    At each pixel, the triangles are ordered by z/w. Triangles with equal z/w are ordered by index. Layer k shows the
+    triangle at position k of this order, starting with k = 0. Therefore, two triangles with equal depth, such as
+    coincident triangles, are in consecutive layers. If a pixel shows no triangle in one layer, it shows no triangle in
+    all later layers.
 
     Usage::
 
@@ -61,10 +62,10 @@ class DepthPeeler:
 
     def rasterize_next_layer(self) -> tuple[Tensor, Tensor]:
         """Return ``rast`` and ``rast_db`` of the next layer, as :func:`fourd.raster.triangles.rasterize` does. The
-        first call after entering the context returns the nearest layer.
+        first call in the ``with`` block returns the nearest layer.
 
         Raises:
-            RuntimeError: outside a ``with`` block.
+            RuntimeError: if the call is outside a ``with`` block.
         """
         if not self._is_open:
             raise RuntimeError("DepthPeeler: expected a call inside `with DepthPeeler(...) as peeler:`")

@@ -22,27 +22,29 @@ def rasterize(
     backend: str = "auto",
     threads: int = 0,
 ) -> tuple[Tensor, Tensor]:
-    """Find the nearest triangle of every pixel, and the barycentric weights of the pixel's centre.
+    """Find the nearest triangle at every pixel, and the barycentric weights of the pixel's centre in this triangle.
 
-    The semantics are those of nvdiffrast's documentation (Laine et al. 2020, Modular Primitives for High-Performance
-    Differentiable Rendering). A vertex with clip coordinates (x, y, z, w) is at (x/w, y/w). The centre of the pixel in
-    row i and column j is at ((2 j + 1) / W - 1, (2 i + 1) / H - 1), so row 0 is at y = -1. A triangle is visible where
-    its z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w, and at equal z/w the triangle with the
-    smallest index. Back faces are visible.
+    The semantics are those of nvdiffrast (Laine et al. 2020, Modular Primitives for High-Performance Differentiable
+    Rendering). A vertex with clip coordinates (x, y, z, w) is at the image position (x/w, y/w). The centre of the pixel
+    in row i and column j is at ((2 j + 1) / W - 1, (2 i + 1) / H - 1). Row 0 is therefore at the side y = -1 of the
+    image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w. If several
+    triangles have this z/w, the pixel shows the one with the smallest index. Back faces are also visible.
 
-    Vertices are rounded to 1/256 pixel. Coverage is then exact: if a pixel centre lies on the common edge of two
-    triangles, exactly one of them covers the pixel. If a triangle has a vertex behind the camera (w <= 0), the part in
-    front of the camera is drawn. Triangles with a NaN or infinite vertex are culled.
+    The positions of vertices are rounded to 1/256 pixel. The coverage is therefore exact: if a pixel centre lies on the
+    common edge of two triangles, exactly one of them covers the pixel. If a vertex of a triangle is behind the camera
+    (w <= 0), the part of the triangle in front of the camera is drawn. Triangles with a vertex that is NaN or infinite
+    are culled.
 
     Args:
-        pos: clip coordinates, float32: (B, V, 4), one mesh per image, or (V, 4) with ``ranges``.
-        tri: (T, 3) int32 vertices of the triangles, which all images share.
+        pos: float32 clip coordinates: (B, V, 4), one mesh per image, or (V, 4) with ``ranges``.
+        tri: (T, 3) int32 vertex indices of the triangles, which all images share.
         resolution: (H, W) in pixels, each from 1 to 32768.
-        ranges: (B, 2) int32: the first triangle and the number of triangles of each image. May be on any device.
+        ranges: (B, 2) int32: index of the first triangle, and number of triangles, for each image. The tensor may be on
+            any device.
         grad_db: whether the gradient with respect to ``pos`` includes the gradient through ``rast_db``.
-        output_db: whether to compute ``rast_db``. Without it, ``rast_db`` has the shape (B, H, W, 0).
-        backend: "cpu" or "cuda" for the kernels, "reference" for plain torch (float32 or float64, slow), or "auto" for
-            the kernels of the tensors' device.
+        output_db: whether to compute ``rast_db``. If false, ``rast_db`` has the shape (B, H, W, 0).
+        backend: "cpu" or "cuda" for the kernels, "reference" for an implementation in plain torch (float32 or float64,
+            slow), or "auto" for the kernels of the tensors' device.
         threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or
             torch.get_num_threads() if it is not set. Results are bit-identical for any number of threads.
 
@@ -51,15 +53,16 @@ def rasterize(
         and 1 - u - v are the perspective-correct weights of the vertices 0, 1 and 2 of the triangle. u and v are
         clamped to the triangle. The encoded index is 0 if there is no triangle, and the triangle's index + 1 otherwise.
         :func:`fourd.ops.meshes.ids.decode_ids` also decodes indices of 2^24 and above. ``rast_db`` has du/dX, du/dY,
-        dv/dX and dv/dY per pixel along columns (X) and rows (Y). Pixels without a triangle are 0.
+        dv/dX and dv/dY, where X and Y are the pixel positions along columns and rows. Pixels without a triangle have
+        the value 0.
 
         u, v and ``rast_db`` are differentiable in ``pos``. Second derivatives are not supported. z/w and the index have
-        no gradient. If clamping changes u or v at a pixel, its gradient there is 0. On a GPU, the last bits of the
-        gradient vary between calls.
+        no gradient. Where clamping changes u or v, the gradient of this pixel is 0. On a GPU, the last bits of the
+        gradient can differ between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if ``backend`` needs CUDA kernels that are not built.
+        RuntimeError: if ``backend`` needs CUDA kernels that were not built.
     """
     positions, tri, ranges = check_mesh(pos, tri, ranges)
     height, width = check_resolution(resolution)
@@ -69,17 +72,18 @@ def rasterize(
 
 
 def check_mesh(pos: object, tri: object, ranges: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
-    """Check the mesh that a rasterizer draws.
+    """Check the mesh that is to be rasterized.
 
     Returns:
-        ``pos`` as (B, V, 4), or as (1, V, 4) if there are ranges; ``tri``; and ``ranges`` on the CPU.
+        ``pos`` as (B, V, 4), or as (1, V, 4) if ``ranges`` is given; ``tri``; and ``ranges`` on the CPU.
 
     Raises:
         TypeError, ValueError: with a message that names the argument.
     """
     shape: tuple[int | str, ...] = ("V", 4) if ranges is not None else ("B", "V", 4)
     positions = check_tensor("pos", pos, shape, dtypes=(torch.float32, torch.float64))
-    # On a GPU, the kernel skips triangles with a wrong index, because checking the indices would wait for the GPU.
+    # On a GPU, the kernel skips triangles with a wrong index. The index is not checked here, because the check would
+    # have to wait for the GPU.
     on_cpu = positions.device.type == "cpu"
     triangles = check_triangles(tri, positions.shape[-2], ("pos", positions), check_values=on_cpu)
     if ranges is None:

@@ -38,31 +38,32 @@ def rasterize_soft(
 ) -> tuple[Tensor, Tensor]:
     """Render triangles with soft edges and soft occlusion (SoftRas, Liu et al. 2019, equations 1 to 4).
 
-    Triangle j covers pixel i with the share D_ij = sigmoid(d_ij^2 / sigma) if the pixel's centre is inside the
-    triangle, and sigmoid(-d_ij^2 / sigma) otherwise. See ``distance`` for d_ij. The alpha of the pixel is
-    1 - prod_j (1 - D_ij). The features of the pixel are a weighted mean over the triangles and the background. Triangle
-    j has the weight D_ij exp(zbar_ij / gamma). The background has the features 0 and the weight exp(eps / gamma).
-    zbar_ij is the normalised depth of the triangle at the pixel, 1 at ``near`` and 0 at ``far``. Outside the triangle,
-    it is the depth at the clamped barycentric coordinates of the pixel.
+    Triangle j covers the share D_ij of pixel i. If the pixel's centre is inside the triangle, D_ij = sigmoid(d_ij^2 /
+    sigma). Otherwise, D_ij = sigmoid(-d_ij^2 / sigma). The argument ``distance`` defines d_ij. The alpha of the pixel
+    is 1 - prod_j (1 - D_ij). The features of the pixel are a weighted mean over the triangles and the background.
+    Triangle j has the weight D_ij exp(zbar_ij / gamma) in this mean. The background has the features 0 and the weight
+    exp(eps / gamma). zbar_ij is the normalised depth of the triangle at the pixel: 1 at ``near`` and 0 at ``far``. For
+    a pixel outside the triangle, zbar_ij is the normalised depth at the clamped barycentric coordinates of the pixel.
 
-    The results are differentiable in xyz and features. The gradient treats the selection of triangles as constant. On
-    the CPU, results and gradients are bit-identical for any number of threads.
+    The results are differentiable in xyz and features. For the gradient, the selection of triangles is treated as
+    constant. On the CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
-        xyz: (V, 3) vertices, world units.
+        xyz: (V, 3) vertices in world units.
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
-        features: (T, C) colours or other features, with C from 1 to 32. Values are not checked.
+        features: (T, C) colours or other features, with C from 1 to 32. The values are not checked.
         camera: a pinhole camera without lens distortion.
-        sigma: softness of the edges, above 0. It has the unit of d squared.
-        gamma: temperature of the depth softmax, above 0.
-        layers: maximum number of triangles per pixel, nearest first, and at equal depth by index. None means no limit.
-        distance: "euclidean": d is the distance from the nearest edge, in units of half of the image's shorter side.
-            "barycentric": d is the smallest barycentric coordinate.
-        cutoff: triangles with D below ``cutoff`` are skipped at a pixel, in (0, 0.5).
+        sigma: softness of the edges, greater than 0. Its unit is the unit of d_ij squared.
+        gamma: temperature of the softmax over depths, greater than 0.
+        layers: maximum number of triangles per pixel. The nearest triangles are used, and at equal depth those with the
+            smallest index. None means no limit.
+        distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
+            "barycentric": d_ij is the smallest barycentric coordinate.
+        cutoff: triangles are skipped at pixels where D_ij is below ``cutoff``. The cutoff is in (0, 0.5).
         near, far: range of camera depths in world units. A triangle is culled if it has a vertex nearer than ``near``,
-            if it is thinner than 1e-4 pixels, or if one of its numbers is not finite. Culled triangles have zero
+            if it is thinner than 1e-4 pixels, or if one of its values is not finite. Culled triangles have zero
             gradients. A triangle is skipped at pixels where its depth is larger than ``far``.
-        eps: normalised depth zbar of the background.
+        eps: normalised depth of the background.
         backend, threads: as in :func:`fourd.raster.triangles.splat_triangles`.
 
     Returns:
@@ -70,7 +71,7 @@ def rasterize_soft(
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if the backend is not built.
+        RuntimeError: if the backend was not built.
     """
     _check_tensors(xyz, tri, features, camera, backend)
     limit = check_layers(layers)

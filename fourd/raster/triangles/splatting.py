@@ -17,7 +17,7 @@ from fourd.ops.splat_triangles.reference import splat_triangles_reference
 
 MAX_CHANNELS = 32
 LARGEST_COORDINATE = 1e9
-"""Larger coordinates count as 0 in normals and depths, because their squares could overflow."""
+"""Coordinates with a larger absolute value count as 0 in normals and depths, because their squares could overflow."""
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,12 @@ class TriangleRender:
     Attributes:
         features: (H, W, C) composited features.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) weighted mean camera depth of the composited triangles' centres in world units, 0 where ``alpha``
-            is 0. None without geometry.
-        normal: (H, W, 3) weighted sum of the unit normals of the triangles in world coordinates, towards the camera.
-            None without geometry.
-        weight: (T,) largest compositing weight of each triangle in any pixel, not differentiable. 0 if the triangle is
-            not visible.
+        depth: (H, W) weighted mean of the camera depths of the composited triangles' centres, in world units. 0 where
+            ``alpha`` is 0. None if ``geometry`` is false.
+        normal: (H, W, 3) weighted sum of the unit normals of the composited triangles, in world coordinates and
+            pointing towards the camera. None if ``geometry`` is false.
+        weight: (T,) largest compositing weight of each triangle over all pixels, not differentiable. The weight is 0 if
+            the triangle is not visible.
     """
 
     features: Tensor
@@ -58,39 +58,39 @@ def splat_triangles(
 ) -> TriangleRender:
     """Composite soft triangles front to back (triangle splatting, Held et al. 2025).
 
-    Let phi(p) be the largest of the three signed distances, in pixels, of the pixel p from the edges of a projected
-    triangle. phi is negative inside the triangle. Let s be the incentre of the triangle. The window
-    I(p) = max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The alpha of the triangle is
-    min(0.99, opacity I(p)).
+    Let phi(p) be the largest of the three signed distances, in pixels, between the pixel p and the edges of a projected
+    triangle. phi is negative inside the triangle. Let s be the incentre of the triangle. The window function I(p) =
+    max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The alpha of the triangle is min(0.99,
+    opacity I(p)).
 
-    At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of the camera depth
-    of their centres, and in the order of their indices at equal depth. Compositing of a pixel stops when its
-    transmittance is at most 1e-4.
+    At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of the camera depths
+    of their centres. Triangles with equal depth are composited in the order of their indices. Compositing of a pixel
+    stops when the pixel's transmittance is at most 1e-4.
 
-    The results are differentiable in xyz, features, opacity and sigma. The gradient treats the selection of triangles
-    and their order as constant. On the CPU, results and gradients are bit-identical for any number of threads.
+    The results are differentiable in xyz, features, opacity and sigma. For the gradient, the selection and the order of
+    triangles are treated as constant. On the CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
-        xyz: (V, 3) vertices, world units.
+        xyz: (V, 3) vertices in world units.
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
-        features: (T, C) colours or other features, with C from 1 to 32. Values are not checked.
+        features: (T, C) colours or other features, with C from 1 to 32. The values are not checked.
         opacity: (T,) opacity at the incentre, in [0, 1]. Values above 1 are not an error, because alpha is limited to
             0.99.
-        sigma: (T,) or a number: exponent of the window, above 0. With 1, alpha decreases linearly from the incentre to
-            the edges. With values near 0, the opacity is almost the same up to the edges.
+        sigma: (T,) or a number: exponent of the window function, greater than 0. With sigma = 1, alpha decreases
+            linearly from the incentre to the edges. With sigma near 0, alpha is almost constant up to the edges.
         camera: a pinhole camera without lens distortion.
-        layers: maximum number of triangles that a pixel composites, or None for no limit.
-        near: camera depth, in world units. Triangles with a vertex nearer than this depth are culled. Triangles are
-            also culled if they are thinner than 1e-4 pixels, if the opacity is below 1/255, if sigma is not positive,
-            or if one of its numbers is not finite. Culled triangles have zero gradients.
-        geometry: whether to render depth and normal. Without them, rendering takes about 40% less time.
-        backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
-            "auto" for the kernel of the tensors' device.
+        layers: maximum number of triangles that are composited per pixel, or None for no limit.
+        near: camera depth of the near plane, in world units. Triangles with a vertex nearer than this depth are culled.
+            Triangles are also culled if they are thinner than 1e-4 pixels, if their opacity is below 1/255, if their
+            sigma is not positive, or if one of their values is not finite. Culled triangles have zero gradients.
+        geometry: whether to render depths and normals. Without depths and normals, rendering takes about 40% less time.
+        backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
+            float32 kernels, or "auto" for the kernel of the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if the backend is not built.
+        RuntimeError: if the backend was not built.
     """
     sigma = _check(xyz, tri, features, opacity, sigma, backend)
     limit = _check_limits(camera, layers, near)
@@ -105,7 +105,7 @@ def splat_triangles(
 
 
 def _split(composited: Tensor, alpha: Tensor, weight: Tensor, geometry: bool) -> TriangleRender:
-    """Split the composited channels into features, normal and depth."""
+    """Split the composited channels into features, normals and depth."""
     if not geometry:
         return TriangleRender(composited, alpha, None, None, weight)
     depth = torch.where(alpha > 0, composited[..., -1] / torch.where(alpha > 0, alpha, 1), 0)
@@ -114,7 +114,7 @@ def _split(composited: Tensor, alpha: Tensor, weight: Tensor, geometry: bool) ->
 
 def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     """Return the unit normals towards the camera and the camera depths of the triangles' centres, (T, 4)."""
-    # Numbers that are not finite, and products that overflow, would give NaN gradients to culled triangles.
+    # Values that are not finite, and products that overflow, would give NaN gradients to culled triangles.
     xyz = torch.where(xyz.abs() < LARGEST_COORDINATE, xyz, 0)
     a, b, c = (xyz.index_select(0, tri[:, corner]) for corner in range(3))
     normal = torch.linalg.cross(b - a, c - a)
@@ -122,7 +122,7 @@ def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     eye = torch.as_tensor(camera.centre).to(xyz)
     facing = ((eye - centre) * normal).sum(dim=1, keepdim=True).detach()
     square = (normal * normal).sum(dim=1, keepdim=True)
-    # Degenerate triangles get a normal of about 0. The limit keeps their gradients finite.
+    # Degenerate triangles get a normal of about 0. The lower limit of the length keeps their gradients finite.
     normal = torch.where(facing < 0, -normal, normal) * torch.where(square > 1e-24, square, 1).rsqrt()
     forward = torch.as_tensor(camera.forward.copy()).to(xyz)
     depth = centre @ forward + float(camera.translation[2])
@@ -149,7 +149,7 @@ def _check(xyz: Tensor, tri: Tensor, features: Tensor, opacity: Tensor, sigma: T
 
 
 def _check_limits(camera: Camera, layers: int | None, near: float) -> int:
-    """Check camera, layers and near, and return the number of layers."""
+    """Check ``camera``, ``layers`` and ``near``, and return the number of layers."""
     check_camera(camera)
     if not (near > 0 and math.isfinite(near)):
         raise ValueError(f"near: expected a finite distance above 0, got {near}")

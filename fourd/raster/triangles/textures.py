@@ -1,12 +1,14 @@
-"""Filtered texture lookup (public API).
+"""Filtered texture sampling (public API).
 
 The mip level of a pixel is the base-2 logarithm of the longer axis of its footprint in the texture, in texels (Heckbert
-1989, Fundamentals of Texture Mapping and Image Warping). With A = |d(s, t)/dX|^2, B = |d(s, t)/dY|^2 and
-C = d(s, t)/dX . d(s, t)/dY, where (s, t) = (u W, v H) and (X, Y) is the position in the picture in pixels, the level is
+1989, Fundamentals of Texture Mapping and Image Warping). Let (s, t) = (u W, v H) be the position in the texture in
+texels, and (X, Y) the position in the image in pixels. With A = |d(s, t)/dX|^2, B = |d(s, t)/dY|^2 and C = d(s, t)/dX .
+d(s, t)/dY, the level is
 
     0.5 log2(0.5 (A + B) + sqrt(0.25 (A - B)^2 + C^2)) + bias,
 
-clamped to the existing levels. For a cube map, u and v are the coordinates on the face, in [0, 1].
+clamped to the existing levels. ``bias`` is ``mip_level_bias``. For a cube map, u and v are the coordinates on the face
+of the cube, in [0, 1].
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ from fourd.ops.texture.reference import build_mips_reference, sample_texture_ref
 
 @dataclass(frozen=True)
 class Mip:
-    """The mip levels of a texture, from :func:`texture_construct_mip`.
+    """The mip levels of a texture, which :func:`texture_construct_mip` returns.
 
     Attributes:
-        levels: levels 1, 2 and so on, without gradients: (B, H / 2, W / 2, C), (B, H / 4, W / 4, C), ... The levels of
-            a cube map have the six faces as the second axis.
+        levels: mip levels 1, 2 and so on, without gradients: (B, H / 2, W / 2, C), (B, H / 4, W / 4, C), ... The levels
+            of a cube map have the six faces along the second axis.
         shape: shape of the texture.
     """
 
@@ -55,35 +57,39 @@ def texture(
 
     The centre of the texel in column j and row i is at (u, v) = ((j + 0.5) / W, (i + 0.5) / H). The result is
     differentiable in tex, uv, uv_da, mip_level_bias and in mip levels that are given as tensors. The gradient of tex
-    includes the mip levels that are built from tex. On the CPU, results and gradients have the same bits for any number
-    of threads.
+    includes the gradient through mip levels that are built from tex. On the CPU, results and gradients are
+    bit-identical for any number of threads.
 
     Args:
         tex: (B or 1, H, W, C) float32, or (B or 1, 6, N, N, C) for boundary_mode "cube", with faces along +x, -x, +y,
-            -y, +z and -z, oriented as in OpenGL. Sides up to 32,768 texels, C up to 4,096.
+            -y, +z and -z, oriented as in OpenGL. H and W are at most 32,768 texels, and C is at most 4,096.
         uv: (B, H', W', 2) texture coordinates, or (B, H', W', 3) directions of any length for a cube map. If the
-            coordinates of a pixel are not finite, or its direction is zero, the result is zero and has no gradient.
-        uv_da: (B, H', W', 4) derivatives per pixel of the picture: du/dX, du/dY, dv/dX, dv/dY. For a cube (B, H', W',
-            6): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY. Pixels with NaN read level 0.
-        mip_level_bias: (B, H', W') numbers that are added to the level. If uv_da is None, they are the level.
+            coordinates of a pixel are not finite, or if its direction is zero, the result at the pixel is 0 and has no
+            gradient.
+        uv_da: (B, H', W', 4) derivatives of the coordinates with respect to the pixel position in the image: du/dX,
+            du/dY, dv/dX, dv/dY. For a cube map, (B, H', W', 6): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY. Pixels whose
+            derivatives are NaN use level 0.
+        mip_level_bias: (B, H', W') numbers that are added to the mip level. If uv_da is None, these numbers are the mip
+            level.
         mip: None to build the levels in this call, a :class:`Mip` that was built from tex, or a list of tensors with
-            levels 1, 2 and so on. The sides of a level are half of those of the previous level, rounded down, and at
-            least 1.
-        filter_mode: "nearest" reads one texel of level 0, and the gradient of uv is zero. "linear" is bilinear in level
+            the levels 1, 2 and so on. The side lengths of a level are half of those of the previous level, rounded
+            down, and at least 1.
+        filter_mode: "nearest" reads one texel of level 0, and the gradient of uv is 0. "linear" is bilinear in level
             0. "linear-mipmap-nearest" is bilinear in the nearest level, and the gradient of the level is zero.
             "linear-mipmap-linear" is trilinear. "auto" is "linear-mipmap-linear" if uv_da or mip_level_bias is given,
             and "linear" otherwise.
-        boundary_mode: for coordinates outside [0, 1], "wrap" repeats the texture, "clamp" repeats the texels at its
-            border, and "zero" gives 0. With "cube", tex is a cube map, which is continuous across edges. Only three
-            texels meet at a corner of the cube. The missing fourth texel is the mean of these three.
-        max_mip_level: index of the last level that is built and used. None means all levels, down to 1 x 1.
-        backend: "reference" for plain torch (slow, float32 or float64), "cpu" or "cuda" for the float32 kernels, or
-            "auto" for the kernel of the tensors' device.
+        boundary_mode: how coordinates outside [0, 1] are handled: "wrap" repeats the texture, "clamp" repeats the
+            texels at its border, and "zero" gives 0. With "cube", tex is a cube map, which is continuous across edges.
+            Only three texels meet at a corner of the cube. Their mean is used as the fourth texel, which is missing
+            there.
+        max_mip_level: index of the last level that is built and used. If None, all levels down to 1 x 1 are used.
+        backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
+            float32 kernels, or "auto" for the kernel of the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if the backend is not built.
+        RuntimeError: if the backend was not built.
     """
     filter_mode = _checked_filter(tex, uv, uv_da, mip_level_bias, filter_mode, boundary_mode, max_mip_level, backend)
     pixels = (uv, uv_da, mip_level_bias) if "mipmap" in filter_mode else (uv, None, None)
@@ -102,22 +108,23 @@ def texture_construct_mip(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Mip:
-    """Build the mip levels of a texture once, for several calls of :func:`texture` with the same ``tex``.
+    """Build the mip levels of a texture once, so that several calls of :func:`texture` can use them with the same
+    ``tex``.
 
-    A texel of a level is the mean of 2 x 2 texels of the level before, or of 2 texels if that level has a side of one
-    texel. If tex changes, the levels must be built again.
+    A texel of a level is the mean of 2 x 2 texels of the previous level. If the previous level has a side of one texel,
+    it is the mean of 2 texels. If tex changes, build the levels again.
 
     Args:
-        tex: (B, H, W, C) float32, or (B, 6, N, N, C) with cube_mode. A side above 1 must be even in every level before
-            the last.
-        max_mip_level: index of the last level. None means all levels, down to 1 x 1.
+        tex: (B, H, W, C) float32, or (B, 6, N, N, C) with cube_mode. In every level except the last, a side longer than
+            1 texel must have an even length.
+        max_mip_level: index of the last level. If None, all levels down to 1 x 1 are built.
         cube_mode: whether tex is a cube map.
         backend: as for :func:`texture`.
         threads: as for :func:`texture`.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if the backend is not built.
+        RuntimeError: if the backend was not built.
     """
     checks.check_texture(tex, cube_mode, backend)
     checks.check_max_level(max_mip_level)
@@ -134,7 +141,7 @@ def _checked_filter(
     max_mip_level: int | None,
     backend: Backend,
 ) -> FilterMode:
-    """Check all arguments but ``mip``, and return the filter mode, which is not "auto"."""
+    """Check all arguments except ``mip``. Return the filter mode, with "auto" replaced."""
     is_cube = boundary_mode == "cube"
     checks.check_modes(filter_mode, boundary_mode)
     checks.check_texture(tex, is_cube, backend)
@@ -151,8 +158,8 @@ def _checked_filter(
 def _levels(
     tex: Tensor, mip: Mip | Sequence[Tensor] | None, max_mip_level: int | None, backend: Backend, threads: int
 ) -> list[Tensor]:
-    """Return the mip levels that the caller gives, or build them. For the kernels, built levels have no gradient,
-    because the operator adds the gradients of these levels to the gradient of tex itself."""
+    """Return the mip levels that the caller has given, or build them. If levels are built for the kernels, they have no
+    gradient, because the operator adds the gradients of these levels to the gradient of tex."""
     is_reference = select_backend(backend, "tex", tex) == "reference"
     if mip is None:
         level_count = checks.count_levels(tex, max_mip_level)
@@ -167,7 +174,7 @@ def _levels(
 
 
 def _given_levels(tex: Tensor, mip: Mip | Sequence[Tensor], max_mip_level: int | None) -> list[Tensor]:
-    """Return the mip levels that the caller gives, from level 1 to at most ``max_mip_level``."""
+    """Return the mip levels that the caller has given, from level 1 to at most ``max_mip_level``."""
     if isinstance(mip, Mip):
         if mip.shape != tuple(tex.shape):
             raise ValueError(

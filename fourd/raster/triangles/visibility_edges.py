@@ -21,20 +21,21 @@ def edge_gradients(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Return ``color`` unchanged. In the backward pass, add the gradient of the motion of visibility edges to ``pos``.
+    """Return ``color`` unchanged. In the backward pass, the gradient due to the motion of visibility edges is added to
+    the gradient of ``pos``.
 
     This function is an alternative to ``antialias`` that does not change the image. The method follows Pidhorskyi et
-    al. 2024, "Rasterized edge gradients". Two neighbouring pixels that show different triangles are separated by a
-    visibility edge. Let c_1 and c_2 be their colours. If the edge moves by dt pixels from the first pixel towards the
-    second, one of the two pixels changes by dt (c_1 - c_2). It is not known which one, so the gradient is the mean of
-    the gradients of both cases. A visibility edge is either a silhouette edge of the nearer triangle, as in
-    :func:`fourd.raster.triangles.antialias`, or the line along which two triangles intersect. Edges whose
-    angle to the segment between the pixel centres is below 45 degrees are ignored.
+    al. 2024, "Rasterized edge gradients". A visibility edge separates two neighbouring pixels that show different
+    triangles. Let c_1 and c_2 be the colours of these pixels. If the edge moves by dt pixels from the first pixel
+    towards the second, one of the two pixels changes by dt (c_1 - c_2). Which pixel changes is not known. Therefore,
+    the gradient is the mean of the gradients of both cases. A visibility edge is one of two kinds: a silhouette edge of
+    the nearer triangle, as in :func:`fourd.raster.triangles.antialias`, or the line along which two triangles
+    intersect. Edges whose angle to the segment between the pixel centres is below 45 degrees are ignored.
 
     The result is differentiable in ``color``, with the gradient of the identity, and in x, y and w of ``pos``. At
-    intersections, it is also differentiable in z. The forward pass copies nothing, and the backward pass finds the
-    edges. On the CPU, gradients have the same bits for any number of threads. On a GPU, the last bits of the gradient
-    of ``pos`` vary between calls.
+    intersections, the result is also differentiable in z. The forward pass copies nothing. The edges are found in the
+    backward pass. On the CPU, gradients are bit-identical for any number of threads. On a GPU, the last bits of the
+    gradient of ``pos`` can differ between calls.
 
     Args:
         color, rast, pos, tri, topology, backend, threads: see :func:`fourd.raster.triangles.antialias`.
@@ -44,7 +45,7 @@ def edge_gradients(
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
-        RuntimeError: if the backend is not built.
+        RuntimeError: if the backend was not built.
     """
     chosen = check_antialias(color, rast, pos, tri, topology, 1.0, backend)
     opposite = opposite_vertices(tri) if topology is None else topology.opposite
