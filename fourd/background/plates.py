@@ -23,8 +23,8 @@ from fourd.progress import Log
 Picture = NDArray[np.uint8]
 
 USER_FOLDER = "bgs"
-"""Folder in a capture with plates that the user provides. The files are CAM.png or CAM.jpg. They have the same lens
-distortion as the frames."""
+"""Folder in a capture with plates that the user provides. The files are CAM.png or CAM.jpg. The plates have the same
+lens distortion as the frames."""
 MIN_SEEN_SHARE = 0.5
 MIN_CAMERAS = 2
 

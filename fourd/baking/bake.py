@@ -54,8 +54,8 @@ def bake_run(
 
     Args:
         layers: maximum number of points that are composited per pixel. This number is stored in the scene.
-        fps: playback rate, frames per second. None selects the rate at which the run's frames were recorded, or 30 if
-            this rate is not known.
+        fps: playback rate, frames per second. If None, the rate at which the run's frames were recorded is used, or 30
+            if this rate is not known.
 
     Raises:
         UserError: if the model's blend weights depend on the viewer, or if the file cannot be written.

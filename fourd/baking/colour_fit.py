@@ -21,8 +21,8 @@ MIN_WEIGHT = 0.02
 """Weight, in the fit, of a direction from which the point is not visible. For a direction from which the point is
 completely visible, the weight is larger by 1."""
 RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
-"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics. This
-regularisation keeps the coefficients from fitting noise."""
+"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics. With this
+regularisation, the coefficients do not fit noise."""
 DIRECTIONS = 24
 """Number of viewpoints used for a scene without cameras."""
 _CHUNK = 8192
@@ -124,7 +124,7 @@ def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camer
 
 
 def _all_sides(manifest: SceneManifest) -> tuple[Camera, ...]:
-    """Return cameras on a sphere around the bounds. Their centres form a spherical Fibonacci lattice."""
+    """Return cameras on a sphere around the bounds. The centres of the cameras form a spherical Fibonacci lattice."""
     lower, upper = (np.asarray(corner) for corner in manifest.bounds)
     centre, radius = (lower + upper) / 2, max(float(np.linalg.norm(upper - lower)), 1e-3)
     size, intrinsics = 256, np.array([[256.0, 0, 128], [0, 256.0, 128], [0, 0, 1]])

@@ -1,8 +1,8 @@
 """The `.4dv` file: a ZIP64 archive with manifest.json and one member per frame and attribute. A member is a file inside
 the archive.
 
-The archive of a full scene also contains each attribute of the background, once for all frames. It can also contain one
-shadow per frame.
+The archive of a full scene also contains each attribute of the background, once for all frames. The archive can also
+contain one shadow per frame.
 
 Members are stored uncompressed, so that one frame can be read with a seek or an HTTP range request. The reader treats
 the file as untrusted: it compares the members' sizes with the manifest before it allocates memory. Members that the

@@ -138,7 +138,7 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    The text ``selection`` is A:B or A:B:S. It selects the frames A, A + S, A + 2 S, ... below B. If S is left
+    The text ``selection`` is A:B or A:B:S. This text selects the frames A, A + S, A + 2 S, ... below B. If S is left
     out, the step is one. If ``selection`` is None, all frames are selected. Raises UserError.
     """
     numbers = playable.frame_numbers

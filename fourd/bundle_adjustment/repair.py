@@ -1,9 +1,10 @@
 """Repair of a given calibration. Corrections are kept only if they reduce the residuals of held-out matches.
 
 The feature tracks are split into two parts. The cameras are fitted to the matches of two thirds of the tracks. The
-matches of the other tracks are held out. Their residuals determine whether a correction is kept. The first correction
-mirrors principal points (see :mod:`fourd.calibration.principal_points`). Then, three bundle adjustments follow. The
-first adjusts the poses. The second also adjusts the focal lengths, and the third also the principal points.
+matches of the other tracks are held out. The residuals of the held-out matches determine whether a correction is kept.
+The first correction mirrors principal points (see :mod:`fourd.calibration.principal_points`). Then, three bundle
+adjustments follow. The first adjusts the poses. The second also adjusts the focal lengths, and the third also the
+principal points.
 """
 
 from __future__ import annotations

@@ -42,9 +42,9 @@ class Prior:
         position: (V,) standard deviation of the position of each camera in world units. With 0, all positions are
             fixed.
         focal: standard deviation of the logarithm of the focal length. With 0, all focal lengths are fixed.
-        pixel: standard deviation of the position of a feature in pixels. Its measured value is a third of a pixel. The
-            default is larger, because the errors of features on the same surface are correlated. With a smaller value,
-            the adjustment would follow these errors and deform rings of cameras.
+        pixel: standard deviation of the position of a feature in pixels. The measured standard deviation is a third of
+            a pixel. The default is larger, because the errors of features on the same surface are correlated. With a
+            smaller value, the adjustment would follow these errors and deform rings of cameras.
         principal_px: standard deviation of the principal point in pixels. With 0, all principal points are fixed.
     """
 

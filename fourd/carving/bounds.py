@@ -149,10 +149,10 @@ def hull_bounds(
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance between this point and the farthest camera.
 
-    If the optical axes are almost parallel, no point is clearly nearest. Then a weak prior determines the result. The
-    prior is a point in front of the mean of the camera centres. Its distance from this mean is four times the distance
-    of the farthest camera from the mean. If the optical axes are not almost parallel, the prior has almost no effect,
-    because its weight is only 0.1% of the weight of the axes.
+    If the optical axes are almost parallel, no point is clearly nearest. In this case, a weak prior determines the
+    result. The prior is a point in front of the mean of the camera centres. The distance of the prior from this mean is
+    four times the distance of the farthest camera from the mean. If the optical axes are not almost parallel, the prior
+    has almost no effect, because its weight is only 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])

@@ -56,7 +56,7 @@ def frame_coherence(
     The hulls consist of cells, with about 100 or more cells along the object's longest side.
 
     Args:
-        masks: mattes (H, W) uint8, one per camera; 255 is the object. There must be at least 2.
+        masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.
         cameras: undistorted pinhole cameras.
         agreement: share in (0, 1]. Of the views that see a hull point, at least this share must have the point in their
             mattes.

@@ -1,17 +1,17 @@
 """Removal of excess parts of the visual hull. Excess parts are protruding parts without which the hull still covers all
 silhouettes.
 
-The visual hull is the largest shape that agrees with all silhouettes. It protrudes from the object in directions that
-lie between the directions of the views, and in concave regions, which no silhouette shows. Training often cannot remove
-these parts, because they can have the correct colour in every view. An example is a white lump in front of a white
-chest.
+The visual hull is the largest shape that agrees with all silhouettes. The hull protrudes from the object in directions
+that lie between the directions of the views, and in concave regions, which no silhouette shows. Training often cannot
+remove these parts, because they can have the correct colour in every view. An example is a white lump in front of a
+white chest.
 
 First, the hull is filled with cells. Then, in each round, cells with a mostly empty neighbourhood are removed. However,
 for each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept. Every such ray
 therefore still intersects the remaining cells. As a result, the remaining shape still covers all silhouettes. Smoothing
 and thresholding, if repeated, move a surface by its mean curvature (Merriman, Bence and Osher 1994). Kolev and Cremers
-(2008) also search for a shape that has a small area and satisfies silhouette constraints. They do this by solving a
-convex problem.
+(2008) also search for a shape that has a small area and satisfies silhouette constraints. Their method solves a convex
+problem.
 """
 
 from __future__ import annotations
@@ -51,9 +51,10 @@ RAY_CELLS = 0.7
 shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""For each ray, the cell with the fullest neighbourhood is kept only if this neighbourhood has at least this share of
-the filling of the fullest neighbourhood on the adjacent rays. A cell below this limit is a small piece of an excess
-part. Its ray passes between the centres of the object's cells."""
+"""For each ray, the cell with the fullest neighbourhood is kept only if it is not much emptier than the cells on the
+adjacent rays. The filled share of its neighbourhood, divided by the largest filled share on the adjacent rays, must be
+at least this value. A cell below this limit is a small piece of an excess part. The ray of such a cell passes between
+the centres of the object's cells."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this value, in cells."""

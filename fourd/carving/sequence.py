@@ -41,8 +41,8 @@ MIN_PARALLEL_SECONDS = 10.0
 """Worker processes are started only if carving the remaining frames is estimated to take at least this number of
 seconds. The reason is that starting worker processes takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Files in a capture from which carving reads. Their sizes and modification times enter the key. The key is a hash of
-all inputs of carving. If one of these files changes, the carved points are no longer valid."""
+"""Files in a capture from which carving reads. The sizes and modification times of these files are part of the key. The
+key is a hash of all inputs of carving. If one of these files changes, the carved points are no longer valid."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +88,9 @@ def carve_capture(
         inset: distance by which points are moved into the hull, in point spacings.
         seed: seed of the random order of the points.
         track: callback that reports progress.
-        workers: number of worker processes. Worker processes are started only if they save time. This is estimated from
-            the time for the first frame. The capture must be picklable. The points do not depend on the number of
-            workers.
+        workers: number of worker processes. Worker processes are started only if they save time. Whether they save time
+            is estimated from the time for the first frame. The capture must be picklable. The points do not depend on
+            the number of workers.
 
     Returns:
         the bounding box of the points of all frames, with a margin of 5% of the longest side.

@@ -46,7 +46,7 @@ def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: 
     are kept. After a change, all frames are made again.
 
     Args:
-        capture: cameras, images and mattes. It must not contain held-out views.
+        capture: cameras, images and mattes. The capture must not contain held-out views.
         folder: folder for the files; it is created if missing.
         settings: settings of the grid, the texture and the fit.
         track: callback that reports progress.

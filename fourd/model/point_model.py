@@ -124,8 +124,8 @@ class PointModel(nn.Module):
 
     @property
     def sh_base(self) -> float:
-        """Constant to which the colour from SH is added. It is 0.5 (medium grey) if the model uses only SH, and 0 if it
-        uses image-based colour."""
+        """Constant to which the colour from SH is added. The constant is 0.5 (medium grey) if the model uses only SH,
+        and 0 if it uses image-based colour."""
         return 0.5 if self.config.appearance == "sh" else 0.0
 
     @property

@@ -69,9 +69,9 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
     """Project points into every source view and sample the views bilinearly.
 
     A point's visibility weight in a view is the squared matte times the occlusion factor. The matte is squared because
-    pixels on the silhouette also contain background colour. Their weight must therefore be lower than their coverage.
-    For float32 inputs, one fused kernel projects the points and also samples the views. The fused kernel runs on the
-    CPU or, if the CUDA kernels are compiled, on a CUDA device.
+    pixels on the silhouette also contain background colour. The weight of these pixels must therefore be lower than
+    their coverage. For float32 inputs, one fused kernel projects the points and also samples the views. The fused
+    kernel runs on the CPU or, if the CUDA kernels are compiled, on a CUDA device.
 
     Args:
         xyz: (N, 3) points in world units. The points get gradients through the projection.

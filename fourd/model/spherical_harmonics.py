@@ -14,7 +14,7 @@ def sh_basis(directions: Tensor) -> Tensor:
     """The 16 real spherical harmonics up to degree 3, evaluated for given directions.
 
     Args:
-        directions: (..., 3) unit vectors. They must already be normalised.
+        directions: (..., 3) unit vectors. The vectors must already be normalised.
 
     Returns:
         (..., 16) values, differentiable in ``directions``. The functions are orthonormal over the sphere.

@@ -109,7 +109,7 @@ def create_run(
 
     Args:
         capture: the capture's folder, with masks or mattes.
-        folder: the run's folder. It must be new, empty, or left by an interrupted call.
+        folder: the run's folder. The folder must be new, empty, or left by an interrupted call.
         train: the training config.
         points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points.
         context: console, and number of processes. If None, the stages use one process and print nothing.

@@ -22,10 +22,10 @@ def run_here(stage: AnyStage, context: Context) -> None:
 class Runner:
     """Runs stages in a given order.
 
-    If a record file is given, the runner prints the state of each stage. It skips a stage whose key is unchanged and
-    whose outputs exist. Before it starts a stage whose key has changed, it removes the files that were written with the
-    old key. If no record file is given, the runner executes every stage and prints nothing. The stages themselves then
-    detect and keep finished files.
+    If a record file is given, the runner prints the state of each stage. The runner skips a stage whose key is
+    unchanged and whose outputs exist. Before the runner starts a stage whose key has changed, it removes the files that
+    were written with the old key. If no record file is given, the runner executes every stage and prints nothing. The
+    stages themselves then detect and keep finished files.
     """
 
     def __init__(self, context: Context, record: Path | None = None, execute: Execute = run_here) -> None:
@@ -35,8 +35,8 @@ class Runner:
             context: console, and number of processes for the stages' work.
             record: JSON file with the key of each started and each finished stage. The runner writes this file
                 atomically after each change.
-            execute: function that runs the work of one stage. It must return after the outputs were written. To execute
-                stages in other processes or on a cluster, pass another function.
+            execute: function that runs the work of one stage. The function must return after the outputs were written.
+                To execute stages in other processes or on a cluster, pass another function.
         """
         self._context = context
         self._record = record
@@ -56,8 +56,8 @@ class Runner:
             self._report(f"{stage.name}: up to date{result}")
             return
         if self._record is not None and self._known.get(_started(stage)) != key:
-            # The keys are deleted before the files are removed. Then no key matches the remaining files if their
-            # removal is interrupted.
+            # The keys are deleted before the files are removed. If the removal of the files is interrupted, no key then
+            # matches the remaining files.
             self._write({stage.name: None, _started(stage): None})
             for leftovers in stage.leftovers:
                 leftovers.remove()

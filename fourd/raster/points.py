@@ -49,10 +49,10 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    With intrinsics K, point i has depth z_i and projected centre q_i. Its radius in pixels is rho_i = K[1, 1] *
-    radius_i / z_i. The alpha of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0). The
-    points with alpha_i(p) > 0 are sorted by depth. Points with equal depth are sorted by index. The first ``layers``
-    points are composited.
+    With intrinsics K, point i has depth z_i and projected centre q_i. The radius of point i in pixels is rho_i = K[1,
+    1] * radius_i / z_i. The alpha of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0).
+    The points with alpha_i(p) > 0 are sorted by depth. Points with equal depth are sorted by index. The first
+    ``layers`` points are composited.
 
     The results are differentiable in xyz, features, radius, density and background. For the gradient, the selection of
     points is treated as constant. On the CPU, results and gradients are bit-identical for any number of threads.

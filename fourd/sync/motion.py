@@ -256,8 +256,8 @@ def _draw_curve(canvas: Grey, energy: Array, shift: int, left: int, top: int, lo
 
 
 def _tick_frames(longest: int) -> int:
-    """Number of frames between two grey lines: 1, 2 or 5 times a power of ten. It is chosen such that the plot has
-    about ten lines."""
+    """Number of frames between two grey lines: 1, 2 or 5 times a power of ten. The number is chosen such that the plot
+    has about ten lines."""
     rough = max(longest / 10, 1)
     power = 10 ** int(np.floor(np.log10(rough)))
     return int(next(power * step for step in (1, 2, 5, 10) if power * step >= rough))

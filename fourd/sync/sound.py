@@ -25,7 +25,7 @@ Samples = NDArray[np.float32]
 RATE = 8000
 """Sampling rate in Hz to which soundtracks are converted."""
 MAX_SECONDS = 300.0
-"""Maximum duration, in seconds, of the part of a soundtrack that is used. This limits the memory to 10 MB per
+"""Maximum duration, in seconds, of the part of a soundtrack that is used. The limit bounds the memory to 10 MB per
 camera."""
 LOW_HZ, HIGH_HZ = 200.0, 3000.0
 """Lower and upper frequency of the pass band in Hz. Wind and handling noise are below this band, and much of the noise
@@ -60,7 +60,7 @@ class Soundtrack:
 
     Attributes:
         samples: (N,) mono samples at 8 kHz, relative to full scale.
-        start: time in seconds of the first sample, relative to the video's first frame. It can be negative.
+        start: time in seconds of the first sample, relative to the video's first frame. The time can be negative.
     """
 
     samples: Samples
@@ -140,7 +140,7 @@ def estimate_sound_offsets(soundtracks: Sequence[Soundtrack]) -> SoundOffsets:
     include the time that sound travels from its source to each camera; see :func:`travel_times`.
 
     Args:
-        soundtracks: the soundtrack of each camera. There must be at least one, and none may be silent.
+        soundtracks: the soundtrack of each camera. At least one soundtrack is required, and none may be silent.
 
     Raises:
         ValueError: if a soundtrack is silent, or if there is no soundtrack.

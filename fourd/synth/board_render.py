@@ -79,7 +79,7 @@ class BoardRenderer:
         rays = self._rays[SUPERSAMPLING * top : SUPERSAMPLING * bottom, SUPERSAMPLING * left : SUPERSAMPLING * right]
         rotation = self.camera.rotation @ pose.rotation
         centre = self.camera.rotation @ pose.translation + self.camera.translation
-        # Rays in board coordinates start at the camera's centre. Their length is such that a step of 1 along a ray
+        # Rays in board coordinates start at the camera's centre. The rays are scaled such that a step of 1 along a ray
         # changes the camera depth by 1.
         start = -rotation.T @ centre
         directions = rays @ rotation.astype(np.float32)

@@ -128,7 +128,8 @@ def board_pose(settings: BoardSettings, time: float) -> BoardPose:
     # The speed of the board does not depend on the number of frames, so the motion blur does not depend on it either.
     waves = np.sin(2 * np.pi * cycles * time / 60 + phases)
     tilts = np.radians(TILT_DEGREES) * waves[3:] * (1.0, 1.0, 1.5)
-    # In this orientation, the board is upright. Its x axis points to the right, and its front faces the direction -y.
+    # In this orientation, the board is upright. The x axis of the board points to the right, and its front faces the
+    # direction -y.
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rotation = np.asarray(upright @ Rotation.from_rotvec(tilts).as_matrix())
     middle = REACH_M * waves[:3] * (1.0, 0.8, 0.8)

@@ -37,13 +37,13 @@ FILL = 0.9
 
 @dataclass(frozen=True)
 class SynthSettings:
-    """Settings of a synthetic capture. They determine every byte of the capture.
+    """Settings of a synthetic capture. The settings determine every byte of the capture.
 
     Attributes:
         frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each.
             Therefore, the capture can be played in a loop.
-        cameras: number of cameras, 3 to 100. The cameras are evenly spaced on a ring with a radius of 3.6 m. They are
-            at three heights.
+        cameras: number of cameras, 3 to 100. The cameras are evenly spaced on a ring with a radius of 3.6 m. The
+            cameras have three different heights.
         size: width and height of the images, 32 to 4096 pixels.
         seed: seed of all random numbers, at least 0. The seed determines the clothes, the proportions and the gait
             phase in frame 0.

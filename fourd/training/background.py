@@ -25,8 +25,8 @@ from fourd.training.points.spacing import point_spacings
 SIZE_STEP_PX = 32
 """Multiple, in pixels, to which the sides of padded plates are rounded up."""
 CACHED_STEPS = 100
-"""Number of training steps for which the cached depth and image features of a plate are reused. Both change only slowly
-during training."""
+"""Number of training steps for which the cached depth and image features of a plate are reused. The depth and the
+features change only slowly during training."""
 MAX_DEPTH_BEHIND = 9.0
 """Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if its distance
 behind the plate's occlusion depth exceeds this tolerance."""

@@ -48,10 +48,10 @@ class RateConfig:
     xyz_spacings: float = 0.6
     """Initial learning rate of point positions, as a share of the point spacing."""
     xyz_halving_updates: int = 60
-    """Number H of updates after which the learning rate of a point's position is halved. This decay is additional to
-    the exponential decay. After n updates of the point, the rate has been multiplied by 1 / (1 + n / H). With H = 0,
-    this decay is switched off. Without this decay, long training moves points at random where no image constrains them,
-    which makes novel views worse."""
+    """Number H of updates after which the learning rate of a point's position is halved. The exponential decay applies
+    in addition. After n updates of the point, the rate has been multiplied by 1 / (1 + n / H). With H = 0, the rate is
+    not halved. Without halving, long training moves points at random where no image constrains them, which makes novel
+    views worse."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
@@ -79,7 +79,7 @@ class BackgroundConfig:
     counted."""
     seeding: Literal["ngp", "sfm"] = "ngp"
     """Source of the background points. With `ngp`, the points come from a radiance field that is fitted to the plates
-    and to stereo depths. With `sfm`, the points come from stereo alone."""
+    and to stereo depths. With `sfm`, the points come only from stereo."""
     seeds: Path | None = None
     """PLY file with background points in world units. If this file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
@@ -221,9 +221,9 @@ class TrainConfig:
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
     """Minimum number K of points that are composited at each pixel while training. Each step samples K between this
-    minimum and `layers`. An exported scene composites fewer layers than training does. Its surfaces must therefore be
-    opaque after few layers. Training with a small K produces such surfaces. Full scenes use `background.least_layers`
-    instead of this key."""
+    minimum and `layers`. An exported scene composites fewer layers than training does. The surfaces of an exported
+    scene must therefore be opaque after few layers. Training with a small K produces such surfaces. Full scenes use
+    `background.least_layers` instead of this key."""
     crop: Literal["mask", "full"] = "mask"
     """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
     selects the whole image."""

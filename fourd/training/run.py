@@ -155,7 +155,7 @@ class Run:
         return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved)
 
     def initial_points(self, frame: int) -> FramePoints:
-        """The initial points of a frame in Morton order. There are at most ``config.train.points`` of them."""
+        """The initial points of a frame in Morton order. The number of points is at most ``config.train.points``."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
         xyz = read_ply(self.folder / HULL / f"{number:06d}.ply").xyz[: train.points]

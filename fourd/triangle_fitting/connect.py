@@ -73,7 +73,7 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
     """Make one closed mesh from oriented points.
 
     The signed distance of a point is the weighted mean of its signed distances to the planes of the nearest triangles
-    (Hoppe et al. 1992, but with Gaussian weights). It is limited to the distance to the visual hull.
+    (Hoppe et al. 1992, but with Gaussian weights). The result is limited to the distance to the visual hull.
 
     Args:
         points: oriented points, at least one.

@@ -51,8 +51,8 @@ def phase_at(share: float, settings: TriangleSettings) -> Phase:
 
 
 def surface_rate(share: float, settings: TriangleSettings) -> float:
-    """Factor that multiplies the learning rates of opaque triangles. It is 1 at ``hard_share`` and SLOWEST_RATE at the
-    end."""
+    """Factor that multiplies the learning rates of opaque triangles. The factor is 1 at ``hard_share`` and SLOWEST_RATE
+    at the end."""
     length = 1 - settings.hard_share
     return float(SLOWEST_RATE ** min(max((share - settings.hard_share) / length, 0.0), 1.0)) if length > 0 else 1.0
 

@@ -25,8 +25,8 @@ MAX_SIDE_PX = 1600
 """Maximum length of an image's longer side in pixels. Larger images are reduced to this size before feature
 detection."""
 MIN_CONTRAST = 0.003
-"""SIFT's peak threshold. It is lower than COLMAP's default of 0.0067 because walls have low contrast. The additional
-wrong matches are rejected with the epipolar lines of the known poses."""
+"""SIFT's peak threshold. The threshold is lower than COLMAP's default of 0.0067 because walls have low contrast. The
+additional wrong matches are rejected with the epipolar lines of the known poses."""
 HOLE_MARGIN_PX = 6
 """Minimum distance in pixels between a feature and the holes of a plate. Near holes, plates are blurred."""
 RATIO_TEST_THRESHOLD = 0.8

@@ -141,8 +141,8 @@ def count_agreement(
     """Compare cells (M,) of one surface with all other surfaces.
 
     Returns:
-        agreeing: (M,) number of other surfaces that agree with the cell. A surface agrees if projection into its image
-            and back gives the same position.
+        agreeing: (M,) number of other surfaces that agree with the cell. A surface agrees if the cell's centre,
+            projected into the image of the surface and back, returns to about the same position.
         occluded: (M,) number of other surfaces that the cell would occlude.
     """
     surface = surfaces[index]

@@ -140,8 +140,8 @@ class _PlaneSearch:
         self.try_planes(planes, (self.scores[other] > self.scores) & (np.abs(theirs - ours) > SAME_DEPTH * ours))
 
     def random_planes(self, rng: np.random.Generator) -> Floats:
-        """Random planes (N, 3) that face the camera. Their inverse depths are uniformly distributed over the depth
-        range."""
+        """Random planes (N, 3) that face the camera. The inverse depths of the planes are uniformly distributed over
+        the depth range."""
         count = len(self.planes)
         return self._planes_at(rng.uniform(*self._range, count), self._random_normals(rng, count))
 

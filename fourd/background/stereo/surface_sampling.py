@@ -24,8 +24,8 @@ EDGE_TOLERANCE = 0.05
 edge if the errors at the neighbours on both sides exceed this maximum."""
 MAX_PARTS = 2
 """Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
-points on steep surfaces. However, points on a floor would then hide the lower half of the points behind them. This
-would shift the floor's texture up in the image by half a point."""
+points on steep surfaces. However, points on a floor would then hide the lower half of the points behind them. The
+texture of the floor would then appear half a point too high in the image."""
 
 
 @dataclass(frozen=True, eq=False)

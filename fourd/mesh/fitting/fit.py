@@ -93,7 +93,7 @@ class _Fit:
         self.order: list[int] = []
 
     def surface(self) -> Surface:
-        """The surface for the current parameters. It is differentiable in the parameters."""
+        """The surface for the current parameters. The surface is differentiable in the parameters."""
         reach = MAX_OFFSET_CELLS * self.side
         xyz = self.grid.xyz + reach * torch.tanh(self.offset)
         return marching_tetrahedra(xyz, self.distance, self.grid.tetrahedra)

@@ -46,8 +46,9 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
     """Mean colour difference between a target view and the source views that see the same surface points.
 
     A source view sees a point if the surface at the point faces the camera of the view, and if no other part of the
-    mesh hides the point. For each point, only the smaller half of the colour differences to the source views that see
-    it is used. In this way, most highlights and most errors of the visibility test are ignored.
+    mesh hides the point. For each point, the colour differences to the source views that see the point are computed,
+    and only the smaller half of them is used. In this way, most highlights and most errors of the visibility test are
+    ignored.
 
     Args:
         xyz: (P, 3) surface points, differentiable.

@@ -42,9 +42,9 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
     """Mean square of the uniform Laplacian. The uniform Laplacian of a vertex is its distance from the mean of its
     neighbours.
 
-    The uniform Laplacian (Desbrun et al. 1999) has two effects. It moves vertices along the normal, which smooths the
-    surface. It also moves vertices in the tangent plane, which makes triangles regular. Vertices without neighbours are
-    ignored.
+    The uniform Laplacian (Desbrun et al. 1999) has two effects. The first effect is that vertices move along the
+    normal, which smooths the surface. The second effect is that vertices move in the tangent plane, which makes
+    triangles regular. Vertices without neighbours are ignored.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
@@ -109,7 +109,7 @@ def edge_length_loss(xyz: Tensor, topology: MeshTopology, length: float | None =
 
 
 def triangle_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
-    """Unit normals (M, 3) of triangles (M, 3). They point outward for counter-clockwise triangles, and are 0 for
+    """Unit normals (M, 3) of triangles (M, 3). The normals point outward for counter-clockwise triangles, and are 0 for
     triangles without area.
 
     The normals are differentiable in ``xyz`` (N, 3).

@@ -20,9 +20,9 @@ class Topology:
     """The neighbours of the triangles of a mesh, which :func:`antialias` uses.
 
     Attributes:
-        opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle. It contains the third
-            vertex of the neighbouring triangle at this edge. -1 marks an edge that belongs to only one triangle, or to
-            more than two triangles. Such an edge is always a silhouette.
+        opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle. The column contains
+            the third vertex of the neighbouring triangle at this edge. -1 marks an edge that belongs to only one
+            triangle, or to more than two triangles. Such an edge is always a silhouette.
     """
 
     opposite: Tensor

@@ -36,8 +36,8 @@ def estimate_gradient(
         params: (N, ...) parameters of N primitives, floating point.
         ids: function that maps parameters to the integer indices of the primitives that each pixel shows. The result
             has the shape of the losses, or one more axis if a pixel shows several primitives. Negative values mean that
-            the pixel shows no primitive. The function is called directly after ``render`` with the same parameters. It
-            can therefore return indices that ``render`` has computed.
+            the pixel shows no primitive. The function is called directly after ``render`` with the same parameters. The
+            function can therefore return indices that ``render`` has computed.
         epsilon: size of the perturbation, greater than 0: a number, or a tensor that broadcasts to ``params``.
         samples: number of pairs of images that are rendered, at least 1.
         generator: random generator on the device of ``params``. If None, torch's default generator is used.

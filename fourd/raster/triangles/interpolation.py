@@ -34,7 +34,7 @@ def interpolate(
             C is at least 1.
         rast: (B, H, W, 4) result of ``rasterize``.
         tri: (T, 3) int32 vertex indices of the triangles.
-        rast_db: (B, H, W, 4) derivatives from ``rasterize``. They are needed if ``diff_attrs`` is given.
+        rast_db: (B, H, W, 4) derivatives from ``rasterize``. The derivatives are needed if ``diff_attrs`` is given.
         diff_attrs: channels whose derivatives are computed: a list (negative indices count from the end), or "all".
         backend, threads: see ``rasterize``.
 

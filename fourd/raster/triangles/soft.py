@@ -53,7 +53,7 @@ def rasterize_soft(
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
         features: (T, C) colours or other features, with C from 1 to 32. The values are not checked.
         camera: a pinhole camera without lens distortion.
-        sigma: softness of the edges, greater than 0. Its unit is the unit of d_ij squared.
+        sigma: softness of the edges, greater than 0. The unit of sigma is the unit of d_ij squared.
         gamma: temperature of the softmax over depths, greater than 0.
         layers: maximum number of triangles per pixel. The nearest triangles are used, and at equal depth those with the
             smallest index. None means no limit.

@@ -80,8 +80,8 @@ def texture(
             and "linear" otherwise.
         boundary_mode: how coordinates outside [0, 1] are handled: "wrap" repeats the texture, "clamp" repeats the
             texels at its border, and "zero" gives 0. With "cube", tex is a cube map, which is continuous across edges.
-            Only three texels meet at a corner of the cube. Their mean is used as the fourth texel, which is missing
-            there.
+            Only three texels meet at a corner of the cube. The mean of these texels is used as the fourth texel, which
+            is missing there.
         max_mip_level: index of the last level that is built and used. If None, all levels down to 1 x 1 are used.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.

@@ -86,7 +86,7 @@ def silhouette_errors(
 
     Args:
         prediction: (H, W, 3) colours in [0, 1].
-        truth: the same shape.
+        truth: (H, W, 3) true colours in [0, 1].
         alpha: (H, W) rendered alpha of the foreground in [0, 1].
         matte: (H, W) true alpha, 255 for 1.
     """
@@ -105,7 +105,7 @@ def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
 
     Args:
         prediction: (H, W, 3) colours in [0, 1].
-        truth: the same shape.
+        truth: (H, W, 3) true colours in [0, 1].
     """
     wrong = (np.abs(prediction - truth).max(axis=-1) > SPECK_ERROR).astype(np.uint8)
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(wrong, connectivity=8)

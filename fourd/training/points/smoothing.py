@@ -47,7 +47,7 @@ def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: f
     loss move a point in proportion to its learning rate, their balance does not depend on the learning rate.
 
     Args:
-        points: the cloud. Its planes are fitted again every REFIT_STEPS steps.
+        points: the points of a frame or of the background. The planes are fitted again every REFIT_STEPS steps.
         rows: (M,) indices of the points to move.
         rates: (M, 1) learning rates of the positions in world units.
         strength: share of the distance beyond the tolerance that is removed if the learning rate is one point spacing.

@@ -123,8 +123,8 @@ class TrainingScene(Protocol):
         the training budget."""
 
     def clear_caches(self) -> None:
-        """Drop cached data. This keeps a run that continues equal to a resumed run, which starts without cached
-        data."""
+        """Drop cached data. A resumed run starts without cached data. Dropping the cached data of a run that continues
+        keeps the two runs equal."""
 
     def evaluate_frame(
         self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
