@@ -107,8 +107,8 @@ def measure_mattes(
 ) -> MatteQuality | None:
     """Measure the agreement of the mattes in at most ``max_frames`` evenly spaced frames of a capture.
 
-    With fewer than three cameras, the result is None: two silhouettes nearly always have a common hull, so their
-    agreement says nothing about the mattes. Frames are read one at a time.
+    With fewer than three cameras, the result is None. Two silhouettes nearly always have a common hull, so their
+    agreement does not show whether the mattes are correct. Frames are read one at a time.
     """
     if len(capture.cameras) < 3 or capture.frame_count == 0:
         return None

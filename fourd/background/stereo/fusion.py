@@ -26,8 +26,8 @@ MIN_SCORE = 0.6
 DEPTH_TOLERANCE = 0.01
 """Maximum relative depth difference between a surface and a point that lies on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
-"""Maximum forward-backward error in pixels. To compute it, the centre of a cell is projected into another image. The
-point there on the other image's surface is projected back. The error is the distance between the back-projected
+"""Maximum forward-backward error in pixels. To compute the error, the centre of a cell is projected into another image.
+The point there on the other image's surface is projected back. The error is the distance between the back-projected
 position and the cell's centre."""
 OCCLUSION_MARGIN = 0.03
 """Relative depth difference above which a point in front of a known surface occludes the surface."""

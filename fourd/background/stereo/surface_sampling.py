@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Maximum relative difference between the depth of a sample of one image and that of the surface of another image. Up
-to this maximum, the sample also counts as a sample of the other surface."""
+"""Maximum relative difference between the depth of a sample of one image and that of the surface of another image. If
+the difference is at most this maximum, the sample also counts as a sample of the other surface."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
 """Side length of the smallest squares in pixels."""

@@ -38,8 +38,8 @@ CANDIDATES: tuple[tuple[Tier, int], ...] = (
 
 
 def choose_tier(source: Path, max_mbps: float, name: Path) -> Choice:
-    """Return the best candidate whose data rate for one viewing camera is at most ``MARGIN * max_mbps`` megabits per
-    second.
+    """Return the best pair in CANDIDATES whose data rate for one viewing camera is at most ``MARGIN * max_mbps``
+    megabits per second.
 
     ``name`` is the file name in the error message, because ``source`` may be a temporary file.
 

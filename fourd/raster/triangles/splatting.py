@@ -122,7 +122,8 @@ def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     eye = torch.as_tensor(camera.centre).to(xyz)
     facing = ((eye - centre) * normal).sum(dim=1, keepdim=True).detach()
     square = (normal * normal).sum(dim=1, keepdim=True)
-    # Degenerate triangles get a normal of about 0. The lower limit of the length keeps their gradients finite.
+    # Degenerate triangles get a normal of about 0. The lower limit of the length keeps the gradients of these triangles
+    # finite.
     normal = torch.where(facing < 0, -normal, normal) * torch.where(square > 1e-24, square, 1).rsqrt()
     forward = torch.as_tensor(camera.forward.copy()).to(xyz)
     depth = centre @ forward + float(camera.translation[2])

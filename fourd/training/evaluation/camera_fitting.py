@@ -74,7 +74,7 @@ def fit_test_camera(
         frames: the points of the trained scene's frames.
         index: index of the camera. All frames of the camera share one pose.
         layers: maximum number K of points that are composited at each pixel.
-        colours: whether to fit the camera's colours as well.
+        colours: whether to fit the camera's colours in addition to its pose.
     """
     given = renderer.views.rig.cameras[index]
     alignment = _Alignment(renderer, frames, index, layers, colours)

@@ -40,7 +40,7 @@ class FramePoints:
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of steps in which these points were trained.
         initial_count: scalar, number of points before training.
-        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``; None before the first
+        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. None before the first
             fit, and after points were added or removed.
     """
 
