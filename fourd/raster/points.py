@@ -49,7 +49,7 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    With intrinsics K, point i has depth z_i and projected centre q_i. The radius of point i in pixels is rho_i = K[1,
+    With intrinsics K, point i has depth z_i and projected centre q_i. In pixels, the radius of point i is rho_i = K[1,
     1] * radius_i / z_i. The alpha of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0).
     The points with alpha_i(p) > 0 are sorted by depth. Points with equal depth are sorted by index. The first
     ``layers`` points are composited.

@@ -23,7 +23,7 @@ def sample_coloured_points(
     """Sample coloured points on surfaces such that they are evenly spread over the plates' images.
 
     Args:
-        plates: full-size plates that give the colours.
+        plates: full-size plates from which the colours are sampled.
         reduced: the same plates at the size used for stereo.
         surfaces: one surface per plate.
         points: requested number of points, at least 1. If the surfaces are small, fewer points are returned.

@@ -32,7 +32,8 @@ ZIP_ERRORS = (
 
 
 def make_member(name: str) -> zipfile.ZipInfo:
-    """Return the ZIP entry of a member. The entry has a constant time, so that equal contents give equal archives."""
+    """Return the ZIP entry of a member. All entries have the same constant modification time, so that equal contents
+    give equal archives."""
     info = zipfile.ZipInfo(name, _TIMESTAMP)
     info.external_attr = 0o644 << 16
     return info

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from fourd.ops.shade.harmonics import SH_TERMS
 
 Tier = Literal["full", "stream", "light"]
-"""Quality of a packed scene. "full" looks like the unpacked scene. "stream" has coarser quantisation steps than "full".
-"light" has no source views: all colours are stored as spherical harmonics."""
+"""Quality of a packed scene. A scene of the tier "full" looks like the unpacked scene. The tier "stream" has coarser
+quantisation steps than "full". The tier "light" has no source views: all colours are stored as spherical harmonics."""
 TIERS: tuple[Tier, ...] = ("full", "stream", "light")
 
 SH_NUMBERS = 3 * SH_TERMS

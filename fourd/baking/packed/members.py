@@ -32,8 +32,8 @@ from fourd.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
 
 POINTS, SH, COLOUR = "points", "sh", "colour"
 LARGEST_WEIGHT = 1024.0
-"""Decoded value of the largest blend weight of each point. The smallest normal float16 number is 2^-24 times this
-value."""
+"""Decoded value of the largest blend weight of each point. With this value, decoded weights are normal float16 numbers
+down to 2^-24 times the largest weight."""
 _MAX_RADIUS_CODE = 2**16 - 1
 
 

@@ -110,8 +110,8 @@ def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """The matrix (16, 16) that rotates the coefficients of the spherical harmonics. The matrix mixes only coefficients
     of the same degree.
 
-    The colours are compared in more directions than there are coefficients. The linear system nevertheless has an exact
-    solution.
+    The matrix is the solution of a linear system: the colours before and after the rotation must be equal in each
+    direction. There are more directions than coefficients, but the system has an exact solution.
     """
     directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

@@ -49,8 +49,8 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
             stream = path.open("xb")
         except FileNotFoundError:
             continue  # Another process has removed ``parent``, which was empty.
-        # Another process may have removed the new lock file before this process locked it. The reason is that a lock
-        # file that is not locked looks like that of a process that has ended.
+        # Other processes remove lock files that are not locked, because such files look like those of processes that
+        # have ended. Therefore, another process may have removed the new lock file before this process locked it.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()
