@@ -37,7 +37,8 @@ WIDTH_PX = 200
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of an offset that is applied or reported."""
 UNRELIABLE_FRAMES = 3
-"""Error in frames of offsets that are estimated from motion. Smaller offsets are neither applied nor reported."""
+"""Maximum error, in frames, of offsets that are estimated from motion. Smaller offsets are neither applied nor
+reported."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2
@@ -215,7 +216,7 @@ def _correlation(first: Array, second: Array, lag: int) -> float:
 
 def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Array], offsets: Offsets) -> None:
     """Write a PNG plot of all motion energies, atomically. The left panel shows the energies as recorded. The right
-    panel shows them shifted by the offsets.
+    panel shows the energies shifted by the offsets.
 
     Each camera has a row with its name, offset and confidence. Confidences below 0.1 are red. Each row has a separate
     vertical scale. The grey lines mark the same frame numbers in both panels.
