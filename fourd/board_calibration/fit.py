@@ -374,7 +374,7 @@ def locate_boards(
     Args:
         board: the board.
         rig: cameras, timing and shape of the board, and the initial poses of the board in the frames ``known``.
-        located: views with the poses of the board that agree with them.
+        located: views and the poses of the board that fit their corners.
         frames: frame numbers, in ascending order.
         known: frame numbers of the poses in ``rig``.
     """

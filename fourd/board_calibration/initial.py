@@ -37,7 +37,7 @@ MAX_ERROR_PX = 30.0
 
 @dataclass(frozen=True, eq=False)
 class LocatedView:
-    """A view with the poses of the board that agree with it.
+    """A view and the poses of the board that fit the corners of the view.
 
     Attributes:
         view: the view.

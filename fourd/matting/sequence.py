@@ -57,7 +57,7 @@ class MatteSettings:
         rvm: TorchScript file of the Robust Video Matting network.
         onnx: ONNX file of Robust Video Matting or of a segmentation network.
         masks: folder with CAM/FRAME.png of another program, aligned with the recorded images.
-        paint: painted images that correct mattes by motion.
+        paint: painted images that correct the mattes of the method "motion".
     """
 
     method: Literal["motion", "chroma", "rvm", "onnx", "masks"] = "motion"

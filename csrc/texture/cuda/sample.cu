@@ -118,8 +118,8 @@ struct SampleBackward {
     }
 };
 
-// One float of a coarser level, and the floats of the finer level whose mean it is. The rows of all images can be
-// numbered consecutively, because a side with an odd number of texels has exactly one texel.
+// The offsets of the floats of the finer level whose mean is one float of a coarser level. The rows of all images can
+// be numbered consecutively, because a side with an odd number of texels has exactly one texel.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;
