@@ -12,6 +12,9 @@ import { damaged, inflate, inflateExactly } from "./inflate.js";
  * @property {number} largestRadius In world units.
  */
 
+/** Radii are below this number in world units, so that projected radii are finite floats. */
+const MAX_RADIUS = 1e18;
+
 /** Table over 12 bits of a Morton code. An entry has 4 bits of x, then 4 bits of y, then 4 bits of z. */
 const GATHERED = gatherTable();
 
@@ -43,13 +46,15 @@ export async function decodeBase(members, points, encoding, folder) {
   ]);
   const sizes = decodeSizes(content.subarray(points * encoding.codeBytes), points);
   const largest = sizes.reduce((code, size) => Math.max(code, size & 0xffff), 0);
+  const largestRadius = largest === 0 ? 0 : encoding.radiusLower * 2 ** ((largest - 1) / encoding.radiusSteps);
+  if (!(largestRadius < MAX_RADIUS)) throw damaged(`${folder}/points`, `radii below ${MAX_RADIUS.toExponential()}`, String(largestRadius));
   return {
     points,
     xyz: decodePositions(content, points, encoding),
     sizes,
     factors: decodeFactors(factors),
     mean: decodeMean(mean, points),
-    largestRadius: largest === 0 ? 0 : encoding.radiusLower * 2 ** ((largest - 1) / encoding.radiusSteps),
+    largestRadius,
   };
 }
 

@@ -1,4 +1,5 @@
 import { SceneError } from "../scene/errors.js";
+import { largestContent } from "../scene/limits.js";
 
 const ZSTD_MAGIC = 0xfd2fb528;
 
@@ -12,6 +13,9 @@ const ZSTD_MAGIC = 0xfd2fb528;
 export async function inflate(member, largest, name) {
   if (member.length >= 4 && new DataView(member.buffer, member.byteOffset).getUint32(0, true) === ZSTD_MAGIC) {
     throw new SceneError(`${name}: expected zlib, got Zstandard, which browsers cannot decompress; use fourd web`);
+  }
+  if (largest > largestContent(member.length)) {
+    throw damaged(name, `${largest} bytes`, `${member.length} compressed bytes, which cannot contain them`);
   }
   const stream = new DecompressionStream("deflate");
   const writer = stream.writable.getWriter();

@@ -1,3 +1,4 @@
+import { frameFolder } from "../scene/manifest.js";
 /** @typedef {import("../scene/scene_file.js").SceneFile} SceneFile */
 /** @typedef {import("../decode/pool.js").DecodePool} DecodePool */
 /** @typedef {import("../decode/cloud.js").CloudBase} CloudBase */
@@ -221,7 +222,7 @@ export class FrameStore {
       const encoding = /** @type {CloudEncoding} */ (manifest.backgroundEncoding);
       return { folder: "background", points: manifest.background?.points ?? 0, encoding };
     }
-    const folder = `frames/${String(number).padStart(6, "0")}`;
+    const folder = frameFolder(number);
     return { folder, points: manifest.points[number], encoding: manifest.dynamicEncoding };
   }
 

@@ -23,6 +23,8 @@ export class ByteSource {
     this.whole = null;
     /** ETag or date of the file, and its size. @type {{tag: string | null, size: string | null} | null} */
     this.version = null;
+    /** The size of the file in bytes, or null if the server sends no Content-Range. @type {number | null} */
+    this.size = null;
     this.bytesReceived = 0;
   }
 
@@ -107,10 +109,12 @@ export class ByteSource {
   /** @param {Response} response */
   #checkVersion(response) {
     const { headers } = response;
-    const size = headers.get("Content-Range")?.split("/")[1] ?? headers.get("Content-Length");
+    const total = headers.get("Content-Range")?.split("/")[1];
+    const size = total ?? headers.get("Content-Length");
     const tag = tagOf(response);
     if (this.version && (this.version.tag !== tag || this.version.size !== size)) throw new ChangedError();
     this.version = { tag, size };
+    this.size = /^\d{1,15}$/.test(total ?? "") ? Number(total) : null;
   }
 
   /**

@@ -27,13 +27,13 @@ export class JsonNode {
    */
   failure(key, expected) {
     const got = this.has(key) ? format(this.content[key]) : "nothing";
-    return new SceneError(`${this.where}, ${key}: expected ${expected}, got ${got}; export the scene again`);
+    return new SceneError(`${this.where}, ${printable(key)}: expected ${expected}, got ${got}; export the scene again`);
   }
 
   /** @param {string} key */
   node(key) {
     if (!this.has(key)) throw this.failure(key, "a JSON object");
-    return new JsonNode(this.content[key], `${this.where}, ${key}`);
+    return new JsonNode(this.content[key], `${this.where}, ${printable(key)}`);
   }
 
   /**
@@ -128,6 +128,14 @@ export class JsonNode {
  */
 function isUsable(value) {
   return typeof value === "number" && Math.abs(value) < 1e30;
+}
+
+/**
+ * A key of the file as text of one line.
+ * @param {string} key
+ */
+function printable(key) {
+  return /^[\w./]{1,60}$/.test(key) ? key : format(key);
 }
 
 /**

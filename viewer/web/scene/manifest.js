@@ -1,5 +1,6 @@
 import { SceneError } from "./errors.js";
 import { JsonNode } from "./json_node.js";
+import { largestContent } from "./limits.js";
 
 /**
  * A pinhole camera in OpenCV's convention. Matrices are lists of rows.
@@ -70,7 +71,7 @@ export function parseManifest(text) {
   const encoding = root.node("encoding");
   const sh = root.node("sh");
   const points = root.nodes("frames", MAX_FRAMES).map((frame) => frame.integer("points", 0, MAX_POINTS));
-  return {
+  const manifest = {
     sources,
     cameras: [...sources, ...cameras(root.nodes("other_views", MAX_VIEWS))],
     focus: root.numbers("focus", 3),
@@ -88,6 +89,34 @@ export function parseManifest(text) {
     backgroundEncoding: full ? cloudEncoding(encoding.node("background")) : null,
     members: members(root.node("members")),
   };
+  checkCounts(manifest);
+  return manifest;
+}
+
+/**
+ * Checks that the members can contain the declared numbers of points, before memory is reserved for them.
+ * @param {Manifest} manifest
+ */
+function checkCounts({ points, background, members, dynamicEncoding, backgroundEncoding }) {
+  const clouds = points.map((count, frame) => ({ folder: frameFolder(frame), count, encoding: dynamicEncoding }));
+  if (background && backgroundEncoding) {
+    clouds.push({ folder: "background", count: background.points, encoding: backgroundEncoding });
+  }
+  for (const { folder, count, encoding } of clouds) {
+    const range = members.get(`${folder}/points`);
+    if (range && count > 0 && count * (encoding.codeBytes + 3) > largestContent(range[1])) {
+      const got = `${count} points in ${range[1]} compressed bytes, which cannot contain them`;
+      throw new SceneError(`${folder}/points: expected fewer points, got ${got}; export the scene again`);
+    }
+  }
+}
+
+/**
+ * The folder of a frame inside the file.
+ * @param {number} frame
+ */
+export function frameFolder(frame) {
+  return `frames/${String(frame).padStart(6, "0")}`;
 }
 
 /**

@@ -33,7 +33,9 @@ export class SceneFile {
     const bytes = new Uint8Array(size);
     bytes.set(head.subarray(start, start + size));
     bytes.set(tail, size - rest);
-    return new SceneFile(source, parseManifest(new TextDecoder().decode(bytes)));
+    const manifest = parseManifest(new TextDecoder().decode(bytes));
+    checkRanges(manifest, source);
+    return new SceneFile(source, manifest);
   }
 
   /**
@@ -72,6 +74,20 @@ export class SceneFile {
     const range = this.manifest.members.get(name);
     if (!range) throw new SceneError(`${this.source.url}: expected the member ${name}, got none; export the scene again`);
     return { offset: range[0], size: range[1] };
+  }
+}
+
+/**
+ * Checks that the members end inside the file, if the server has sent its size.
+ * @param {Manifest} manifest
+ * @param {ByteSource} source
+ */
+function checkRanges({ members }, { size: total, url }) {
+  if (total === null) return;
+  for (const [offset, size] of members.values()) {
+    if (offset + size > total) {
+      throw new SceneError(`${url}: expected at least ${offset + size} bytes, got ${total}; copy the file again`);
+    }
   }
 }
 
