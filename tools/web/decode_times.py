@@ -1,0 +1,116 @@
+"""Print a Markdown table with the times to decode a frame in the web player's worker, and natively.
+
+    python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
+
+Both decode the same members, compressed with zlib: the points, the spherical harmonics and the source views that are
+blended for the last camera of the scene. The browser uses one worker, and native code uses one core. Both take turns.
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from pages import open_pages
+
+from fourd.baking import SceneReader
+from fourd.baking.packed.members import COLOUR, POINTS, SH, decode_cloud, view_member
+from fourd.viewer.publish.site import SCENE_NAME, write_site
+
+PREPARE = """async () => {
+    const load = (name) => import(new URL(name, new URL("player/", location.href)));
+    const {SceneFile} = await load("scene/scene_file.js");
+    const {ByteSource} = await load("scene/byte_source.js");
+    const {DecodePool} = await load("decode/pool.js");
+    const {selectSourceViews} = await load("navigate/source_views.js");
+    const file = await SceneFile.open(new ByteSource(new URL("scene.4dv", location.href).href, 15000));
+    const {manifest} = file;
+    const {views} = selectSourceViews(manifest.cameras.at(-1), manifest);
+    const pool = new DecodePool(1);
+    const encoding = manifest.dynamicEncoding;
+    const total = () => pool.times.base[0] + pool.times.views[0];
+    window.decodeFrame = async (frame) => {
+        const folder = `frames/${String(frame).padStart(6, "0")}`;
+        const points = manifest.points[frame];
+        const viewNames = views.map((view) => `${folder}/views/${String(view).padStart(3, "0")}`);
+        const names = [`${folder}/points`, `${folder}/sh`, ...(views.length ? [`${folder}/colour`] : [])];
+        const found = await file.read([...names, ...viewNames]);
+        const [pointsMember, sh, colour] = names.map((name) => found.get(name));
+        const before = total();
+        const members = {points: pointsMember, sh, colour: colour ?? null};
+        const base = await pool.base({kind: "base", folder, points, encoding, members});
+        const listed = views.map((view, index) => ({view, member: found.get(viewNames[index])}));
+        if (views.length) await pool.views({kind: "views", folder, encoding, mean: base.mean, views: listed});
+        return total() - before;
+    };
+    document.querySelector("fourd-player").remove();
+    return views;
+}"""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The scenes to decode, and how often."""
+
+    scenes: tyro.conf.Positional[tuple[Path, ...]]
+    """Packed scenes."""
+    rounds: int = 5
+    """Number of times that each frame is decoded."""
+
+
+def main() -> None:
+    arguments = tyro.cli(Arguments, description=__doc__)
+    print("| scene | points | views | worker: median | 10th to 90th percentile | native: median | ratio |")
+    print("|---|---|---|---|---|---|---|")
+    for scene in arguments.scenes:
+        with tempfile.TemporaryDirectory() as folder:
+            site = Path(folder) / "site"
+            write_site(scene, site, "full")
+            print(measure(scene.stem, site, arguments.rounds))
+
+
+def measure(name: str, site: Path, rounds: int) -> str:
+    """Return the row of a scene."""
+    reader = SceneReader(site / SCENE_NAME)
+    manifest = reader.manifest
+    reader.close()
+    worker: list[float] = []
+    native: list[float] = []
+    with open_pages({"page": (site, "")}, 256) as pages, zipfile.ZipFile(site / SCENE_NAME) as archive:
+        page = pages["page"]
+        views = page.evaluate(PREPARE)
+        for _ in range(rounds + 1):
+            for frame in range(manifest.frame_count):
+                worker.append(page.evaluate("(frame) => decodeFrame(frame)", frame))
+                native.append(decode_natively(archive, manifest, frame, views))
+    # The first round compiles the JavaScript.
+    worker, native = worker[manifest.frame_count :], native[manifest.frame_count :]
+    steps = statistics.quantiles(worker, n=10)
+    median, other = statistics.median(worker), statistics.median(native)
+    points = max(manifest.points or (0,))
+    return (
+        f"| {name} | {points:,} | {len(views)} | {median:.1f} ms | {steps[0]:.1f} to {steps[-1]:.1f} ms "
+        f"| {other:.1f} ms | {median / other:.2f} |"
+    )
+
+
+def decode_natively(archive: zipfile.ZipFile, manifest: Any, frame: int, views: list[int]) -> float:
+    """Return the time in milliseconds to decode the members that the worker decodes."""
+    folder = f"frames/{frame:06d}"
+    names = [POINTS, SH, *([COLOUR] if views else [])]
+    members = {name: archive.read(f"{folder}/{name}") for name in names}
+    for index, view in enumerate(views):
+        members[view_member(index)] = archive.read(f"{folder}/{view_member(view)}")
+    started = time.perf_counter()
+    decode_cloud(members, manifest.points[frame], len(views), manifest.encoding.dynamic)
+    return 1000 * (time.perf_counter() - started)
+
+
+if __name__ == "__main__":
+    main()

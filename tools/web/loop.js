@@ -1,0 +1,33 @@
+/**
+ * Functions that compare_viewers.py adds to each page. A page has `window.viewer`, a promise of {draw, canvas}: `draw`
+ * draws an image from a camera, as {camera, view, projection}.
+ */
+
+const nextImage = () => new Promise((resolve) => requestAnimationFrame(resolve));
+
+/** Draws from one camera for a while, so that the depth order follows, and returns the canvas as a PNG file. */
+window.picture = async (camera) => {
+  const { draw, canvas } = await window.viewer;
+  const end = performance.now() + 3000;
+  while (performance.now() < end) {
+    draw(camera);
+    await nextImage();
+  }
+  draw(camera);
+  return canvas.toDataURL("image/png").split(",")[1];
+};
+
+/** Images per second while the camera moves along a path. Each image is finished before the next is started. */
+window.imagesPerSecond = async (cameras, seconds) => {
+  const { draw, canvas } = await window.viewer;
+  const gl = canvas.getContext("webgl2");
+  const pixel = new Uint8Array(4);
+  const started = performance.now();
+  let images = 0;
+  while (performance.now() - started < 1000 * seconds) {
+    draw(cameras[images++ % cameras.length]);
+    gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+    await nextImage();
+  }
+  return (1000 * images) / (performance.now() - started);
+};

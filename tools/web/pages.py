@@ -1,0 +1,36 @@
+"""Opens pages of local folders in Chromium, for the programs of this folder."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from playwright.sync_api import sync_playwright
+
+from fourd.viewer.publish.server import SiteServer
+
+FLAGS = ("--headless", "--no-sandbox", "--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl")
+DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
+"""Flags of Playwright that would choose another graphics driver."""
+
+
+@contextmanager
+def open_pages(addresses: dict[str, tuple[Path, str]], size: int) -> Iterator[dict[str, Any]]:
+    """Yield one Playwright page for each name. Each address is a folder, and a path with a query inside the folder."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    with ExitStack() as stack:
+        running = stack.enter_context(sync_playwright())
+        browser = running.chromium.launch(executable_path=chromium, args=FLAGS, ignore_default_args=DEFAULT_FLAGS)
+        stack.callback(browser.close)
+        pages = {}
+        for name, (folder, address) in addresses.items():
+            server = stack.enter_context(SiteServer(folder))
+            threading.Thread(target=server.serve_forever, daemon=True).start()
+            stack.callback(server.shutdown)
+            pages[name] = browser.new_page(viewport={"width": size, "height": size})
+            pages[name].goto(server.url + address)
+        yield pages
