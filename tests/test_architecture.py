@@ -71,7 +71,8 @@ def source_files() -> Iterator[Path]:
         for path in sorted((ROOT / top).rglob("*")):
             folders = path.relative_to(ROOT).parts[:-1]
             is_link = any(ROOT.joinpath(*folders[: depth + 1]).is_symlink() for depth in range(len(folders)))
-            if path.is_file() and not is_link and "__pycache__" not in folders and path.suffix not in {".so", ".pyd"}:
+            is_generated = "__pycache__" in folders or "node_modules" in folders or path.suffix in {".so", ".pyd"}
+            if path.is_file() and not is_link and not is_generated:
                 yield path
 
 
