@@ -28,7 +28,7 @@ from fourd.baking.scene import (
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError
 from fourd.model import PointModel
-from fourd.model.appearance import zero_low_visibility
+from fourd.model.appearance import mix_own_colours, zero_low_visibility
 from fourd.model.point_model import EvaluatedPoints
 from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceViews, sample_sources
 from fourd.training.occlusion import with_surface_depth
@@ -191,9 +191,9 @@ def _bake_blending(
         samples = sample_sources(points.xyz, view, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)
         logits = model.blend_logits(points, samples, view, None)
         visibility = zero_low_visibility(samples.visibility[0])
+        mixed = mix_own_colours(samples.colours, samples.visibility, points.rgb, model.config.own_colour)
         weights[:, column] = torch.exp(logits[0]) * visibility
-        colours = samples.colours[0]
-        rgb[:, column] = colours if points.rgb is None else points.rgb.lerp(colours, visibility[:, None])
+        rgb[:, column] = mixed[0]
     if sources:
         weights = weights * (MAX_BAKED_WEIGHT / weights.max(dim=1, keepdim=True).values.clamp(min=1e-30))
     return weights, rgb

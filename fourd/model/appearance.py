@@ -107,13 +107,30 @@ def zero_low_visibility(visibility: Tensor) -> Tensor:
     return torch.where(visibility < MIN_VISIBILITY, torch.zeros_like(visibility), visibility)
 
 
-def blend(
-    logits: Tensor,
-    visibility: Tensor,
-    colours: Tensor,
-    base: Tensor | None = None,
-    view_weights: Tensor | None = None,
-) -> Tensor:
+def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, share: float) -> Tensor:
+    """Mix the colours that source views show at points with the points' own colours.
+
+    Args:
+        colours: (V, N, 3) colours of the views in [0, 1].
+        visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
+        own: (N, 3) a colour of each point that does not depend on the view. If ``own`` is None, the result is
+            ``colours``.
+        share: share of the own colour in each mixed colour, in [0, 1). Mixed colours are clamped to [0, 1], because
+            baked scenes store mixed colours as bytes. If the share is 0, the own colour replaces the colours of views
+            in which the point is occluded: the mixed colour of a view with visibility v and colour c is
+            v c + (1 - v) own.
+
+    Returns:
+        (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.
+    """
+    if own is None:
+        return colours
+    if share > 0:
+        return torch.lerp(colours, own.expand_as(colours), share).clamp(0, 1)
+    return own.lerp(colours, zero_low_visibility(visibility)[..., None])
+
+
+def blend(logits: Tensor, visibility: Tensor, colours: Tensor, view_weights: Tensor | None = None) -> Tensor:
     """Image-based colour: the weighted mean of the views' colours. The weight of a view is the softmax of its logit
     times its visibility.
 
@@ -121,18 +138,13 @@ def blend(
         logits: (V, N).
         visibility: (V, N) visibility weights in [0, 1]. Weights below MIN_VISIBILITY count as 0.
         colours: (V, N, 3).
-        base: (N, 3) colours of the points without source views, or None. If ``base`` is given, a view with visibility v
-            and colour c contributes the colour v c + (1 - v) base instead of c.
         view_weights: (V,) factors in [0, 1] that multiply the weights of each view, or None if all factors are 1.
 
     Returns:
-        (N, 3) colours. A point that is visible in no view gets ``base``. Without ``base``, such a point gets the mean
-        of the views' colours, weighted by ``view_weights``. In a baked scene, points whose stored weights are all 0
-        also get this mean.
+        (N, 3) colours. A point that is visible in no view gets the mean of the views' colours, weighted by
+        ``view_weights``. In a baked scene, points whose stored weights are all 0 also get this mean.
     """
     visibility = zero_low_visibility(visibility)
-    if base is not None:
-        colours = base.lerp(colours, visibility[..., None])
     weights = torch.softmax(logits, dim=0) * visibility
     own = torch.ones_like(weights[:, 0]) if view_weights is None else view_weights
     if view_weights is not None:

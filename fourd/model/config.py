@@ -53,6 +53,11 @@ class ModelConfig:
     `explicit`, training optimises 48 coefficients for each point of each frame."""
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH when it is added to the image-based colour."""
+    own_colour: float = 0.4
+    """Share of the own colour of a point in the point's image-based colour, at least 0 and less than 1. Each point of
+    each frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a
+    point a wrong colour where geometry or blending is inexact. The own colour reduces this error in new views. If the
+    share is 0, points have no own colour."""
     continuous: bool = False
     """Let the blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be
     exported."""
@@ -87,4 +92,5 @@ class ModelConfig:
             0 < low < self.radius_start < high,
             f"radius_range: expected 0 < low < radius_start < high, got {self.radius_range}",
         )
+        require(0 <= self.own_colour < 1, f"own_colour: expected 0 or more, and less than 1, got {self.own_colour}")
         require(self.sh_range > 0, f"sh_range: expected more than 0, got {self.sh_range}")

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from fourd.background.contraction import CONTRACTED_RADIUS, Contraction
 from fourd.cameras import Camera
-from fourd.model.appearance import BlendHead, HarmonicsHead, ImageEncoder, blend, harmonics_colour
+from fourd.model.appearance import BlendHead, HarmonicsHead, ImageEncoder, blend, harmonics_colour, mix_own_colours
 from fourd.model.config import ModelConfig
 from fourd.model.geometry import GeometryHead
 from fourd.model.kplanes import KPlanes
@@ -51,9 +51,8 @@ class EvaluatedPoints:
             no residual field.
         features: outputs of the first layers of the heads.
         explicit_sh: (N, 48) optimised SH coefficients; None if an MLP predicts the SH coefficients.
-        rgb: (N, 3) colours that the points have without source views, or None to use only the views' colours. The
-            colour of each view is mixed with ``rgb`` according to the view's visibility weight; see ``base`` of
-            ``blend``.
+        rgb: (N, 3) the points' own colours, which do not depend on the view; None to use only the views' colours. The
+            colours of the views are mixed with ``rgb``; see ``mix_own_colours``.
     """
 
     xyz: Tensor
@@ -154,7 +153,7 @@ class PointModel(nn.Module):
             spacing: (N,) distance between neighbouring points in world units. Radii are proportional to the spacing.
             time: time of the frame in [0, 1].
             explicit_sh: (N, 48) optimised SH coefficients; see :class:`EvaluatedPoints`.
-            rgb: (N, 3) colours that the points have without source views; see :class:`EvaluatedPoints`.
+            rgb: (N, 3) the points' own colours; see :class:`EvaluatedPoints`.
         """
         features = self._point_features(xyz, time)
         radius, density = self.geometry_head(features.geometry)
@@ -192,7 +191,8 @@ class PointModel(nn.Module):
                     encoded = self.encode_images(sources.images)
             samples = sample_sources(points.xyz, sources, encoded, OCCLUSION_FALLOFF_SPACINGS * points.spacing)
             logits = self.blend_logits(points, samples, sources, viewer)
-            colour = blend(logits, samples.visibility, samples.colours, points.rgb, sources.weights)
+            colours = mix_own_colours(samples.colours, samples.visibility, points.rgb, self.config.own_colour)
+            colour = blend(logits, samples.visibility, colours, sources.weights)
             colour = colour if shadow is None else shadow.apply(colour)
         sh = self.harmonics(points)
         if sh is not None:

@@ -58,6 +58,7 @@ def create_background(
             residual=False,
             sh="mlp",
             continuous=False,
+            own_colour=0.0,
         ),
         centre - contraction.radius,
         centre + contraction.radius,

@@ -158,11 +158,18 @@ class Run:
         """The initial points of a frame in Morton order. The number of points is at most ``config.train.points``."""
         train = self.config.train
         number = self.capture.frame_numbers[frame]
-        xyz = read_ply(self.folder / HULL / f"{number:06d}.ply").xyz[: train.points]
+        cloud = read_ply(self.folder / HULL / f"{number:06d}.ply")
+        xyz, rgb = cloud.xyz[: train.points], cloud.rgb[: train.points]
+        order = morton_order(xyz)
         spacing = torch.full((len(xyz),), self.config.scene.spacing)
-        explicit = train.model.sh == "explicit" and train.model.appearance != "ibr"
-        ordered = torch.from_numpy(xyz[morton_order(xyz)])
-        return FramePoints.initial(ordered, spacing, train.model.radius_start, explicit_sh=explicit)
+        has_own_colours = train.model.own_colour > 0 and train.model.appearance != "sh"
+        return FramePoints.initial(
+            torch.from_numpy(xyz[order]),
+            spacing,
+            train.model.radius_start,
+            explicit_sh=train.model.sh == "explicit" and train.model.appearance != "ibr",
+            rgb=torch.from_numpy(rgb[order]).float() / 255 if has_own_colours else None,
+        )
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import torch
 
 from fourd.cameras import Camera, look_at
 from fourd.model import ModelConfig, PlanesConfig, PointModel
-from fourd.model.appearance import BlendHead, ImageEncoder, blend
+from fourd.model.appearance import BlendHead, ImageEncoder, blend, mix_own_colours
 from fourd.model.sources import SourceViews, project_points, sample_sources
 from fourd.model.spherical_harmonics import sh_basis
 
@@ -98,6 +98,13 @@ def test_view_weights_scale_the_softmax() -> None:
     visibility = torch.tensor([[1.0, 0.0], [1.0, 0.0]])
     mixed = blend(logits, visibility, colours, view_weights=torch.tensor([0.6, 0.2]))
     torch.testing.assert_close(mixed, torch.tensor([[0.75, 0.25, 0], [0.75, 0.25, 0]]))
+
+
+def test_own_colours_are_mixed_into_every_view_and_stay_bytes() -> None:
+    """Catches an own colour that only occluded views get, and mixed colours that an exported scene cannot store."""
+    colours, own = torch.tensor([[[0.2, 0.5, 1.0]], [[0.4, 0.0, 1.0]]]), torch.tensor([[1.0, -0.5, 1.5]])
+    mixed = mix_own_colours(colours, torch.tensor([[1.0], [0.0]]), own, 0.4)
+    torch.testing.assert_close(mixed, torch.tensor([[[0.52, 0.1, 1.0]], [[0.64, 0.0, 1.0]]]))
 
 
 @pytest.mark.parametrize("visibility", [0.0, 1e-6, 0.9e-3])

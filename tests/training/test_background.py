@@ -13,7 +13,7 @@ import torch
 
 from fourd.cameras import look_at
 from fourd.errors import UserError
-from fourd.model.appearance import blend
+from fourd.model.appearance import blend, mix_own_colours
 from fourd.pipeline.make import create_run
 from fourd.training.background import CACHED_STEPS, outside_all_images
 from fourd.training.occlusion import occlusion_depth, surface_depth
@@ -85,9 +85,11 @@ def test_a_point_s_own_colour_replaces_views_that_do_not_see_it() -> None:
     """Catches black or unrelated colours of points that none of the blended plates shows."""
     colours = torch.tensor([[[0.0, 0.0, 0.0]], [[0.9, 0.1, 0.1]]])
     base = torch.tensor([[0.2, 0.5, 0.4]])
-    unseen = blend(torch.zeros(2, 1), torch.zeros(2, 1), colours, base)
+    visibility = torch.zeros(2, 1)
+    unseen = blend(torch.zeros(2, 1), visibility, mix_own_colours(colours, visibility, base, 0.0))
     torch.testing.assert_close(unseen, base)
-    half_seen = blend(torch.zeros(2, 1), torch.tensor([[0.0], [1.0]]), colours, base)
+    visibility = torch.tensor([[0.0], [1.0]])
+    half_seen = blend(torch.zeros(2, 1), visibility, mix_own_colours(colours, visibility, base, 0.0))
     assert torch.equal(half_seen, colours[1])
 
 

@@ -70,7 +70,9 @@ class ObjectScene:
             views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
             sources = with_surface_depth(views, points, self.config.model.occlusion)
         leaves = {name: value[rows].requires_grad_() for name, value in points.parameters.items()}
-        evaluated = self.model.evaluate(leaves["xyz"], points.spacing[rows], time, explicit_sh=leaves.get("sh"))
+        evaluated = self.model.evaluate(
+            leaves["xyz"], points.spacing[rows], time, explicit_sh=leaves.get("sh"), rgb=leaves.get("rgb")
+        )
         train_encoder = step % self.config.encoder_every == 0
         colour = self.model.colour(evaluated, camera, sources, train_encoder=train_encoder)
         return OptimizedPoints(points, rows, leaves, evaluated, colour, sources)
@@ -100,6 +102,7 @@ class ObjectScene:
                 points.spacing,
                 self.views.capture.time(frame),
                 explicit_sh=points.parameters.get("sh"),
+                rgb=points.parameters.get("rgb"),
             )
             views: SourceViews | None = None
             if self.model.config.appearance != "sh":
