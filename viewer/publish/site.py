@@ -25,7 +25,15 @@ _POSTER_SIDE = 960
 _NOT_SERVED = ("index.html", "page.css", "tsconfig.json", "examples", "node_modules", "package-lock.json")
 
 
-def write_site(source: Path, out: Path, tier: Tier, title: str | None = None, track: Track = untracked) -> None:
+def write_site(
+    source: Path,
+    out: Path,
+    tier: Tier,
+    title: str | None = None,
+    track: Track = untracked,
+    *,
+    level: int | None = None,
+) -> None:
     """Write a folder with a page, a poster image, the player's modules and the scene.
 
     Packed scenes keep their tier. Their members are compressed again, because browsers cannot decompress Zstandard.
@@ -36,6 +44,7 @@ def write_site(source: Path, out: Path, tier: Tier, title: str | None = None, tr
         tier: tier of the result, if the scene is not yet packed.
         title: title of the page, by default the name of the file.
         track: reports progress.
+        level: level of the tier, see :func:`fourd.baking.packing.pack.pack_scene`.
 
     Raises:
         UserError: if ``source`` is not a valid scene, or if ``out`` has other content.
@@ -43,7 +52,7 @@ def write_site(source: Path, out: Path, tier: Tier, title: str | None = None, tr
     if not is_unused(out) and not is_site(out):
         raise UserError(f"{out}: expected a new folder or an earlier site, got a folder with other files; change -o")
     with atomic_folder(out) as folder:
-        write_scene(source, folder / SCENE_NAME, tier, track)
+        write_scene(source, folder / SCENE_NAME, tier, track, level=level)
         write_poster(folder / SCENE_NAME, folder / POSTER_NAME)
         copy_player(folder, title or source.stem)
 
@@ -53,7 +62,7 @@ def is_site(folder: Path) -> bool:
     return all((folder / name).exists() for name in (PAGE_NAME, SCENE_NAME, PLAYER_FOLDER))
 
 
-def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked) -> None:
+def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked, *, level: int | None = None) -> None:
     """Write a scene in the form that browsers read: packed, with zlib. Raises UserError."""
     reader = SceneReader(source)
     manifest = reader.manifest
@@ -67,7 +76,7 @@ def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked) -
     if is_packed:
         transcode_scene(source, out, storage, track)
     else:
-        pack_scene(source, out, tier, track, storage=storage)
+        pack_scene(source, out, tier, track, level=level, storage=storage)
 
 
 def write_poster(scene: Path, out: Path) -> None:

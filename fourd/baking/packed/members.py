@@ -17,6 +17,7 @@ modulo 256:
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,22 @@ LARGEST_WEIGHT = 1024.0
 """Decoded value of the largest blend weight of each point. With this value, decoded weights are normal float16 numbers
 down to 2^-24 times the largest weight."""
 _MAX_RADIUS_CODE = 2**16 - 1
+_MAX_LEVEL = 127
+"""Largest difference between a colour and its mean colour, in steps. Levels are signed bytes."""
+
+
+@dataclass(frozen=True)
+class ColourRounding:
+    """How the writer rounds colours beyond the step of the encoding. Readers do not need these numbers.
+
+    Attributes:
+        mean_step: mean colours are rounded to multiples of this number, in units of 1/255.
+        unseen_step: in views with a blend weight of 0, the differences from the mean colours are rounded to multiples
+            of this number, in units of 1/255. It is a multiple of the encoding's ``colour_step``.
+    """
+
+    mean_step: int
+    unseen_step: int
 
 
 def view_member(view: int) -> str:
@@ -58,18 +75,19 @@ def morton_sorted(frame: BakedFrame, encoding: CloudEncoding) -> NDArray[np.int6
     return np.argsort(encode_positions(frame.xyz, encoding), kind="stable")
 
 
-def encode_cloud(frame: BakedFrame, encoding: CloudEncoding) -> dict[str, bytes]:
-    """Return the uncompressed content of each member. The points of ``frame`` must be in the order of
-    :func:`morton_sorted`."""
+def encode_cloud(frame: BakedFrame, encoding: CloudEncoding, rounding: ColourRounding) -> dict[str, bytes]:
+    """Return the uncompressed content of each member. The points must be in the order of :func:`morton_sorted`."""
     members = {POINTS: _encode_points(frame, encoding), SH: _encode_sh(frame.sh, encoding)}
     if frame.view_count:
-        mean = mean_colours(frame)
+        mean = _round_means(mean_colours(frame), rounding.mean_step)
         members[COLOUR] = _encode_mean(mean)
         weights = _encode_weights(frame.blend_weights, encoding)
         for view in range(frame.view_count):
-            seen = np.full(frame.point_count, True) if encoding.every_point_has_colours else weights[:, view] > 0
-            levels = _colour_levels(frame.rgb[seen, view], mean[seen], encoding.colour_step)
-            members[view_member(view)] = weights[:, view].tobytes() + _decorrelate(levels).tobytes()
+            seen = weights[:, view] > 0
+            steps = np.where(seen, encoding.colour_step, rounding.unseen_step)[:, None]
+            levels = _colour_levels(frame.rgb[:, view], mean, steps, encoding.colour_step)
+            stored = levels if encoding.every_point_has_colours else levels[seen]
+            members[view_member(view)] = weights[:, view].tobytes() + _decorrelate(stored).tobytes()
     return members
 
 
@@ -194,9 +212,16 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
     return content
 
 
-def _colour_levels(rgb: NDArray[np.uint8], mean: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    difference = rgb.astype(np.int16) - mean.astype(np.int16)
-    return np.rint(difference / step).astype(np.int16).astype(np.uint8)
+def _round_means(mean: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
+    return np.clip(np.rint(mean / step) * step, 0, 255).astype(np.uint8)
+
+
+def _colour_levels(
+    rgb: NDArray[np.uint8], mean: NDArray[np.uint8], steps: NDArray[np.int64], unit: int
+) -> NDArray[np.uint8]:
+    """Return the differences (N, 3) of colours from mean colours, rounded to ``steps`` (N, 1), in units of ``unit``."""
+    levels = np.rint((rgb.astype(np.int16) - mean.astype(np.int16)) / steps) * (steps // unit)
+    return np.clip(levels, -_MAX_LEVEL, _MAX_LEVEL).astype(np.int16).astype(np.uint8)
 
 
 def _decorrelate(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.files.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
-from fourd.baking.packed.members import LARGEST_WEIGHT, decode_cloud
+from fourd.baking.packed.members import LARGEST_WEIGHT, ColourRounding, decode_cloud
 from fourd.baking.packed.streams import stored
 from fourd.baking.scene import BakedFrame
 
@@ -16,7 +16,9 @@ HALF_PRECISION = 2.0**-11
 """Maximum relative rounding error of a float16."""
 
 
-def check_bounds(cloud: BakedFrame, members: Mapping[str, bytes], encoding: CloudEncoding) -> None:
+def check_bounds(
+    cloud: BakedFrame, members: Mapping[str, bytes], encoding: CloudEncoding, rounding: ColourRounding
+) -> None:
     """Decode ``members`` and compare the result with ``cloud``, whose points are in the same order.
 
     Raises:
@@ -36,7 +38,7 @@ def check_bounds(cloud: BakedFrame, members: Mapping[str, bytes], encoding: Clou
     density = np.abs(decoded["density"] - cloud.density.astype(np.float64))
     _check("density", density, 0.5001 / encoding.density_levels + HALF_PRECISION)
     _check_sh(decoded["sh"], cloud.sh, encoding)
-    _check_views(decoded["blend_weights"], decoded["rgb"], cloud, encoding)
+    _check_views(decoded["blend_weights"], decoded["rgb"], cloud, encoding, rounding)
 
 
 def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: CloudEncoding) -> None:
@@ -49,7 +51,11 @@ def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: C
 
 
 def _check_views(
-    weights: NDArray[np.float16], rgb: NDArray[np.uint8], cloud: BakedFrame, encoding: CloudEncoding
+    weights: NDArray[np.float16],
+    rgb: NDArray[np.uint8],
+    cloud: BakedFrame,
+    encoding: CloudEncoding,
+    rounding: ColourRounding,
 ) -> None:
     if cloud.view_count == 0:
         return
@@ -65,8 +71,9 @@ def _check_views(
     in_range = seen & (octaves < min((MAX_CODE - 2) / encoding.weight_steps, 20))
     _check("blend_weights", np.abs(decoded_octaves - octaves)[in_range], 0.5001 / encoding.weight_steps + 0.03)
     difference = np.abs(rgb.astype(np.int16) - cloud.rgb.astype(np.int16))
-    kept = difference if encoding.every_point_has_colours else difference[seen]
-    _check("rgb", kept, encoding.colour_step // 2)
+    _check("rgb", difference[seen], encoding.colour_step // 2)
+    if encoding.every_point_has_colours:
+        _check("rgb in unseen views", difference[~seen], rounding.unseen_step // 2)
 
 
 def _check(name: str, errors: NDArray[np.floating] | np.floating, bound: NDArray[np.floating] | float) -> None:

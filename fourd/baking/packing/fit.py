@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking.files.encoding import MAX_COLOUR_STEP, SH_NUMBERS, CloudEncoding, Tier
+from fourd.baking.files.encoding import SH_NUMBERS, CloudEncoding
 from fourd.baking.packed.colours import has_own_unseen_colours
+from fourd.baking.packing.precision import Precision
 from fourd.baking.scene import BakedFrame
 from fourd.morton import MAX_BITS
 
@@ -20,43 +21,6 @@ computed."""
 _SMALLEST = 1e-9
 """Numbers in the basis whose absolute value is below this threshold are set to 0, because arithmetic with subnormal
 numbers is slow."""
-
-
-@dataclass(frozen=True)
-class Precision:
-    """Quantisation steps of a tier. The fields correspond to those of
-    :class:`fourd.baking.files.encoding.CloudEncoding`.
-
-    ``positions_per_radius`` is the number of position steps per median radius of the points. ``keeps_unseen_colours``
-    states whether a point's colours are also kept for views in which its blend weight is 0.
-    """
-
-    positions_per_radius: int
-    radius_steps: int
-    density_levels: int
-    sh_step: float
-    weight_steps: int
-    colour_step: int
-    keeps_unseen_colours: bool
-
-    def coarser(self, factor: int) -> Precision:
-        """Return the precision with all quantisation steps multiplied by ``factor``."""
-        return Precision(
-            max(self.positions_per_radius // factor, 1),
-            max(self.radius_steps // factor, 1),
-            max(self.density_levels // factor, 1),
-            self.sh_step * factor,
-            max(self.weight_steps // factor, 1),
-            min(self.colour_step * factor, MAX_COLOUR_STEP),
-            self.keeps_unseen_colours,
-        )
-
-
-PRECISIONS: dict[Tier, Precision] = {
-    "full": Precision(96, 64, 255, 1 / 64, 8, 2, True),
-    "stream": Precision(32, 32, 127, 1 / 24, 3, 6, False),
-    "light": Precision(24, 16, 63, 1 / 24, 1, 8, False),
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +97,7 @@ def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
         sh_step=precision.sh_step,
         weight_steps=precision.weight_steps,
         colour_step=precision.colour_step,
-        every_point_has_colours=precision.keeps_unseen_colours and samples.has_own_unseen_colours,
+        every_point_has_colours=precision.unseen_colour_step is not None and samples.has_own_unseen_colours,
     )
 
 

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 from fourd.baking.container import SceneReader, frame_folder
 from fourd.baking.files.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.baking.packed.members import encode_cloud, morton_sorted, optional_member
-from fourd.baking.packed.streams import compress
+from fourd.baking.packed.streams import Compression, compress
 from fourd.baking.packing.bounds import check_bounds
-from fourd.baking.packing.fit import PRECISIONS, fit_encoding, merge_samples, sample_cloud
+from fourd.baking.packing.fit import fit_encoding, merge_samples, sample_cloud
 from fourd.baking.packing.light import LIGHT_SH_BASE, LIGHT_SH_RANGE, LightFit
+from fourd.baking.packing.precision import DEFAULT_LEVELS, LEVELS
+from fourd.baking.packing.visible import find_visible
 from fourd.baking.packing.writer import PackedWriter, Storage
 from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
 from fourd.errors import UserError
@@ -45,7 +47,7 @@ def pack_scene(
     tier: Tier,
     track: Track = untracked,
     *,
-    coarseness: int = 1,
+    level: int | None = None,
     storage: Storage | None = None,
 ) -> PackReport:
     """Write the scene ``source`` as a packed scene of a tier. Each frame is read twice, and only one frame is kept in
@@ -56,7 +58,8 @@ def pack_scene(
         out: path of the packed scene. ``out`` may be the same path as ``source``.
         tier: see :data:`fourd.baking.files.encoding.Tier`.
         track: reports progress.
-        coarseness: factor by which the quantisation steps of the tier are multiplied.
+        level: index of the tier's level in :data:`fourd.baking.packing.precision.LEVELS`. 0 is the finest. None selects
+            the level of :data:`fourd.baking.packing.precision.DEFAULT_LEVELS`.
         storage: compression and order of the members.
 
     Raises:
@@ -64,50 +67,61 @@ def pack_scene(
     """
     reader = SceneReader(source)
     try:
-        packer = _Packer(reader, tier, coarseness, range(reader.manifest.frame_count), track)
+        chosen = DEFAULT_LEVELS[tier] if level is None else level
+        packer = _Packer(reader, tier, chosen, range(reader.manifest.frame_count), track)
         return packer.write(out, track, storage)
     finally:
         reader.close()
 
 
-def measure_frames(reader: SceneReader, frames: Sequence[int], tier: Tier, coarseness: int) -> float:
-    """Return the mean bytes per frame that a player fetches for one viewing camera. The mean is over ``frames``.
+def measure_frames(
+    reader: SceneReader, frames: Sequence[int], tier: Tier, level: int, compression: Compression = "zstd"
+) -> float:
+    """Return the mean bytes per frame that a player fetches for one viewer, measured on some of the frames.
 
     ``frames`` are frame indices. The background is not included, because it is fetched once.
     """
-    packer = _Packer(reader, tier, coarseness, frames, untracked)
+    packer = _Packer(reader, tier, level, frames, untracked)
     sizes = {
-        f"{frame_folder(index)}/{name}": len(compress(content))
+        f"{frame_folder(index)}/{name}": len(compress(content, compression))
         for index in frames
-        for name, content in packer.frame_members(index).items()
+        for name, content in packer.frame(index).members.items()
     }
     return _report(0, sizes, len(frames), packer.manifest).streamed
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    """An encoded cloud: the number of its points, and its members before compression."""
+
+    points: int
+    members: dict[str, bytes]
 
 
 class _Packer:
     """Packs the frames of a scene with one encoding, which is chosen from samples of some frames."""
 
-    def __init__(self, reader: SceneReader, tier: Tier, coarseness: int, frames: Sequence[int], track: Track) -> None:
+    def __init__(self, reader: SceneReader, tier: Tier, level: int, frames: Sequence[int], track: Track) -> None:
         if not frames:
             raise UserError(f"{reader.path}: expected a scene with at least one frame, got none; export the run again")
         self.reader = reader
+        self.precision = LEVELS[tier][level]
         self.convert, manifest = _conversion(reader.manifest, tier)
-        sampled = (sample_cloud(self.convert(reader.read_dynamic(index)), len(frames)) for index in frames)
+        sampled = (sample_cloud(self._read(index), len(frames)) for index in frames)
         dynamic = merge_samples(track(sampled, len(frames), "sample"))
         background = reader.read_background()
         self.background = None if background is None else self.convert(background)
-        precision = PRECISIONS[tier].coarser(coarseness)
         self.encoding = SceneEncoding(
             tier,
-            fit_encoding(dynamic, precision),
-            None if self.background is None else fit_encoding(sample_cloud(self.background), precision),
+            fit_encoding(dynamic, self.precision),
+            None if self.background is None else fit_encoding(sample_cloud(self.background), self.precision),
         )
         self.manifest = replace(manifest, encoding=self.encoding)
 
-    def frame_members(self, index: int) -> dict[str, bytes]:
-        """Return the contents of the members of a frame, without the frame's shadow."""
-        frame = self.convert(self.reader.read_dynamic(index))
-        return _members(frame, self.encoding.dynamic, morton_sorted(frame, self.encoding.dynamic))
+    def frame(self, index: int) -> _Cloud:
+        """Encode the points of a frame, without its shadow."""
+        cloud = self._read(index)
+        return self._encode(cloud, self.encoding.dynamic, morton_sorted(cloud, self.encoding.dynamic))
 
     def write(self, out: Path, track: Track, storage: Storage | None) -> PackReport:
         """Write all frames and the background."""
@@ -116,12 +130,36 @@ class _Packer:
             order: NDArray[np.int64] | None = None
             if self.background is not None and self.encoding.background is not None:
                 order = morton_sorted(self.background, self.encoding.background)
-                writer.add_background(_members(self.background, self.encoding.background, order))
+                writer.add_background(self._encode(self.background, self.encoding.background, order).members)
             for index in track(frames, len(frames), "pack"):
                 shadow = self.reader.read_shadow(index)
                 shadow_bytes = None if shadow is None or order is None else shadow[order].tobytes()
-                writer.add_frame(index, self.frame_members(index), shadow_bytes)
+                encoded = self.frame(index)
+                writer.add_frame(index, encoded.points, encoded.members, shadow_bytes)
         return _report(out.stat().st_size, writer.sizes, len(frames), self.manifest)
+
+    def _read(self, index: int) -> BakedFrame:
+        """Read the points of a frame that some viewer sees, prepared for the tier.
+
+        Points of the background are kept, because the shell shows directions that no view of the capture shows.
+        """
+        cloud = self.reader.read_dynamic(index)
+        return self.convert(_select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility)))
+
+    def _encode(self, cloud: BakedFrame, encoding: CloudEncoding, order: NDArray[np.int64]) -> _Cloud:
+        """Encode a cloud in the given order, and check the errors of the result."""
+        ordered = _select(cloud, order)
+        rounding = self.precision.colour_rounding
+        members = encode_cloud(ordered, encoding, rounding)
+        check_bounds(ordered, members, encoding, rounding)
+        for attribute in ordered.attributes:
+            if attribute.is_optional:
+                members[optional_member(attribute.name)] = ordered.arrays[attribute.name].tobytes()
+        return _Cloud(ordered.point_count, members)
+
+
+def _select(cloud: BakedFrame, indices: NDArray[np.int64]) -> BakedFrame:
+    return make_frame({name: array[indices] for name, array in cloud.arrays.items()})
 
 
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
@@ -139,17 +177,6 @@ def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFra
         sh_range=LIGHT_SH_RANGE,
     )
     return fit.convert, described
-
-
-def _members(cloud: BakedFrame, encoding: CloudEncoding, order: NDArray[np.int64]) -> dict[str, bytes]:
-    """Encode a cloud whose points are already in storage order, and check the errors of the result."""
-    ordered = make_frame({name: array[order] for name, array in cloud.arrays.items()})
-    members = encode_cloud(ordered, encoding)
-    check_bounds(ordered, members, encoding)
-    for attribute in ordered.attributes:
-        if attribute.is_optional:
-            members[optional_member(attribute.name)] = ordered.arrays[attribute.name].tobytes()
-    return members
 
 
 def _report(file_bytes: int, sizes: dict[str, int], frames: int, manifest: SceneManifest) -> PackReport:

@@ -1,4 +1,4 @@
-"""Selects the best tier of a packed scene that plays without pauses over a given network connection."""
+"""Chooses the tier and the level of a packed scene that a network connection can play without pauses."""
 
 from __future__ import annotations
 
@@ -7,11 +7,14 @@ from pathlib import Path
 
 from fourd.baking.container import SceneReader
 from fourd.baking.files.encoding import Tier
+from fourd.baking.packed.streams import Compression
 from fourd.baking.packing.pack import measure_frames
+from fourd.baking.packing.precision import LEVELS
 from fourd.errors import UserError
+from fourd.progress import Track, untracked
 
 SAMPLED_FRAMES = 3
-"""Number of frames from which the bytes per frame of a tier are estimated."""
+"""Number of frames from which the bytes of a level are estimated."""
 MARGIN = 0.95
 """Share of the connection's data rate that the estimated data rate may use. The rest is for frames that are larger than
 the mean."""
@@ -19,46 +22,67 @@ the mean."""
 
 @dataclass(frozen=True)
 class Choice:
-    """A tier, the factor that multiplies its quantisation steps, and its estimated data rate in megabits per second."""
+    """A level of a tier, and the rates that led to its choice.
+
+    Attributes:
+        tier, level: see :data:`fourd.baking.packing.precision.LEVELS`.
+        mbps: estimated rate in megabits per second.
+        finer_mbps: estimated rate of the next better choice, which is too high. None if this choice is the best one.
+        fps: frames per second of playback.
+    """
 
     tier: Tier
-    coarseness: int
+    level: int
     mbps: float
+    finer_mbps: float | None
+    fps: float
+
+    def __str__(self) -> str:
+        why = "" if self.finer_mbps is None else f"; the next finer level needs {self.finer_mbps:.1f} Mbit/s"
+        level = f"level {self.level + 1} of {len(LEVELS[self.tier])}"
+        return f"tier {self.tier}, {level}: {self.mbps:.1f} Mbit/s at {self.fps:g} frames per second{why}"
 
 
+LIGHT_FROM = 3
+"""Index of the finest level of "light" that is used for a connection. Finer levels of "light" are as large as levels of
+"stream", which look better on most captures."""
 CANDIDATES: tuple[tuple[Tier, int], ...] = (
-    ("full", 1),
-    ("stream", 1),
-    ("stream", 2),
-    ("light", 1),
-    ("light", 2),
-    ("light", 4),
+    *(("full", level) for level in range(len(LEVELS["full"]))),
+    *(("stream", level) for level in range(len(LEVELS["stream"]))),
+    *(("light", level) for level in range(LIGHT_FROM, len(LEVELS["light"]))),
 )
-"""Pairs of a tier and the factor that multiplies its quantisation steps, from the best to the smallest scene."""
+"""Tiers and levels from best to smallest."""
 
 
-def choose_tier(source: Path, max_mbps: float, name: Path) -> Choice:
-    """Return the best pair in CANDIDATES whose data rate for one viewing camera is at most ``MARGIN * max_mbps``
-    megabits per second.
+def choose_tier(
+    source: Path, max_mbps: float, name: Path, compression: Compression = "zstd", track: Track = untracked
+) -> Choice:
+    """Return the best level whose frames, as fetched for one viewer, fit ``max_mbps`` megabits per second.
 
-    ``name`` is the file name in the error message, because ``source`` may be a temporary file.
+    Args:
+        source: a `.4dv` of any version.
+        max_mbps: rate of the connection.
+        name: the file that the error message names, because ``source`` may be a temporary file.
+        compression: compression of the members.
+        track: reports progress.
 
     Raises:
-        UserError: if even the smallest candidate has a higher data rate, or if ``source`` is not a valid scene.
+        UserError: if even the smallest level needs more, or if ``source`` is not a valid scene.
     """
     reader = SceneReader(source)
     try:
         count, fps = reader.manifest.frame_count, reader.manifest.fps
         frames = sorted({round(index * (count - 1) / max(SAMPLED_FRAMES - 1, 1)) for index in range(SAMPLED_FRAMES)})
-        choice = Choice("full", 1, 0.0)
-        for tier, coarseness in CANDIDATES:
-            mbps = measure_frames(reader, frames, tier, coarseness) * fps * 8 / 1e6
-            choice = Choice(tier, coarseness, mbps)
+        mbps: float | None = None
+        for tier, level in track(CANDIDATES, len(CANDIDATES), "measure"):
+            finer = mbps
+            mbps = measure_frames(reader, frames, tier, level, compression) * fps * 8 / 1e6
             if mbps <= MARGIN * max_mbps:
-                return choice
+                return Choice(tier, level, mbps, finer, fps)
     finally:
         reader.close()
+    assert mbps is not None
     raise UserError(
-        f"--max-mbps: expected at least {choice.mbps / MARGIN:.1f} Mbit/s for {name} at {fps:g} frames per second, "
+        f"--max-mbps: expected at least {mbps / MARGIN:.1f} Mbit/s for {name} at {fps:g} frames per second, "
         f"got {max_mbps:g}; use a faster connection, or train with fewer points"
     )

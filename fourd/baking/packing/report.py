@@ -42,13 +42,12 @@ def pack_and_report(
 
     ``name`` is the file name in error messages; None stands for ``source``.
     """
-    tier, coarseness = settings.tier, 1
+    tier, level, track = settings.tier, None, Tracker(console).track
     if settings.max_mbps is not None:
-        choice = choose_tier(source, settings.max_mbps, name or source)
-        tier, coarseness = choice.tier, choice.coarseness
-        steps = "" if coarseness == 1 else f" with {coarseness} times coarser steps"
-        console.print(f"--max-mbps {settings.max_mbps:g}: tier {tier}{steps}, {choice.mbps:.1f} Mbit/s")
-    print_sizes(console, pack_scene(source, out, tier, Tracker(console).track, coarseness=coarseness))
+        choice = choose_tier(source, settings.max_mbps, name or source, track=track)
+        tier, level = choice.tier, choice.level
+        console.print(f"--max-mbps {settings.max_mbps:g}: {choice}", soft_wrap=True)
+    print_sizes(console, pack_scene(source, out, tier, track, level=level))
 
 
 def print_sizes(console: Console, report: PackReport) -> None:

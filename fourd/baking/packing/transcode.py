@@ -36,7 +36,7 @@ def transcode_scene(source: Path, out: Path, storage: Storage, track: Track = un
                 points = manifest.points[index]
                 contents = _contents(reader, frame_folder(index), points, manifest.encoding.dynamic)
                 shadow = reader.read_shadow(index)
-                writer.add_frame(index, contents, None if shadow is None else shadow.tobytes())
+                writer.add_frame(index, points, contents, None if shadow is None else shadow.tobytes())
     finally:
         reader.close()
 

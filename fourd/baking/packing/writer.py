@@ -55,7 +55,8 @@ class PackedWriter:
 
     Args:
         path: path of the `.4dv`. Missing folders of ``path`` are created.
-        manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``.
+        manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``. ``points`` are upper limits:
+            the file contains the numbers of points of the added frames.
         storage: compression and order of the members.
 
     Raises:
@@ -70,6 +71,7 @@ class PackedWriter:
         self._zip: zipfile.ZipFile | None = None
         self._temporary = self.path
         self._sizes: dict[str, int] = {}
+        self._points: list[int] = []
 
     def __enter__(self) -> PackedWriter:
         with disk_errors(self.path), ExitStack() as stack:
@@ -79,8 +81,12 @@ class PackedWriter:
             self._stack = stack.pop_all()
         return self
 
-    def add_frame(self, index: int, members: Mapping[str, bytes], shadow: bytes | None = None) -> int:
-        """Compress and append the members of frame ``index``. Returns the compressed size in bytes."""
+    def add_frame(self, index: int, points: int, members: Mapping[str, bytes], shadow: bytes | None = None) -> int:
+        """Compress and append the members of frame ``index``, which has ``points`` points.
+
+        Frames must be added in order. Returns the compressed size in bytes.
+        """
+        self._points.append(points)
         content = dict(members) if shadow is None else {**members, SHADOW: shadow}
         return self._add(frame_folder(index), content)
 
@@ -132,7 +138,7 @@ class PackedWriter:
 
     def _complete_manifest(self) -> bytes:
         assert self._zip is not None
-        content = json.loads(manifest_to_json(self.manifest))
+        content = json.loads(manifest_to_json(replace(self.manifest, points=tuple(self._points))))
         content["members"] = {
             info.filename: [info.header_offset + _LOCAL_HEADER.size + len(info.filename.encode()), info.file_size]
             for info in self._zip.infolist()

@@ -9,9 +9,12 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 
+from fourd.baking.container import SceneReader
 from fourd.baking.files.encoding import Tier
-from fourd.cli.options import TIER_HELP, ScenePath, describe, option
-from fourd.progress import Tracker
+from fourd.baking.packing.rate import Choice, choose_tier
+from fourd.cli.options import TIER_HELP, MaxMbps, ScenePath, check_mbps, describe, option
+from fourd.errors import UserError
+from fourd.progress import Track, Tracker
 
 
 @dataclass(frozen=True)
@@ -25,14 +28,35 @@ class Arguments:
     tier: Annotated[Tier, describe(*TIER_HELP)] = "stream"
     title: Annotated[str | None, option("TEXT", "the name of the file")] = None
     """Title of the page."""
+    max_mbps: MaxMbps = None
 
 
 def run(arguments: Arguments) -> None:
     """Write the folder and print its size."""
     from fourd.viewer.publish.site import write_site
 
+    check_mbps(arguments.max_mbps)
     console = Console(stderr=True)
-    write_site(arguments.scene, arguments.out, arguments.tier, arguments.title, Tracker(console).track)
+    track = Tracker(console).track
+    tier, level = arguments.tier, None
+    if arguments.max_mbps is not None:
+        choice = _choose(arguments.scene, arguments.max_mbps, track)
+        tier, level = choice.tier, choice.level
+        console.print(f"--max-mbps {arguments.max_mbps:g}: {choice}", soft_wrap=True)
+    write_site(arguments.scene, arguments.out, tier, arguments.title, track, level=level)
     size = sum(path.stat().st_size for path in arguments.out.rglob("*") if path.is_file()) / 1e6
     line = f"{arguments.out}: {size:.1f} MB; next: fourd serve {arguments.out}"
     console.print(line, soft_wrap=True, markup=False)
+
+
+def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
+    """Choose the level of an unpacked scene for a connection, with the compression of web pages."""
+    reader = SceneReader(scene)
+    is_packed = reader.manifest.encoding is not None
+    reader.close()
+    if is_packed:
+        raise UserError(
+            f"--max-mbps: expected a scene that is not packed, got {scene}; run fourd pack --max-mbps on the scene "
+            "from which it was packed, or leave the option out"
+        )
+    return choose_tier(scene, max_mbps, scene, "zlib", track)

@@ -17,8 +17,9 @@ from fourd.baking.files.encoding import Tier
 from fourd.baking.packed.colours import fill_unseen_colours, mean_colours
 from fourd.baking.packed.members import encode_cloud, morton_sorted, view_member
 from fourd.baking.packing.bounds import check_bounds
-from fourd.baking.packing.fit import PRECISIONS, fit_encoding, sample_cloud
+from fourd.baking.packing.fit import fit_encoding, sample_cloud
 from fourd.baking.packing.pack import pack_scene
+from fourd.baking.packing.precision import LEVELS
 from fourd.baking.scene import make_frame
 from fourd.errors import UserError
 from fourd.morton import gather_bits, spread_bits
@@ -68,16 +69,17 @@ def test_bits_are_spread_and_gathered(rng: np.random.Generator) -> None:
 def test_errors_are_within_the_bounds(tier: Tier, rng: np.random.Generator) -> None:
     """Catches a wrong scale, a wrong order of points, and bounds that no array can violate."""
     frame = natural_frame(500, 5, rng)
-    encoding = fit_encoding(sample_cloud(frame), PRECISIONS[tier])
+    precision = LEVELS[tier][0]
+    encoding, rounding = fit_encoding(sample_cloud(frame), precision), precision.colour_rounding
     order = morton_sorted(frame, encoding)
     ordered = make_frame({name: array[order] for name, array in frame.arrays.items()})
-    members = encode_cloud(ordered, encoding)
-    check_bounds(ordered, members, encoding)
+    members = encode_cloud(ordered, encoding, rounding)
+    check_bounds(ordered, members, encoding, rounding)
     for name in ("xyz", "radius", "density", "sh", "blend_weights", "rgb"):
         array = ordered.arrays[name]
         changed = replace(ordered, **{name: np.roll(array, 7, axis=0)})
         with pytest.raises(RuntimeError, match=f"{name}: expected"):
-            check_bounds(changed, members, encoding)
+            check_bounds(changed, members, encoding, rounding)
 
 
 @pytest.mark.parametrize("tier", TIERS)

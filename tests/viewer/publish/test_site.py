@@ -98,6 +98,21 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert not (tmp_path / "other").exists()
 
 
+def test_a_connection_chooses_the_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches an option that is ignored, and a rate that does not include the compression of web pages."""
+    write_scene(tmp_path / "scene.4dv", frames=2, points=3000)
+    sizes = []
+    for mbps in (100, 8):
+        words = ["web", str(tmp_path / "scene.4dv"), "-o", str(tmp_path / "site"), "--max-mbps", str(mbps)]
+        assert main(words) == 0
+        assert f"--max-mbps {mbps}: tier " in capsys.readouterr().err
+        sizes.append((tmp_path / "site" / "scene.4dv").stat().st_size)
+    assert sizes[1] < 0.8 * sizes[0]
+    pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", "full")
+    assert main(["web", str(tmp_path / "packed.4dv"), "-o", str(tmp_path / "site"), "--max-mbps", "8"]) == 2
+    assert "--max-mbps: expected a scene that is not packed, got" in capsys.readouterr().err
+
+
 def test_serving_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a command that serves another folder than the site, and that leaves its temporary files."""
     write_scene(tmp_path / "scene.4dv")

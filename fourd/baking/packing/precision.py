@@ -1,0 +1,67 @@
+"""How exactly each tier stores the points of a scene, in levels from the finest to the coarsest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fourd.baking.files.encoding import Tier
+from fourd.baking.packed.members import ColourRounding
+
+
+@dataclass(frozen=True)
+class Precision:
+    """Steps of a level of a tier. See :class:`fourd.baking.files.encoding.CloudEncoding` for the undocumented fields.
+
+    Attributes:
+        positions_per_radius: number of position steps per median radius.
+        colour_step: at least 2, because the differences of colours are stored in steps, as signed bytes.
+        mean_colour_step: step to which mean colours are rounded, in units of 1/255.
+        unseen_colour_step: step to which the colours of a point are rounded in views with a blend weight of 0, in units
+            of 1/255. None replaces these colours by the mean colour.
+        min_visibility: dynamic points are left out if their visibility is smaller in all views of the capture and in
+            all views between them. The visibility of a point is in [0, 1].
+    """
+
+    positions_per_radius: int
+    radius_steps: int
+    density_levels: int
+    sh_step: float
+    weight_steps: int = 1
+    colour_step: int = 2
+    mean_colour_step: int = 1
+    unseen_colour_step: int | None = None
+    min_visibility: float = 0.0
+
+    @property
+    def colour_rounding(self) -> ColourRounding:
+        """How colours are rounded before they are stored."""
+        return ColourRounding(self.mean_colour_step, self.unseen_colour_step or self.colour_step)
+
+
+LEVELS: dict[Tier, tuple[Precision, ...]] = {
+    "full": (
+        Precision(96, 64, 127, 1 / 48, 4, 2, 2, unseen_colour_step=32),
+        Precision(96, 64, 63, 1 / 32, 3, 4, 2, unseen_colour_step=64),
+    ),
+    "stream": (
+        Precision(48, 32, 31, 1 / 16, 2, 4, 6, min_visibility=0.05),
+        Precision(32, 32, 31, 1 / 12, 2, 4, 6, min_visibility=0.1),
+        Precision(24, 32, 15, 1 / 8, 1, 6, 8, min_visibility=0.1),
+        Precision(24, 16, 15, 1 / 6, 1, 8, 8, min_visibility=0.15),
+        Precision(16, 16, 15, 1 / 4, 1, 12, 8, min_visibility=0.2),
+        Precision(12, 16, 7, 1 / 4, 1, 16, 12, min_visibility=0.25),
+        Precision(8, 8, 7, 1 / 3, 1, 24, 12, min_visibility=0.3),
+    ),
+    "light": (
+        Precision(32, 32, 31, 1 / 24, min_visibility=0.05),
+        Precision(24, 16, 31, 1 / 16, min_visibility=0.1),
+        Precision(16, 16, 15, 1 / 12, min_visibility=0.1),
+        Precision(12, 8, 15, 1 / 8, min_visibility=0.2),
+        Precision(8, 8, 15, 1 / 6, min_visibility=0.25),
+        Precision(6, 8, 7, 1 / 4, min_visibility=0.3),
+    ),
+}
+"""Levels of each tier, from the finest to the coarsest."""
+
+DEFAULT_LEVELS: dict[Tier, int] = {"full": 1, "stream": 2, "light": 1}
+"""Index of the level that each tier uses, unless the rate of a connection chooses another one."""

@@ -1,0 +1,176 @@
+"""Measure sizes and image quality of packed scenes, and of the same frames in the file formats of other programs.
+
+    python tools/rate_distortion.py scene.4dv CAPTURE --views 03,09,14 -o rates/ --transform splat-transform
+
+The program packs the scene in all levels. It also exports 3DGS PLY files and converts them with splat-transform
+(npm: @playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws all results, and
+the images are compared with those of cameras that were not used in training. PSNR is measured inside the subject's
+box. The program writes rates/rows.json and prints a Markdown table. tools/plots/rate_plot.py draws the rows.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import tyro
+
+from fourd.baking import Scene, open_scene
+from fourd.baking.exporting.export import ExportSettings, export_scene
+from fourd.baking.files.encoding import Tier
+from fourd.baking.packing.pack import pack_scene
+from fourd.baking.packing.precision import LEVELS
+from fourd.capture.reader import Capture, open_capture
+from fourd.files import write_text_atomically
+from fourd.training.evaluation.metrics import mask_box, psnr
+from fourd.training.evaluation.scores import BOX_MARGIN_PX
+
+CONVERTED = {"compressed PLY": ".compressed.ply", "SPZ": ".spz", "SOG": ".sog"}
+"""Formats of splat-transform, and the suffixes that select them."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """What to measure."""
+
+    scene: tyro.conf.Positional[Path]
+    """An unpacked .4dv file."""
+    capture: tyro.conf.Positional[Path]
+    """The capture with the true images and mattes."""
+    views: str
+    """Names of the cameras to compare with, separated by commas."""
+    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    """Folder for rows.json and for the files. Rows that exist are not measured again."""
+    every: int = 8
+    """Every n-th frame is exported to other formats, because the conversion to SOG is slow."""
+    levels: bool = True
+    """Measure the levels of packed scenes."""
+    transform: Path | None = None
+    """The program splat-transform. Without it, the formats of other programs are not measured."""
+    degrees: tuple[int, ...] = (0, 1, 2, 3)
+    """Degrees of the spherical harmonics of exported splats."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One point of a rate-distortion curve.
+
+    ``size`` is in bytes per frame. ``fetched`` is the size of the data that a player needs for one viewer. ``psnr`` has
+    the mean over the cameras in dB, by frame.
+    """
+
+    curve: str
+    name: str
+    size: float
+    fetched: float
+    psnr: dict[str, float]
+
+
+class Truth:
+    """The true images of some cameras, on black, and the boxes around the subject."""
+
+    def __init__(self, scene: Scene, capture: Capture, views: list[str]) -> None:
+        self._cameras = {view: scene.manifest.camera(view) for view in views}
+        self._numbers = [list(capture.frame_numbers).index(number) for number in scene.manifest.frame_numbers]
+        self._capture = capture
+
+    def score(self, scene: Scene, index: int, frame: int) -> float:
+        """Return the mean PSNR in dB of frame ``index`` of ``scene``. Its truth is frame ``frame`` of the capture."""
+        scores = []
+        for view, camera in self._cameras.items():
+            source, number = self._capture.names.index(view), self._numbers[frame]
+            matte = self._capture.mask(source, number)
+            box = mask_box(matte, margin=BOX_MARGIN_PX)
+            if box is not None:
+                inside = slice(box[0], box[1]), slice(box[2], box[3])
+                image = (self._capture.image(source, number) * (matte[..., None] / 255**2)).astype(np.float32)
+                scores.append(float(psnr(scene.render(camera, index).rgb[inside], image[inside])))
+        return float(np.mean(scores))
+
+
+def main(arguments: Arguments) -> None:
+    """Measure all rows that are missing, and print the table."""
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    path = arguments.out / "rows.json"
+    rows = [Row(**row) for row in json.loads(path.read_text())] if path.exists() else []
+    known = {row.name for row in rows}
+    with open_scene(arguments.scene) as scene:
+        truth = Truth(scene, open_capture(arguments.capture), arguments.views.split(","))
+        for row in _measure(arguments, scene, truth, known):
+            rows.append(row)
+            write_text_atomically(path, json.dumps([asdict(row) for row in rows], indent=1) + "\n")
+    print_table(rows)
+
+
+def print_table(rows: list[Row]) -> None:
+    """Print the rows, with the mean PSNR over the frames that all rows have."""
+    common = sorted(set.intersection(*(set(row.psnr) for row in rows)), key=int)
+    print(f"PSNR over the frames {', '.join(common)}, and over all measured frames\n")
+    print("| files | kB per frame | fetched, kB per frame | PSNR | PSNR, all measured |\n|---|---|---|---|---|")
+    for row in rows:
+        same, measured = np.mean([row.psnr[frame] for frame in common]), np.mean(list(row.psnr.values()))
+        print(f"| {row.name} | {row.size / 1e3:,.0f} | {row.fetched / 1e3:,.0f} | {same:.2f} dB | {measured:.2f} dB |")
+
+
+def _measure(arguments: Arguments, scene: Scene, truth: Truth, known: set[str]) -> Iterator[Row]:
+    if "not packed" not in known:
+        size = float(np.mean([scene.manifest.frame_nbytes(index) for index in range(len(scene))]))
+        yield Row("not packed", "not packed", size, size, _score_all(scene, truth))
+    if arguments.levels:
+        for tier, levels in LEVELS.items():
+            for level in range(len(levels)):
+                if f"{tier}, level {level + 1}" not in known:
+                    yield _measure_level(arguments, truth, tier, level)
+    if arguments.transform is not None:
+        for degree in arguments.degrees:
+            yield from _measure_splats(arguments, scene, truth, degree, known)
+
+
+def _score_all(scene: Scene, truth: Truth) -> dict[str, float]:
+    return {str(frame): truth.score(scene, frame, frame) for frame in range(len(scene))}
+
+
+def _measure_level(arguments: Arguments, truth: Truth, tier: Tier, level: int) -> Row:
+    path = arguments.out / f"{tier}{level + 1}.4dv"
+    report = pack_scene(arguments.scene, path, tier, level=level)
+    size = sum(size for part, size in report.parts.items() if part != "background")
+    with open_scene(path) as packed:
+        return Row(tier, f"{tier}, level {level + 1}", size, report.streamed, _score_all(packed, truth))
+
+
+def _measure_splats(arguments: Arguments, scene: Scene, truth: Truth, degree: int, known: set[str]) -> Iterator[Row]:
+    """Export splats of one degree, and convert them to other formats and back."""
+    frames = list(range(0, len(scene), arguments.every))
+    folder = arguments.out / f"degree{degree}"
+    settings = ExportSettings("ply-sequence", frames, degree, keep_axes=True)
+    files = export_scene(scene, folder, settings).files
+    for curve, suffix in {"3DGS PLY": ".ply", **CONVERTED}.items():
+        name = f"{curve}, degree {degree}"
+        if name in known:
+            continue
+        sizes, scores = [], {}
+        for frame, file in zip(frames, files, strict=True):
+            stored, returned = file, file
+            if suffix != ".ply":
+                stored = arguments.out / f"degree{degree}-{frame:06d}{suffix}"
+                returned = arguments.out / f"back-{stored.name.replace('.', '-')}.ply"
+                _transform(arguments, file, stored)
+                _transform(arguments, stored, returned)
+            sizes.append(stored.stat().st_size)
+            with open_scene(returned) as splats:
+                scores[str(frame)] = truth.score(splats, 0, frame)
+        size = float(np.mean(sizes))
+        yield Row(curve, name, size, size, scores)
+
+
+def _transform(arguments: Arguments, source: Path, out: Path) -> None:
+    subprocess.run([str(arguments.transform), "-q", "-w", "-g", "cpu", str(source), str(out)], check=True)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
