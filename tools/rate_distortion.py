@@ -5,7 +5,8 @@
 The program packs the scene in all levels. It also exports 3DGS PLY files and converts them with splat-transform
 (npm: @playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws all results, and
 the images are compared with those of cameras that were not used in training. PSNR is measured inside the subject's
-box. The program writes rates/rows.json and prints a Markdown table. tools/plots/rate_plot.py draws the rows.
+box, or in the whole image if the scene has a background. The program writes rates/rows.json and prints a Markdown
+table. tools/plots/rate_plot.py draws the rows.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class Arguments:
     """Folder for rows.json and for the files. Rows that exist are not measured again."""
     every: int = 8
     """Every n-th frame is exported to other formats, because the conversion to SOG is slow."""
-    levels: bool = True
-    """Measure the levels of packed scenes."""
+    levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
+    """Levels of packed scenes to measure. The default is all levels."""
     transform: Path | None = None
     """The program splat-transform. Without it, the formats of other programs are not measured."""
     degrees: tuple[int, ...] = (0, 1, 2, 3)
@@ -61,7 +62,7 @@ class Row:
     """One point of a rate-distortion curve.
 
     ``size`` is in bytes per frame. ``fetched`` is the size of the data that a player needs for one viewer. ``psnr`` has
-    the mean over the cameras in dB, by frame.
+    the mean over the cameras in dB, by frame. ``background`` is the size of the background in bytes. It is stored once.
     """
 
     curve: str
@@ -69,27 +70,33 @@ class Row:
     size: float
     fetched: float
     psnr: dict[str, float]
+    background: float = 0.0
 
 
 class Truth:
-    """The true images of some cameras, on black, and the boxes around the subject."""
+    """The true images of some cameras. For scenes without a background, they are black outside the matte."""
 
     def __init__(self, scene: Scene, capture: Capture, views: list[str]) -> None:
         self._cameras = {view: scene.manifest.camera(view) for view in views}
         self._numbers = [list(capture.frame_numbers).index(number) for number in scene.manifest.frame_numbers]
         self._capture = capture
+        self._is_whole = scene.manifest.kind == "full"
 
     def score(self, scene: Scene, index: int, frame: int) -> float:
         """Return the mean PSNR in dB of frame ``index`` of ``scene``. Its truth is frame ``frame`` of the capture."""
         scores = []
         for view, camera in self._cameras.items():
             source, number = self._capture.names.index(view), self._numbers[frame]
-            matte = self._capture.mask(source, number)
-            box = mask_box(matte, margin=BOX_MARGIN_PX)
-            if box is not None:
+            image, matte = self._capture.image(source, number) / 255, self._capture.mask(source, number)
+            inside = slice(None), slice(None)
+            if not self._is_whole:
+                image *= matte[..., None] / 255
+                box = mask_box(matte, margin=BOX_MARGIN_PX)
+                if box is None:
+                    continue
                 inside = slice(box[0], box[1]), slice(box[2], box[3])
-                image = (self._capture.image(source, number) * (matte[..., None] / 255**2)).astype(np.float32)
-                scores.append(float(psnr(scene.render(camera, index).rgb[inside], image[inside])))
+            rendered = scene.render(camera, index).rgb
+            scores.append(float(psnr(rendered[inside], image[inside].astype(np.float32))))
         return float(np.mean(scores))
 
 
@@ -111,7 +118,8 @@ def print_table(rows: list[Row]) -> None:
     """Print the rows, with the mean PSNR over the frames that all rows have."""
     common = sorted(set.intersection(*(set(row.psnr) for row in rows)), key=int)
     print(f"PSNR over the frames {', '.join(common)}, and over all measured frames\n")
-    print("| files | kB per frame | fetched, kB per frame | PSNR | PSNR, all measured |\n|---|---|---|---|---|")
+    print("| files | kB per frame | fetched, kB per frame | background, kB | PSNR | PSNR, all measured |")
+    print("|---|---|---|---|---|---|")
     for row in rows:
         same, measured = np.mean([row.psnr[frame] for frame in common]), np.mean(list(row.psnr.values()))
         print(f"| {row.name} | {row.size / 1e3:,.0f} | {row.fetched / 1e3:,.0f} | {same:.2f} dB | {measured:.2f} dB |")
@@ -119,13 +127,13 @@ def print_table(rows: list[Row]) -> None:
 
 def _measure(arguments: Arguments, scene: Scene, truth: Truth, known: set[str]) -> Iterator[Row]:
     if "not packed" not in known:
-        size = float(np.mean([scene.manifest.frame_nbytes(index) for index in range(len(scene))]))
-        yield Row("not packed", "not packed", size, size, _score_all(scene, truth))
-    if arguments.levels:
-        for tier, levels in LEVELS.items():
-            for level in range(len(levels)):
-                if f"{tier}, level {level + 1}" not in known:
-                    yield _measure_level(arguments, truth, tier, level)
+        background = scene.manifest.background_nbytes
+        size = float(np.mean([scene.manifest.frame_nbytes(index) - background for index in range(len(scene))]))
+        yield Row("not packed", "not packed", size, size, _score_all(scene, truth), background)
+    for tier, levels in LEVELS.items():
+        for level in range(len(levels)):
+            if f"{tier}{level + 1}" in arguments.levels and f"{tier}, level {level + 1}" not in known:
+                yield _measure_level(arguments, truth, tier, level)
     if arguments.transform is not None:
         for degree in arguments.degrees:
             yield from _measure_splats(arguments, scene, truth, degree, known)
@@ -140,7 +148,8 @@ def _measure_level(arguments: Arguments, truth: Truth, tier: Tier, level: int) -
     report = pack_scene(arguments.scene, path, tier, level=level)
     size = sum(size for part, size in report.parts.items() if part != "background")
     with open_scene(path) as packed:
-        return Row(tier, f"{tier}, level {level + 1}", size, report.streamed, _score_all(packed, truth))
+        background = report.parts.get("background", 0.0)
+        return Row(tier, f"{tier}, level {level + 1}", size, report.streamed, _score_all(packed, truth), background)
 
 
 def _measure_splats(arguments: Arguments, scene: Scene, truth: Truth, degree: int, known: set[str]) -> Iterator[Row]:

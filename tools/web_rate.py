@@ -61,6 +61,9 @@ class Arguments:
     """An unpacked .4dv file."""
     mbps: float = 50.0
     """Rate of the connection in megabits per second."""
+    served_mbps: float | None = None
+    """Rate at which the page is served, in megabits per second. The default is the rate of the connection. With a high
+    rate, the program shows whether this machine decodes and draws fast enough."""
     latency: float = 0.02
     """Seconds until the server answers."""
     seconds: float = 20.0
@@ -119,7 +122,7 @@ def main(arguments: Arguments) -> None:
     with tempfile.TemporaryDirectory() as folder:
         site = Path(folder) / "site"
         write_site(arguments.scene, site, tier, level=level)
-        with SlowServer(site, arguments.mbps, arguments.latency) as server:
+        with SlowServer(site, arguments.served_mbps or arguments.mbps, arguments.latency) as server:
             threading.Thread(target=server.serve_forever, daemon=True).start()
             result = _play(server.url, arguments)
             server.shutdown()

@@ -105,11 +105,14 @@ def decode_cloud(
     Raises:
         StreamError: if a member is damaged. The message has the form "expected ..., got ...".
     """
-    sh, weights, rgb = _allocate(points, views)
+    # Memory for the results is allocated after all sizes are checked, because the number of points is untrusted.
     arrays = _decode_points(members[POINTS], points, encoding)
-    _decode_sh(members[SH], encoding, sh)
+    factors = decompress_exactly(members[SH], 2 * len(encoding.sh_basis) * points)
     mean = _decode_mean(members[COLOUR], points) if views else np.zeros((points, 3), np.uint8)
     contents = [_decode_view(members[view_member(view)], points, encoding) for view in range(views)]
+    sh, weights, rgb = _allocate(points, views)
+    basis = encoding.sh_basis * np.float32(encoding.sh_step)
+    unpack_harmonics(factors, basis, encoding.sh_mean, points, sh)
     unpack_views(
         contents,
         mean,
@@ -162,11 +165,14 @@ def _decode_points(member: bytes, points: int, encoding: CloudEncoding) -> dict[
     content = decompress_exactly(member, size)
     code_end, radius_end = points * encoding.code_bytes, points * (encoding.code_bytes + 2)
     radius_codes = join_planes(content[code_end:radius_end], 2, np.uint16).astype(np.float32)
-    radius = np.exp2((radius_codes - 1) / encoding.radius_steps) * np.float32(encoding.radius_lower)
+    # The reader refuses infinite radii.
+    with np.errstate(over="ignore"):
+        radius = np.exp2((radius_codes - 1) / encoding.radius_steps) * np.float32(encoding.radius_lower)
+        halves = np.where(radius_codes > 0, radius, 0).astype(np.float16)
     density = content[radius_end:].astype(np.float32) / encoding.density_levels
     return {
         "xyz": unpack_positions(content[:code_end], encoding.lower, encoding.position_step, points),
-        "radius": np.where(radius_codes > 0, radius, 0).astype(np.float16),
+        "radius": halves,
         "density": density.astype(np.float16),
     }
 
@@ -176,13 +182,6 @@ def _encode_sh(sh: NDArray[np.float16], encoding: CloudEncoding) -> bytes:
     factors = np.rint(flat @ encoding.sh_basis.T / encoding.sh_step)
     codes = zigzag(np.clip(factors, -(2**15), 2**15 - 1).astype(np.int16).T.copy())
     return split_planes(codes.ravel(), 2)
-
-
-def _decode_sh(member: bytes, encoding: CloudEncoding, out: NDArray[np.float16]) -> None:
-    """Decode the spherical-harmonics coefficients of the N points to ``out`` (N, 48)."""
-    content = decompress_exactly(member, 2 * len(encoding.sh_basis) * len(out))
-    basis = encoding.sh_basis * np.float32(encoding.sh_step)
-    unpack_harmonics(content, basis, encoding.sh_mean, len(out), out)
 
 
 def _encode_mean(mean: NDArray[np.uint8]) -> bytes:
