@@ -36,7 +36,7 @@ def main(arguments: Arguments) -> None:
 
     rows = json.loads(arguments.rows.read_text())
     frames = set.intersection(*(set(row["psnr"]) for row in rows))
-    figure, axes = pyplot.subplots(figsize=(8, 5), layout="constrained")
+    figure, axes = pyplot.subplots(figsize=(9, 4.5), layout="constrained")
     for curve in dict.fromkeys(row["curve"] for row in rows):
         chosen = sorted((row for row in rows if row["curve"] == curve), key=lambda row: row["fetched"])
         quality = [np.mean([row["psnr"][frame] for frame in frames]) for row in chosen]
@@ -51,7 +51,7 @@ def main(arguments: Arguments) -> None:
     axes.set_xlabel("kB per frame that one viewer fetches")
     axes.set_ylabel("PSNR of held-out views in the subject's box, dB")
     axes.grid(alpha=0.3)
-    axes.legend()
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5))
     with atomic_path(arguments.out) as temporary:
         figure.savefig(temporary, dpi=120, format="png")
 

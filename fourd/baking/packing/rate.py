@@ -44,8 +44,8 @@ class Choice:
 
 
 LIGHT_FROM = 3
-"""Index of the finest level of "light" that is used for a connection. Finer levels of "light" are as large as levels of
-"stream", which look better on most captures."""
+"""Index of the finest level of "light" that is used for a connection. For larger rates, "stream" has levels of a similar
+size and quality."""
 CANDIDATES: tuple[tuple[Tier, int], ...] = (
     *(("full", level) for level in range(len(LEVELS["full"]))),
     *(("stream", level) for level in range(len(LEVELS["stream"]))),
