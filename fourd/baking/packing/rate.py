@@ -18,6 +18,8 @@ SAMPLED_FRAMES = 3
 MARGIN = 0.95
 """Share of the connection's data rate that the estimated data rate may use. The rest is for frames that are larger than
 the mean."""
+WEB_MARGIN = 0.8
+"""The same share for web pages. Between requests, the connection is idle until the server answers."""
 
 
 @dataclass(frozen=True)
@@ -44,8 +46,8 @@ class Choice:
 
 
 LIGHT_FROM = 3
-"""Index of the finest level of "light" that is used for a connection. For larger rates, "stream" has levels of a similar
-size and quality."""
+"""Index of the finest level of "light" that is used for a connection. For larger rates, "stream" has levels of a
+similar size and quality."""
 CANDIDATES: tuple[tuple[Tier, int], ...] = (
     *(("full", level) for level in range(len(LEVELS["full"]))),
     *(("stream", level) for level in range(len(LEVELS["stream"]))),
@@ -55,7 +57,7 @@ CANDIDATES: tuple[tuple[Tier, int], ...] = (
 
 
 def choose_tier(
-    source: Path, max_mbps: float, name: Path, compression: Compression = "zstd", track: Track = untracked
+    source: Path, max_mbps: float, name: Path, track: Track = untracked, *, for_web: bool = False
 ) -> Choice:
     """Return the best level whose frames, as fetched for one viewer, fit ``max_mbps`` megabits per second.
 
@@ -63,12 +65,14 @@ def choose_tier(
         source: a `.4dv` of any version.
         max_mbps: rate of the connection.
         name: the file that the error message names, because ``source`` may be a temporary file.
-        compression: compression of the members.
         track: reports progress.
+        for_web: whether the scene is played by a web page: with the compression of web pages and WEB_MARGIN.
 
     Raises:
         UserError: if even the smallest level needs more, or if ``source`` is not a valid scene.
     """
+    compression: Compression = "zlib" if for_web else "zstd"
+    margin = WEB_MARGIN if for_web else MARGIN
     reader = SceneReader(source)
     try:
         count, fps = reader.manifest.frame_count, reader.manifest.fps
@@ -77,12 +81,12 @@ def choose_tier(
         for tier, level in track(CANDIDATES, len(CANDIDATES), "measure"):
             finer = mbps
             mbps = measure_frames(reader, frames, tier, level, compression) * fps * 8 / 1e6
-            if mbps <= MARGIN * max_mbps:
+            if mbps <= margin * max_mbps:
                 return Choice(tier, level, mbps, finer, fps)
     finally:
         reader.close()
     assert mbps is not None
     raise UserError(
-        f"--max-mbps: expected at least {mbps / MARGIN:.1f} Mbit/s for {name} at {fps:g} frames per second, "
+        f"--max-mbps: expected at least {mbps / margin:.1f} Mbit/s for {name} at {fps:g} frames per second, "
         f"got {max_mbps:g}; use a faster connection, or train with fewer points"
     )

@@ -59,4 +59,4 @@ def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
             f"--max-mbps: expected a scene that is not packed, got {scene}; run fourd pack --max-mbps on the scene "
             "from which it was packed, or leave the option out"
         )
-    return choose_tier(scene, max_mbps, scene, "zlib", track)
+    return choose_tier(scene, max_mbps, scene, track, for_web=True)
