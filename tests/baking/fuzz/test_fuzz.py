@@ -18,7 +18,7 @@ from fourd.baking.files.encoding import TIERS
 from fourd.baking.packing.pack import pack_scene
 from fourd.errors import UserError
 from tests.baking.damage import damage
-from tests.baking.files_fuzz import SceneMutator
+from tests.baking.fuzz.mutations import SceneMutator
 from tests.baking.scenes import write_full_scene, write_scene
 
 CASES, SLOW_CASES = 300, 10_000
