@@ -1,4 +1,4 @@
-"""Draw the rate-distortion curves that tools/rate_distortion.py has measured.
+"""Draw the rate-distortion curves that tools/plots/rate_distortion.py has measured.
 
 python tools/plots/rate_plot.py rates/rows.json -o docs/figures/guide/rates.png
 """
@@ -24,7 +24,7 @@ class Arguments:
     """The measured rows and the figure."""
 
     rows: tyro.conf.Positional[Path]
-    """rows.json of tools/rate_distortion.py."""
+    """rows.json of tools/plots/rate_distortion.py."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The PNG file to write."""
 

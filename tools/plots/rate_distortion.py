@@ -1,6 +1,6 @@
 """Measure sizes and image quality of packed scenes, and of the same frames in the file formats of other programs.
 
-    python tools/rate_distortion.py scene.4dv CAPTURE --views 03,09,14 -o rates/ --transform splat-transform
+    python tools/plots/rate_distortion.py scene.4dv CAPTURE --views 03,09,14 -o rates/ --transform splat-transform
 
 The program packs the scene in all levels. It also exports 3DGS PLY files and converts them with splat-transform
 (npm: @playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws all results, and
