@@ -93,6 +93,11 @@ fourd_kernel(splat_triangles
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
 
+fourd_kernel(stylize
+  CPU cpu/stylize.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx512 EXACT
+  BINDING binding.cpp)
+
 fourd_kernel(texture
   CPU cpu/backward.cpp cpu/sample.cpp
   DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT

@@ -8,6 +8,7 @@ import numpy as np
 
 from fourd.baking import BakedFrame, SceneManifest
 from fourd.cameras import Camera
+from fourd.stylize import Style
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
 """Minimum and maximum of the panel's factors on point size and density."""
@@ -22,12 +23,14 @@ class DisplaySettings:
         background: background colour as red, green and blue in [0, 1].
         point_scale: factor on the points' radii.
         density_scale: factor on the points' densities. Scaled densities are clamped to 1.
+        style: the style of a cartoon or a drawing, or None for the captured colours.
     """
 
     layers: int = 12
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     point_scale: float = 1.0
     density_scale: float = 1.0
+    style: Style | None = None
 
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
         """Return ``frame`` with scaled radii and densities. If both factors are 1, return ``frame`` itself.

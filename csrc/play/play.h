@@ -26,12 +26,21 @@ class Player {
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas);
 
+    // Draws the same colours and the visible surface. frame.normals is not null. `surface.normals` is ignored.
+    void draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
+                      points::Surface surface);
+
   private:
-    void shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end);
+    // Projects and shades the points of the frame.
+    points::Cloud prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
+                          Team& team);
+    // Calls work(begin, end) for each stretch of points that has visible points.
+    template <typename Work>
+    void for_visible(std::size_t begin, std::size_t end, const Work& work) const;
 
     points::Workspace workspace_;
     Sizes sizes_;
-    Buffer<float> colour_;
+    Buffer<float> colour_, normals_;
 };
 
 // Sorts points by depth, for renderers that need a depth order.

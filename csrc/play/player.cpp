@@ -22,32 +22,57 @@ void Sizes::convert(const Frame& frame, std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) density[i] = from_half(frame.density[i]);
 }
 
-void Player::draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-                  const points::Canvas& canvas) {
+points::Cloud Player::prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
+                              Team& team) {
     const std::size_t count = frame.points.count;
     sizes_.require(count);
     colour_.require(3 * count);
-    Team team(settings.threads);
     run_parts(team, count, kPointsPerTask,
               [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
     const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
     workspace_.fill(cloud, settings, team);
-    run_parts(team, count, kPointsPerTask,
-              [&](std::size_t begin, std::size_t end) { shade_visible(frame, shading, begin, end); });
+    run_parts(team, count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
+        for_visible(begin, end, [&](std::size_t first, std::size_t last) {
+            shade::shade_some(frame.points, shading, first, last, colour_.data());
+        });
+    });
+    return cloud;
+}
+
+void Player::draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
+                  const points::Canvas& canvas) {
+    Team team(settings.threads);
+    const points::Cloud cloud = prepare(frame, settings, shading, team);
     const points::Loops& loops = points::select_loops(settings.simd);
     team.run(workspace_.bins.tiles(),
              [&](int index, int) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
 }
 
-// Shades the visible points. The points of a frame are in spatial order, so invisible points form long spans, which the
-// function skips.
-void Player::shade_visible(const Frame& frame, const shade::Settings& shading, std::size_t begin, std::size_t end) {
+void Player::draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
+                          points::Surface surface) {
+    Team team(settings.threads);
+    const points::Cloud cloud = prepare(frame, settings, shading, team);
+    normals_.require(3 * cloud.count);
+    const points::Loops& loops = points::select_loops(settings.simd);
+    run_parts(team, cloud.count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
+        for_visible(begin, end, [&](std::size_t first, std::size_t last) {
+            loops.turn_normals(settings.camera, frame.normals, first, last, normals_.data());
+        });
+    });
+    surface.normals = normals_.data();
+    team.run(workspace_.bins.tiles(),
+             [&](int index, int) { loops.draw_surface(workspace_.tile(cloud, settings, index), surface); });
+}
+
+// The points of a frame are in spatial order, so invisible points form long spans, which the function skips.
+template <typename Work>
+void Player::for_visible(std::size_t begin, std::size_t end, const Work& work) const {
     constexpr std::size_t kStretch = 64;
     for (std::size_t first = begin; first < end; first += kStretch) {
         const std::size_t last = std::min(end, first + kStretch);
         std::size_t tiles = 0;
         for (std::size_t i = first; i < last; ++i) tiles += points::tile_count(workspace_.bins.tile_range(i));
-        if (tiles > 0) shade::shade_some(frame.points, shading, first, last, colour_.data());
+        if (tiles > 0) work(first, last);
     }
 }
 

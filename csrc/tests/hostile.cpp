@@ -21,6 +21,7 @@
 #include "tests/soft_inputs.h"
 #include "tests/source_inputs.h"
 #include "tests/splat_inputs.h"
+#include "tests/stylize_inputs.h"
 #include "tests/texture_inputs.h"
 #include "tests/unpack_inputs.h"
 
@@ -154,6 +155,7 @@ void run_play(unsigned seed, const char* simd) {
         const fourd::play::Frame frame{
             {xyz.data(), sh.data(), weights.data(), rgb.data(), count, views}, radius.data(), density.data()};
         player.draw(frame, settings, shading, {rgba.data(), {0, 0.5f, 1}});
+        fourd::tests::draw_surfaces(random, player, frame, settings, shading);
         std::vector<std::uint32_t> order(count);
         order.resize(sorter.sort(frame, settings, order.data()));
         std::sort(order.begin(), order.end());
@@ -300,6 +302,7 @@ int main(int count, char** arguments) {
             run_edge_gradients(seed, simd);
             run_mesh(seed, simd);
             fourd::tests::run_unpack(seed, simd);
+            fourd::tests::run_stylize(seed, simd);
             run_texture(seed, simd);
         }
         std::printf("all kernels, %s: %u inputs each\n", simd, runs);

@@ -101,6 +101,7 @@ ATTRIBUTES = (
     Attribute("sh", "<f2", ("points", 3, SH_TERMS)),
     Attribute("blend_weights", "<f2", ("points", "views"), values="nonnegative"),
     Attribute("rgb", "|u1", ("points", "views", 3), values="any", combine="cast_shadow"),
+    Attribute("normals", "|u1", ("points", 2), values="any", is_optional=True),
 )
 """All attributes, in the order of the scene file's members and of the native kernels' arguments."""
 

@@ -25,6 +25,7 @@ from fourd.baking.scene import (
     SceneManifest,
     to_triple,
 )
+from fourd.baking.styled.normals import add_normals
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.errors import UserError
 from fourd.model import PointModel
@@ -64,11 +65,13 @@ def bake_run(
     require_bakeable(run)
     sources = select_baked_views(run)
     with SceneWriter(out, make_manifest(trained, layers, fps)) as writer, torch.no_grad():
+        manifest = writer.manifest
         background = bake_background(trained, sources)
         if background is not None:
-            writer.add_background(background)
+            writer.add_background(add_normals(background, manifest))
         for frame in track(range(run.capture.frame_count), description="export", console=console):
-            writer.add_frame(frame, bake_frame(trained, frame, sources), bake_shadow(trained, frame))
+            baked = add_normals(bake_frame(trained, frame, sources), manifest)
+            writer.add_frame(frame, baked, bake_shadow(trained, frame))
 
 
 def require_bakeable(run: Run) -> None:

@@ -39,6 +39,8 @@ class BakedFrame:
         sh: (N, 3, 16) float16, degree-3 spherical harmonics of red, green and blue.
         blend_weights: (N, V) float16, 0 or more. Shading normalizes the blend weights over the selected views.
         rgb: (N, V, 3) uint8, the point's colour in every source view.
+        normals: (N, 2) uint8, octahedral unit normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
+            None if the scene has no normals.
         background: the M background points, which are also the last M points of this frame. All frames share the same
             background object. None if the frame has no background points.
         has_shadow: whether a shadow has been multiplied into the ``rgb`` of the last M points.
@@ -53,6 +55,7 @@ class BakedFrame:
     sh: NDArray[np.float16]
     blend_weights: NDArray[np.float16]
     rgb: NDArray[np.uint8]
+    normals: NDArray[np.uint8] | None = None
     _: KW_ONLY
     background: BakedFrame | None = None
     has_shadow: bool = False

@@ -60,6 +60,15 @@ MaxMbps = Annotated[
     option("FLOAT", "no limit", "Choose the best tier that a connection of this many megabits per second can play."),
 ]
 
+StyleName = Annotated[
+    str | None,
+    option(
+        "{toon,xtoon,gooch,ink,FILE.yaml}",
+        "the captured colours",
+        "Draw a cartoon or a drawing: a preset, or a style file (docs/guides/stylize.md).",
+    ),
+]
+
 
 def check_mbps(max_mbps: float | None) -> None:
     """Raise UserError if ``max_mbps`` is given and not a number above 0."""

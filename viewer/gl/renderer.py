@@ -7,6 +7,7 @@ from dataclasses import replace
 import moderngl
 
 from fourd.baking import BakedFrame
+from fourd.errors import UserError
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.compositors import Compositor
@@ -47,6 +48,8 @@ class GLRenderer:
 
         With ``wait``, the depth order is computed for ``request``.
         """
+        if request.settings.style is not None:
+            raise UserError(f"--renderer: expected cpu for a style, got {self.name}; add --renderer cpu")
         order = self._orders.order(request, wait)
         self._stale_images = 0 if order.matches(request) else self._stale_images + 1
         self.sort_seconds = order.seconds

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.player import Player
+from fourd.baking.styled.player import StyledPlayer
 from fourd.viewer.display import RenderRequest
 
 if TYPE_CHECKING:
@@ -19,11 +20,13 @@ class CPURenderer:
 
     name = "cpu"
     stale_images = 0
+    style_seconds = 0.0
     sort_seconds = 0.0
 
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
         self._player = Player()
+        self._styled = StyledPlayer()
         self._pixels: NDArray[np.uint8] | None = None
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
@@ -31,14 +34,16 @@ class CPURenderer:
         shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
             self._pixels = np.empty(shape, np.uint8)
-        return self._player.draw(
-            request.frame,
-            request.camera,
-            request.manifest,
-            layers=request.settings.layers,
-            background=request.settings.background,
-            out=self._pixels,
+        frame, camera, manifest, settings = request.frame, request.camera, request.manifest, request.settings
+        layers, background = settings.layers, settings.background
+        if settings.style is None:
+            self.style_seconds = 0.0
+            return self._player.draw(frame, camera, manifest, layers=layers, background=background, out=self._pixels)
+        self._styled.draw(
+            frame, camera, manifest, settings.style, layers=layers, background=background, out=self._pixels
         )
+        self.style_seconds = self._styled.style_seconds
+        return self._pixels
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera."""

@@ -6,6 +6,7 @@
 
 #include "common/inline.h"
 #include "points/cpu/tiles.h"
+#include "points/octahedral.h"
 
 namespace fourd::points::FOURD_SIMD {
 namespace {
@@ -122,6 +123,7 @@ std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_
 #include "tiles/traversal.inc"
 #include "tiles/pixels.inc"
 #include "points/cpu/picture.inc"
+#include "points/cpu/surface.inc"
 #include "points/cpu/gradient.inc"
 
 struct MaxWeight {
@@ -147,6 +149,6 @@ void tile_visibility(const Tile& tile, const std::size_t* slots, float* weights)
 
 }  // namespace
 
-const Loops loops = {project_run, render_tile, draw_tile, render_tile_backward, tile_visibility};
+const Loops loops = {project_run, render_tile, draw_tile, turn_normals, draw_tile_surface, render_tile_backward, tile_visibility};
 
 }  // namespace fourd::points::FOURD_SIMD

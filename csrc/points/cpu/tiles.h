@@ -45,6 +45,13 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
+    // Decodes the octahedral normals (points/octahedral.h) of points [begin, end) in the axes of the camera.
+    void (*turn_normals)(const Pinhole& camera, const std::uint8_t* octahedral, std::size_t begin, std::size_t end,
+                         float* out);
+
+    // Renders three channels and the visible surface.
+    void (*draw_surface)(const Tile& tile, const Surface& out);
+
     // `sums` has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);

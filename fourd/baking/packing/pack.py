@@ -163,9 +163,14 @@ def _select(cloud: BakedFrame, indices: NDArray[np.int64]) -> BakedFrame:
 
 
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
-    """Return the function that converts a cloud for the tier, and the manifest of the packed scene."""
+    """Return the function that converts a cloud for the tier, and the manifest of the packed scene.
+
+    Packed scenes have no normals, which players can estimate from the points.
+    """
+    optional = tuple(name for name in manifest.optional_attributes if name != "normals")
+    manifest = replace(manifest, optional_attributes=optional)
     if tier != "light" or manifest.view_count == 0:
-        return lambda cloud: cloud, manifest
+        return lambda cloud: replace(cloud, normals=None), manifest
     fit = LightFit(manifest)
     described = replace(
         manifest,

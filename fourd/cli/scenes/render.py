@@ -15,11 +15,14 @@ from rich.progress import track
 
 from fourd.baking.playable import Playable, find_view, open_playable, select_frames, selected_rate
 from fourd.cameras import Camera
-from fourd.cli.options import Frames, check_rendering, option, split_names
+from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.errors import UserError
+from fourd.stylize import load_style
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
 from fourd.viewer.output.video import write_video
+from fourd.viewer.playback.sources import open_frame_source
+from fourd.viewer.rendering.styled import StyledPlayable
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,7 @@ class Arguments:
     """Number of points composited per pixel (K), 1 to 64."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
+    style: StyleName = None
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
     """Frames per second of the video. If --frames selects every S-th frame, the default is divided by S."""
 
@@ -61,6 +65,8 @@ def run(arguments: Arguments) -> None:
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )
     playable = open_playable(arguments.source)
+    if arguments.style is not None:
+        playable = StyledPlayable(playable, open_frame_source(arguments.source), load_style(arguments.style))
     frames = select_frames(playable, arguments.frames)
     fps = arguments.fps or selected_rate(playable, frames)
     if arguments.views is not None:

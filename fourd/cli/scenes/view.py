@@ -9,8 +9,9 @@ from typing import Annotated, Literal
 import tyro
 from rich.console import Console
 
-from fourd.cli.options import check_rendering, describe, option
+from fourd.cli.options import StyleName, check_rendering, describe, option
 from fourd.errors import UserError
+from fourd.stylize import load_style
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.rendering.renderers import RendererName
 
@@ -35,6 +36,7 @@ class Arguments:
     """Number of points composited per pixel (K), 1 to 64. Ignored by --renderer sorted, which composites all points."""
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
+    style: StyleName = None
     headless: Annotated[Path | None, option("FILE.mp4", "none")] = None
     """Render a video to this file, without opening a window."""
     path: Annotated[str, tyro.conf.arg(metavar="{orbit,spiral,cameras,FILE.json}")] = "orbit"
@@ -57,7 +59,8 @@ def run(arguments: Arguments) -> None:
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )
-    settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background)
+    style = None if arguments.style is None else load_style(arguments.style)
+    settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background, style=style)
     if arguments.headless is None and arguments.screenshot is None:
         from fourd.viewer.app import run_viewer
 

@@ -15,6 +15,7 @@ from fourd.cameras import Camera
 from fourd.ops.loading import load_native, simd_name, thread_count
 from fourd.ops.points.validation import check_points, pack_camera
 from fourd.ops.shade.shading import Shading
+from fourd.ops.stylize.parameters import Surface
 
 MIN_TRANSMITTANCE = 1e-3
 """Compositing of a pixel ends when the pixel's transmittance falls below this value.
@@ -93,6 +94,60 @@ class PointPlayer:
                 out,
             )
         return out
+
+    def draw_surface(
+        self,
+        xyz: NDArray[np.float32],
+        radius: NDArray[np.float16],
+        density: NDArray[np.float16],
+        sh: NDArray[np.float16],
+        blend_weights: NDArray[np.float16],
+        rgb: NDArray[np.uint8],
+        normals: NDArray[np.uint8],
+        shading: Shading,
+        camera: Camera,
+        *,
+        layers: int,
+        near: float,
+        persistence: float = 0.0,
+        threads: int = 0,
+        out: Surface,
+    ) -> None:
+        """Draw the visible surface of N points: colours, depth and normals.
+
+        Args:
+            normals: (N, 2) uint8 octahedral normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
+            persistence: weight of the depth and normal that ``out`` has before the call, from 0 to below 1. The old
+                values count only at pixels where they show the same surface: inverse depths within 2%, and normals
+                within 37 degrees. Use 0 for the first picture from a camera.
+            out: the surface to draw into, whose size is that of ``camera``.
+
+        The other arguments and the errors are those of :meth:`draw`.
+        """
+        check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
+        if out.size != (camera.height, camera.width):
+            raise ValueError(f"out: expected the camera's size {(camera.height, camera.width)}, got {out.size}")
+        with self._lock:
+            self._native.draw_surface(
+                xyz,
+                radius.view(np.uint16),
+                density.view(np.uint16),
+                sh.view(np.uint16),
+                blend_weights.view(np.uint16),
+                rgb,
+                normals,
+                *shading.arguments(),
+                pack_camera(camera),
+                layers,
+                near,
+                MIN_TRANSMITTANCE,
+                persistence,
+                thread_count(threads),
+                simd_name(),
+                out.albedo,
+                out.inverse_depth,
+                out.normal,
+            )
 
 
 def _check_canvas(out: NDArray[np.uint8] | None, shape: tuple[int, int, int]) -> NDArray[np.uint8]:

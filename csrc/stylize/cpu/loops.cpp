@@ -1,0 +1,206 @@
+// The picture, computed in runs of kRun pixels of a row. Every step is a loop over the arrays of a run, which compilers
+// vectorise.
+#include "stylize/cpu/loops.h"
+
+#include <cmath>
+#include <cstring>
+
+#include "common/inline.h"
+
+namespace fourd::stylize::FOURD_SIMD {
+namespace {
+
+#include "stylize/cpu/taps.inc"
+#include "stylize/cpu/lines.inc"
+
+struct Colours {
+    float red[kRun], green[kRun], blue[kRun];
+};
+
+inline float mix(float a, float b, float share) { return a + share * (b - a); }
+
+// The colours of the shade table for a tone and a detail, each from 0 to 1.
+inline void look_up(const Style& style, const float* tone, const float* detail, Colours& out) {
+    const std::uint32_t* table = style.table;
+    if (style.rows == 1) {
+        for (int i = 0; i < kRun; ++i) {
+            const std::uint32_t at = table[static_cast<int>(tone[i] * 255.0f + 0.5f)];
+            out.red[i] = channel(at, 0);
+            out.green[i] = channel(at, 8);
+            out.blue[i] = channel(at, 16);
+        }
+        return;
+    }
+    const float last = static_cast<float>(style.rows - 1);
+    for (int i = 0; i < kRun; ++i) {
+        const float row = detail[i] * last;
+        int first = static_cast<int>(row);
+        first = first < style.rows - 2 ? first : style.rows - 2;
+        const float share = row - static_cast<float>(first);
+        const int at = kTones * first + static_cast<int>(tone[i] * 255.0f + 0.5f);
+        const std::uint32_t a = table[at], b = table[at + kTones];
+        out.red[i] = mix(channel(a, 0), channel(b, 0), share);
+        out.green[i] = mix(channel(a, 8), channel(b, 8), share);
+        out.blue[i] = mix(channel(a, 16), channel(b, 16), share);
+    }
+}
+
+// The tone (1 + N.L) / 2, the cosine N.V and the detail of each pixel.
+struct Shape {
+    float tone[kRun], facing[kRun], detail[kRun];
+};
+
+inline void measure_tone(const Taps& centre, const Numbers& n, float* tone) {
+    for (int i = 0; i < kRun; ++i) {
+        const int c = kMargin + i;
+        const float light = centre.x[c] * n.light[0] + centre.y[c] * n.light[1] + centre.z[c] * n.light[2];
+        tone[i] = clamp01(0.5f + 0.5f * light / larger(centre.coverage[c], 1.0f / 255.0f));
+    }
+}
+
+inline void measure_facing(const Taps& centre, const Numbers& n, int row, int first, float* facing) {
+    const float y = static_cast<float>(row) + 0.5f;
+    for (int i = 0; i < kRun; ++i) {
+        const int c = kMargin + i;
+        const float x = static_cast<float>(first + i) + 0.5f;
+        const float across = n.ray[0] * x + n.ray[1] * y + n.ray[2], along = n.ray[3] * x + n.ray[4] * y + n.ray[5];
+        const float length = std::sqrt(across * across + along * along + 1.0f);
+        const float away = centre.x[c] * across + centre.y[c] * along + centre.z[c];
+        facing[i] = clamp01(-away / (length * larger(centre.coverage[c], 1.0f / 255.0f)));
+    }
+}
+
+inline void measure_depth_detail(const Taps& centre, const Style& style, float* detail) {
+    const Numbers& n = style.numbers;
+    const bool is_focus = style.detail == Detail::focus;
+    for (int i = 0; i < kRun; ++i) {
+        const float depth = n.detail_offset + n.detail_per_depth / larger(centre.depth[kMargin + i], 1e-20f);
+        detail[i] = clamp01(is_focus ? size_of(depth) : depth);
+    }
+}
+
+// Computes only what the style needs. The other members are 0.
+inline void measure(const Taps& centre, const Style& style, int row, int first, Shape& out) {
+    const Numbers& n = style.numbers;
+    const bool has_rows = style.rows > 1, by_facing = style.detail == Detail::facing;
+    std::memset(&out, 0, sizeof out);
+    measure_tone(centre, n, out.tone);
+    if (n.angle_strength > 0.0f || (has_rows && by_facing)) measure_facing(centre, n, row, first, out.facing);
+    if (has_rows && by_facing) std::memcpy(out.detail, out.facing, sizeof out.detail);
+    if (has_rows && !by_facing) measure_depth_detail(centre, style, out.detail);
+}
+
+// The distance to the nearest centre line of a set of parallel lines: 0 on the line, 1 halfway between two lines.
+inline float wave(float position) {
+    const float whole = static_cast<float>(static_cast<int>(position)), part = position - whole;
+    return size_of(2.0f * part - 1.0f);
+}
+
+// The share of ink of two layers of hatching, whose lines widen where the picture is darker.
+inline float hatching(const Numbers& n, float x, float y, float light) {
+    float ink = 0.0f;
+    for (int layer = 0; layer < 2; ++layer) {
+        const float turned = layer == 0 ? x + 0.5f * y : 16384.0f + x - 0.7f * y;
+        const float distance = 1.0f - wave(turned / n.hatch_spacing);
+        const float level = n.hatch_levels[layer];
+        const float width = n.hatch_width * clamp01((level - light) / larger(level, 1e-6f));
+        ink = larger(ink, clamp01((width - distance) * n.hatch_spacing * 0.5f + 0.5f) * (width > 0.0f ? 1.0f : 0.0f));
+    }
+    return ink;
+}
+
+inline std::uint32_t byte_of(float value) { return static_cast<std::uint32_t>(static_cast<int>(clamp01(value) * 255.0f + 0.5f)); }
+
+inline void paint(const std::uint32_t* albedo, const Taps& centre, const Shape& shape, const float* lines, const Style& style, int row,
+                  int first, std::uint32_t* out) {
+    const Numbers& n = style.numbers;
+    const float y = static_cast<float>(row) + 0.5f;
+    Colours table;
+    look_up(style, shape.tone, shape.detail, table);
+    const float per_softness = 0.5f / n.angle_softness;
+    const bool has_hatching = n.hatch_width > 0.0f;
+    float inks[kRun];
+    std::memset(inks, 0, sizeof inks);
+    for (int i = 0; has_hatching && i < kRun; ++i) {
+        const float x = static_cast<float>(first + i) + 0.5f;
+        const float inverse = 1.0f / larger(channel(albedo[i], 24), 1.0f / 255.0f);
+        const float grey = 0.299f * clamp01(channel(albedo[i], 0) * inverse) +
+                           0.587f * clamp01(channel(albedo[i], 8) * inverse) +
+                           0.114f * clamp01(channel(albedo[i], 16) * inverse);
+        inks[i] = hatching(n, x, y, std::sqrt(grey * shape.tone[i]));
+    }
+    for (int i = 0; i < kRun; ++i) {
+        const float alpha = channel(albedo[i], 24), coverage = alpha > 0.0f ? centre.coverage[kMargin + i] : 0.0f;
+        const float inverse = 1.0f / larger(alpha, 1.0f / 255.0f);
+        const float edge = clamp01(0.5f + (n.angle_threshold - shape.facing[i]) * per_softness);
+        const float dark = n.angle_strength * edge, line = n.line_opacity * lines[i];
+        const float shades[3] = {table.red[i], table.green[i], table.blue[i]};
+        std::uint32_t packed = byte_of(larger(coverage, line)) << 24;
+        for (int c = 0; c < 3; ++c) {
+            const float own = clamp01(channel(albedo[i], 8 * c) * inverse);
+            float value = clamp01(shades[c] * (n.table_alone + n.table_times_albedo * own) + n.albedo_alone * own);
+            value = mix(value, n.angle_colour[c], dark);
+            value = mix(value, n.hatch_colour[c], inks[i]);
+            value = mix(n.paper[c], value, coverage);
+            packed |= byte_of(mix(value, n.line_colour[c], line)) << (8 * c);
+        }
+        out[i] = packed;
+    }
+}
+
+inline void fill_paper(const Numbers& n, int count, std::uint32_t* out) {
+    const std::uint32_t paper = byte_of(n.paper[0]) | byte_of(n.paper[1]) << 8 | byte_of(n.paper[2]) << 16;
+    for (int i = 0; i < count; ++i) out[i] = paper;
+}
+
+// Draws a run of a row from the taps of three rows.
+void draw_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
+              std::uint8_t* state, std::uint32_t* picture) {
+    float lines[kRun];
+    find_lines(surface, rows, style, row, first, count, state, lines);
+    Shape shape;
+    measure(*rows[1], style, row, first, shape);
+    std::uint32_t albedo[kRun] = {};
+    const std::size_t pixel = static_cast<std::size_t>(row) * surface.width + first;
+    std::memcpy(albedo, surface.albedo + 4 * pixel, 4 * static_cast<std::size_t>(count));
+    paint(albedo, *rows[1], shape, lines, style, row, first, picture);
+}
+
+// Draws rows [begin, end) of a column of runs.
+void draw_column(const Surface& surface, const Style& style, int first, int begin, int end, std::uint8_t* line_state,
+                 std::uint8_t* out) {
+    Column column(surface, first, begin);
+    const int count = surface.width - first < kRun ? surface.width - first : kRun, reach = style.thickness;
+    int last_seen = begin - 3 * kMargin;  // The last row with a surface.
+    int checked = begin - reach - kGap;   // The next row to check for a surface.
+    for (int row = begin; row < end; ++row) {
+        for (; checked <= row + reach; ++checked) {
+            if (has_surface(surface, checked, first)) last_seen = checked;
+        }
+        const std::size_t pixel = static_cast<std::size_t>(row) * surface.width + first;
+        std::uint8_t* state = line_state == nullptr ? nullptr : line_state + pixel;
+        std::uint32_t picture[kRun];
+        if (last_seen < row - reach) {
+            if (state != nullptr) std::memset(state, 0, static_cast<std::size_t>(count));
+            fill_paper(style.numbers, count, picture);
+        } else {
+            column.read(row - reach, row + reach);
+            const Taps* rows[3] = {column.taps(row - reach), column.taps(row), column.taps(row + reach)};
+            draw_run(surface, style, rows, row, first, count, state, picture);
+        }
+        std::memcpy(out + 4 * pixel, picture, 4 * static_cast<std::size_t>(count));
+    }
+}
+
+void stylize_rows(const Surface& surface, const Style& style, int begin, int end, std::uint8_t* line_state,
+                  std::uint8_t* out) {
+    for (int first = 0; first < surface.width; first += kRun) {
+        draw_column(surface, style, first, begin, end, line_state, out);
+    }
+}
+
+}  // namespace
+
+const Loops loops = {stylize_rows};
+
+}  // namespace fourd::stylize::FOURD_SIMD

@@ -1,0 +1,54 @@
+// Turns the visible surface of an image into a cartoon or a drawing. fourd/ops/stylize/parameters.py documents the
+// formulas. Callers check shapes, and arrays are dense and row-major.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/simd.h"
+
+namespace fourd::stylize {
+
+constexpr int kTones = 256;       // Columns of the shade table.
+constexpr int kMaxRows = 64;      // Most rows of the shade table.
+constexpr int kMaxThickness = 8;  // Most pixels between the taps of a line filter.
+
+// What selects the row of the shade table.
+enum class Detail { facing = 0, depth = 1, focus = 2 };
+enum class Lines { none = 0, sobel = 1, cross = 2 };
+
+// Numbers in the order of StyleParameters.numbers in fourd/ops/stylize/parameters.py.
+struct Numbers {
+    float ray[6];    // Ray of pixel (x, y) with depth 1: (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5]).
+    float light[3];  // Unit vector towards the light, in the frame of the camera.
+    float table_alone, table_times_albedo, albedo_alone;  // colour = table * (alone + times * albedo) + albedo_alone * albedo.
+    float detail_offset, detail_per_depth;
+    float angle_threshold, angle_softness, angle_strength, angle_colour[3];
+    float depth_threshold, normal_threshold, line_opacity, line_colour[3], hysteresis;
+    float hatch_spacing, hatch_levels[2], hatch_width, hatch_colour[3];
+    float paper[3];
+};
+
+struct Style {
+    Numbers numbers;
+    Detail detail;
+    Lines lines;
+    int thickness;               // From 1 to kMaxThickness.
+    const std::uint32_t* table;  // (rows, kTones): red in the lowest byte, then green and blue.
+    int rows;                    // From 1 to kMaxRows.
+};
+
+// The visible surface (points/points.h, Surface).
+struct Surface {
+    const std::uint8_t* albedo;  // (height, width, 4): colours multiplied by alpha, then alpha.
+    const float* inverse_depth;  // (height, width).
+    const std::uint8_t* normal;  // (height, width, 4).
+    int width, height;
+};
+
+// Writes the picture to `out` (height, width, 4). `line_state` (height, width) has the strength of the lines of the
+// previous image from the same camera, and receives those of this image. It may be null.
+void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint8_t* line_state,
+             std::uint8_t* out);
+
+}  // namespace fourd::stylize

@@ -1,0 +1,1 @@
+"""Drawing of baked frames in a style, on the CPU."""

@@ -1,0 +1,62 @@
+"""Normals of baked frames: stored in the scene, or estimated from the positions and the blend weights."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+
+import numpy as np
+from cachetools import LRUCache
+from numpy.typing import NDArray
+
+from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.stylize.normals import encode_octahedral, estimate_normals, viewing_directions
+
+CACHE_BYTES = 64 << 20
+_SAMPLES = 4096
+
+
+def add_normals(frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
+    """Return ``frame`` with estimated normals. The manifest supplies the source cameras, which see the outside."""
+    return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest))
+
+
+def _estimate(
+    xyz: NDArray[np.float32], blend_weights: NDArray[np.float16], manifest: SceneManifest
+) -> NDArray[np.uint8]:
+    centres = np.array([camera.centre for camera in manifest.source_cameras]).reshape(-1, 3)
+    return encode_octahedral(estimate_normals(xyz, viewing_directions(xyz, blend_weights, centres)))
+
+
+class FrameNormals:
+    """Returns the normals of frames, and keeps estimated normals in a cache of CACHE_BYTES.
+
+    An estimate takes about 0.5 s for 40,000 points. Dynamic points and background points are estimated separately, so
+    that the background is estimated only once.
+    """
+
+    def __init__(self) -> None:
+        self._cache: LRUCache[bytes, NDArray[np.uint8]] = LRUCache(
+            CACHE_BYTES, getsizeof=lambda normals: normals.nbytes
+        )
+
+    def get(self, frame: BakedFrame, manifest: SceneManifest) -> NDArray[np.uint8]:
+        """The (N, 2) uint8 octahedral normals of a frame."""
+        if frame.normals is not None:
+            return frame.normals
+        count = frame.dynamic_count
+        if count == frame.point_count:
+            return self._estimate(frame, slice(None), manifest)
+        parts = [self._estimate(frame, part, manifest) for part in (slice(0, count), slice(count, None))]
+        return np.concatenate(parts)
+
+    def _estimate(self, frame: BakedFrame, part: slice, manifest: SceneManifest) -> NDArray[np.uint8]:
+        xyz = frame.xyz[part]
+        # Frames that are read again have equal positions in another array, so the key is computed from the positions.
+        key = hashlib.sha256(xyz[:: max(1, len(xyz) // _SAMPLES)].tobytes() + str(xyz.shape).encode()).digest()
+        if key not in self._cache:
+            normals = _estimate(xyz, frame.blend_weights[part], manifest)
+            if normals.nbytes > self._cache.maxsize:
+                return normals
+            self._cache[key] = normals
+        return self._cache[key]

@@ -1,0 +1,132 @@
+"""Drawing of baked frames in a style, for real-time playback on the CPU."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.baking.shade import make_shading
+from fourd.baking.styled.normals import FrameNormals
+from fourd.cameras import Camera
+from fourd.ops.play.op import PointPlayer
+from fourd.ops.stylize.op import stylize_surface
+from fourd.ops.stylize.parameters import Surface
+from fourd.stylize.styles import Style
+from fourd.stylize.tables import make_table
+from fourd.stylize.view import view_style
+
+
+@dataclass(eq=False)
+class _Picture:
+    """What is kept from one picture to the next."""
+
+    surface: Surface
+    lines: NDArray[np.uint8]
+    camera: Camera | None = None
+
+
+class StyledPlayer:
+    """Draws baked frames in a style. Only one thread may use an instance.
+
+    While the camera rests, depth and normals are averaged over successive pictures, and a line stays until it is
+    clearly below its threshold. The noise of the points then does not move the lines. Surfaces that move are not
+    averaged, because their depth or normal differs from that of the previous picture.
+
+    Attributes:
+        style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.
+    """
+
+    def __init__(self) -> None:
+        """Raises ImportError if the native module is not built."""
+        self._points = PointPlayer()
+        self._normals = FrameNormals()
+        self._last: _Picture | None = None
+        self.style_seconds = 0.0
+        self._table: tuple[Style, NDArray[np.uint8]] | None = None
+
+    def draw_surface(
+        self,
+        frame: BakedFrame,
+        camera: Camera,
+        manifest: SceneManifest,
+        *,
+        layers: int | None = None,
+        persistence: float = 0.0,
+        threads: int = 0,
+    ) -> Surface:
+        """Draw the visible surface of a frame. The next call overwrites the surface.
+
+        Args:
+            persistence: weight of the previous surface if the camera is the same, from 0 to below 1.
+            layers, threads: see :meth:`fourd.baking.player.Player.draw`.
+        """
+        size = (camera.height, camera.width)
+        if self._last is None or self._last.surface.size != size:
+            self._last = _Picture(Surface.empty(*size), np.zeros(size, np.uint8))
+        last = self._last
+        rests = last.camera is not None and _is_same(last.camera, camera)
+        if not rests:
+            last.lines.fill(0)
+        last.camera = camera
+        self._points.draw_surface(
+            frame.xyz,
+            frame.radius,
+            frame.density,
+            frame.sh,
+            frame.blend_weights,
+            frame.rgb,
+            self._normals.get(frame, manifest),
+            make_shading(camera, manifest),
+            camera,
+            layers=manifest.layers if layers is None else layers,
+            near=manifest.near,
+            persistence=persistence if rests else 0.0,
+            threads=threads,
+            out=last.surface,
+        )
+        return last.surface
+
+    def draw(
+        self,
+        frame: BakedFrame,
+        camera: Camera,
+        manifest: SceneManifest,
+        style: Style,
+        *,
+        layers: int | None = None,
+        background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        threads: int = 0,
+        out: NDArray[np.uint8] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Draw a frame in a style as an (H, W, 4) uint8 image. The channels are RGB over the paper, and alpha.
+
+        The arguments are those of :meth:`fourd.baking.player.Player.draw`. ``background`` is the paper of styles that
+        have none. Raises UserError if the style's shade map cannot be read.
+        """
+        table = self._table_of(style)
+        surface = self.draw_surface(
+            frame, camera, manifest, layers=layers, persistence=style.persistence, threads=threads
+        )
+        assert self._last is not None
+        started = time.perf_counter()
+        parameters = view_style(style, table, camera, manifest.focus, background)
+        picture = stylize_surface(surface, parameters, line_state=self._last.lines, threads=threads, out=out)
+        self.style_seconds = time.perf_counter() - started
+        return picture
+
+    def _table_of(self, style: Style) -> NDArray[np.uint8]:
+        if self._table is None or self._table[0] != style:
+            self._table = (style, make_table(style))
+        return self._table[1]
+
+
+def _is_same(first: Camera, second: Camera) -> bool:
+    return first is second or (
+        np.array_equal(first.intrinsics, second.intrinsics)
+        and np.array_equal(first.rotation, second.rotation)
+        and np.array_equal(first.translation, second.translation)
+    )

@@ -1,0 +1,1 @@
+"""The image filter that turns the visible surface of a picture into a cartoon or a drawing."""

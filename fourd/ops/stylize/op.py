@@ -1,0 +1,52 @@
+"""The stylizer's CPU kernel for NumPy arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.ops.loading import load_native, simd_name, thread_count
+from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, StyleParameters, Surface
+
+
+def stylize_surface(
+    surface: Surface,
+    parameters: StyleParameters,
+    *,
+    line_state: NDArray[np.uint8] | None = None,
+    threads: int = 0,
+    out: NDArray[np.uint8] | None = None,
+) -> NDArray[np.uint8]:
+    """Draw a surface in a style. :mod:`fourd.ops.stylize.parameters` has the formulas.
+
+    Args:
+        surface: the visible surface, in C-contiguous arrays.
+        parameters: the style for the surface's camera.
+        line_state: (H, W) uint8 strength of the lines of the previous picture from the same camera, or None. The array
+            receives the lines of this picture.
+        threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
+        out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
+
+    Returns:
+        (H, W, 4) uint8 picture: RGB over the paper, and alpha.
+
+    Raises:
+        TypeError, ValueError: for an array of another shape or dtype, or a number that is not finite or out of range.
+    """
+    if out is None:
+        out = np.empty((*surface.size, 4), np.uint8)
+    load_native().stylize(
+        surface.albedo,
+        surface.inverse_depth,
+        surface.normal,
+        parameters.numbers.pack(),
+        DETAILS.index(parameters.detail),
+        LINE_FILTERS.index(parameters.lines),
+        parameters.thickness,
+        parameters.pack_table(),
+        thread_count(threads),
+        simd_name(),
+        line_state,
+        out,
+    )
+    return out

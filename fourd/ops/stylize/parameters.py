@@ -1,0 +1,158 @@
+"""The input of the stylizer: the visible surface of a picture, and the numbers of a style for one camera.
+
+For a pixel with albedo F (colour / alpha), coverage s, unit normal N, unit vector V towards the camera, unit vector L
+towards the light and camera depth z, the stylizer computes
+
+- the closed surface: gaps of up to five pixels, behind which the points leave the view open to a farther surface, are
+  filled. If surfaces on both sides of a pixel are nearer than the pixel, it gets the farther one of the two,
+- the tone t = (1 + N.L) / 2 and the detail d: N.V, clamp(o + p z) or clamp(\\|o + p z\\|),
+- the colour C = S(t, d) (a + b F) + c F, where S is the shade table. Toon: a = 0, b = 1.5, c = 0. X-Toon (Barla et al.
+  2006) uses d as well. Gooch et al. (1998): a = 1, b = 0, and S goes from the cool to the warm colour,
+- the mix of C with the angle colour where N.V is below a threshold,
+- hatching: two layers of parallel lines, whose lines widen where the square root of t times the grey value of F is low,
+- lines of strength e from a Sobel filter or a cross filter on 1 / z and on the cosines between normals (Saito and
+  Takahashi 1990),
+- the picture: C over the paper with opacity s, and then the line colour with opacity e.
+
+The inverse depth 1 / z of a plane is a linear function of the pixel, so that the cross filter draws nothing on planes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+TONES = 256
+"""Columns of a shade table."""
+MAX_ROWS = 64
+"""Most rows of a shade table."""
+GAP = 3
+"""Largest distance from the surfaces on both sides at which a gap is filled, in pixels."""
+MAX_THICKNESS = 8
+"""Most pixels between the taps of a line filter."""
+
+Detail = Literal["facing", "depth", "focus"]
+LineFilter = Literal["none", "sobel", "cross"]
+DETAILS: tuple[Detail, ...] = ("facing", "depth", "focus")
+LINE_FILTERS: tuple[LineFilter, ...] = ("none", "sobel", "cross")
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The visible surface of a picture.
+
+    Attributes:
+        albedo: (H, W, 4) uint8, colours multiplied by alpha, then alpha.
+        inverse_depth: (H, W) float32, coverage / mean camera depth in 1 / world units, with coverage =
+            clamp(3 alpha - 0.5, 0, 1). 0 where there is no surface.
+        normal: (H, W, 4) uint8, bytes 127 n + 128 of the unit normal n in the camera's frame, which points out of the
+            surface, then 255 * coverage. n is 0 where there is no surface.
+    """
+
+    albedo: NDArray[np.uint8]
+    inverse_depth: NDArray[np.float32]
+    normal: NDArray[np.uint8]
+
+    @classmethod
+    def empty(cls, height: int, width: int) -> Surface:
+        """Make a picture without surfaces."""
+        normal = np.full((height, width, 4), 128, np.uint8)
+        normal[..., 3] = 0
+        return cls(np.zeros((height, width, 4), np.uint8), np.zeros((height, width), np.float32), normal)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        height, width = self.inverse_depth.shape
+        return height, width
+
+    @property
+    def depth(self) -> NDArray[np.float32]:
+        """(H, W) camera depth in world units, infinity where there is no surface."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(self.inverse_depth > 0, self.coverage / self.inverse_depth, np.float32(np.inf))
+
+    @property
+    def coverage(self) -> NDArray[np.float32]:
+        """(H, W) coverage in [0, 1]."""
+        return (self.normal[..., 3] / 255).astype(np.float32)
+
+    @property
+    def unit_normal(self) -> NDArray[np.float32]:
+        """(H, W, 3) unit normals in the camera's frame."""
+        return (self.normal[..., :3].astype(np.float32) - 128) / np.float32(127)
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers of a style for one camera. Lengths are in pixels, colours are in [0, 1].
+
+    Attributes:
+        ray: the ray of pixel (x, y) with depth 1 is (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5], 1).
+        light: unit vector towards the light in the camera's frame.
+        table_alone, table_times_albedo, albedo_alone: a, b and c of the colour.
+        detail_offset, detail_per_depth: o and p of the detail, p in 1 / world units.
+        angle_threshold, angle_softness, angle_strength, angle_colour: the colour is mixed with angle_colour where N.V
+            is below angle_threshold. The mix changes over angle_softness on both sides of the threshold.
+        depth_threshold: relative jump of the inverse depth at which a line begins. Above 0.
+        normal_threshold: change of the cosine at which a line begins. Above 0.
+        line_opacity, line_colour: the strongest line.
+        hysteresis: share by which the thresholds are lower where the previous picture has a line.
+        hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. The first layer starts where the light is
+            below hatch_levels[0]. hatch_width is the largest share of ink in a layer, 0 for no hatching.
+        paper: the colour behind the surface.
+    """
+
+    ray: tuple[float, float, float, float, float, float]
+    light: Triple
+    table_alone: float = 0.0
+    table_times_albedo: float = 0.0
+    albedo_alone: float = 1.0
+    detail_offset: float = 0.0
+    detail_per_depth: float = 0.0
+    angle_threshold: float = 0.0
+    angle_softness: float = 0.1
+    angle_strength: float = 0.0
+    angle_colour: Triple = (0.0, 0.0, 0.0)
+    depth_threshold: float = 0.02
+    normal_threshold: float = 0.3
+    line_opacity: float = 1.0
+    line_colour: Triple = (0.0, 0.0, 0.0)
+    hysteresis: float = 0.0
+    hatch_spacing: float = 6.0
+    hatch_levels: tuple[float, float] = (0.0, 0.0)
+    hatch_width: float = 0.0
+    hatch_colour: Triple = (0.0, 0.0, 0.0)
+    paper: Triple = (0.0, 0.0, 0.0)
+
+    def pack(self) -> NDArray[np.float32]:
+        """All numbers in one array, in the order of the struct Numbers in csrc/stylize/stylize.h."""
+        return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)]).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class StyleParameters:
+    """A style for one camera.
+
+    Attributes:
+        numbers: see :class:`Numbers`.
+        table: the shade table, (R, 256, 3) uint8 with R from 1 to 64. Columns are tones, rows are details.
+        detail: what selects the row of the table.
+        lines: the filter that finds lines.
+        thickness: pixels between the taps of the filter, 1 to 8.
+    """
+
+    numbers: Numbers
+    table: NDArray[np.uint8]
+    detail: Detail = "facing"
+    lines: LineFilter = "none"
+    thickness: int = 1
+
+    def pack_table(self) -> NDArray[np.uint32]:
+        """The table as (R, 256) words with red in the lowest byte."""
+        red, green, blue = (self.table[..., channel].astype(np.uint32) for channel in range(3))
+        return np.ascontiguousarray(red | green << 8 | blue << 16)

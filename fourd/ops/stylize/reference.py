@@ -1,0 +1,180 @@
+"""The stylizer in NumPy. Slow and simple: tests compare the kernel and the shaders with it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.ops.stylize.parameters import GAP, TONES, Numbers, StyleParameters, Surface
+
+Image = NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class Stylized:
+    """A stylized picture: rgba (H, W, 4) uint8, and the strength of its lines, (H, W) uint8."""
+
+    rgba: NDArray[np.uint8]
+    lines: NDArray[np.uint8]
+
+
+def stylize_reference(
+    surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint8] | None = None
+) -> Stylized:
+    """Compute the picture of :func:`fourd.ops.stylize.op.stylize_surface`. ``line_state`` is not changed."""
+    numbers = parameters.numbers
+    closed = fill_gaps(surface)
+    depth = closed.inverse_depth
+    normal = np.where(closed.coverage[..., None] > 0, closed.unit_normal, 0)
+    lines = find_lines(closed, parameters, line_state)
+    rays = _rays(surface.size, numbers)
+    facing = _clamp(-(normal * rays).sum(2) / np.sqrt((rays * rays).sum(2)))
+    tone = _clamp(0.5 + 0.5 * (normal @ np.asarray(numbers.light, np.float32)))
+    along = numbers.detail_offset + numbers.detail_per_depth / np.maximum(depth, 1e-20)
+    details = {"facing": facing, "depth": _clamp(along), "focus": _clamp(np.abs(along))}
+    shades = look_up(parameters.table, tone, details[parameters.detail])
+    alpha = surface.albedo[..., 3:].astype(np.float32) / 255
+    own = _clamp(surface.albedo[..., :3].astype(np.float32) / 255 / np.maximum(alpha, 1 / 255))
+    colour = _clamp(shades * (numbers.table_alone + numbers.table_times_albedo * own) + numbers.albedo_alone * own)
+    edge = _clamp(0.5 + (numbers.angle_threshold - facing) / (2 * numbers.angle_softness))
+    colour = _mix(colour, numbers.angle_colour, numbers.angle_strength * edge)
+    light = np.sqrt(_clamp(own @ np.array([0.299, 0.587, 0.114], np.float32) * tone))
+    colour = _mix(colour, numbers.hatch_colour, hatching(light, numbers))
+    coverage = np.where(alpha > 0, closed.coverage[..., None], 0)
+    line = numbers.line_opacity * lines
+    colour = _mix(
+        np.asarray(numbers.paper, np.float32) + coverage * (colour - numbers.paper), numbers.line_colour, line
+    )
+    rgba = np.concatenate([colour, np.maximum(coverage, line[..., None])], 2)
+    return Stylized(_bytes(rgba), _bytes(lines))
+
+
+def fill_gaps(surface: Surface) -> Surface:
+    """Fill the gaps between surfaces."""
+    depth, normal, shift = surface.inverse_depth, surface.normal, _Shift(1)
+    filled_depth, filled_normal = depth.copy(), normal.copy()
+    for down, right in ((0, 1), (1, 0)):
+        sides = []
+        for sign in (-1, 1):
+            best = np.zeros_like(depth)
+            best_normal = np.zeros_like(normal)
+            for step in range(sign, sign * (GAP + 1), sign):
+                other = shift(depth, step * down, step * right)
+                wins = other > best
+                best = np.where(wins, other, best)
+                best_normal = np.where(wins[..., None], shift(normal, step * down, step * right), best_normal)
+            sides.append((best, best_normal))
+        is_second = sides[1][0] < sides[0][0]
+        gap = np.where(is_second, sides[1][0], sides[0][0])
+        fills = gap > filled_depth
+        filled_depth[fills] = gap[fills]
+        filled_normal[fills] = np.where(is_second[..., None], sides[1][1], sides[0][1])[fills]
+    return Surface(surface.albedo, filled_depth, filled_normal)
+
+
+def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint8] | None = None) -> Image:
+    """Strength of the lines of a closed surface in [0, 1], (H, W)."""
+    numbers, depth, coverage = parameters.numbers, surface.inverse_depth, surface.coverage
+    normal = surface.unit_normal * coverage[..., None]
+    scale = np.ones(depth.shape, np.float32)
+    if line_state is not None:
+        scale[line_state >= 128] = 1 - numbers.hysteresis
+    if parameters.lines == "none":
+        return np.zeros(depth.shape, np.float32)
+    shift = _Shift(parameters.thickness)
+    taps = {
+        (down, right): (shift(depth, down, right), (shift(normal, down, right) * normal).sum(2))
+        for down in (-1, 0, 1)
+        for right in (-1, 0, 1)
+    }
+    if parameters.lines == "sobel":
+        most = np.maximum(np.max([tap[0] for tap in taps.values()], axis=0), 1e-20)
+        jump = _sobel({at: tap[0] for at, tap in taps.items()}) / most
+        turn = _sobel({at: tap[1] for at, tap in taps.items()})
+        return np.maximum(
+            _ramp(jump, numbers.depth_threshold * scale), _ramp(turn, numbers.normal_threshold * scale)
+        ).astype(np.float32)
+    arms = ((-1, 0), (0, -1), (0, 1), (1, 0))
+    most = np.maximum(np.max([taps[at][0] for at in ((0, 0), *arms)], axis=0), 1e-20)
+    bends = [np.abs(taps[a][0] + taps[b][0] - 2 * depth) for a, b in ((arms[0], arms[3]), (arms[1], arms[2]))]
+    for axis, bend in enumerate(bends):
+        # A tap outside the image repeats the border, which would look like a bend of the surface.
+        bend.swapaxes(0, axis)[: parameters.thickness] = 0
+        bend.swapaxes(0, axis)[max(bend.shape[axis] - parameters.thickness, 0) :] = 0
+    flat = 1 - _ramp((bends[0] + bends[1]) / (2 * most), numbers.depth_threshold * scale)
+    for at in arms:
+        flat = flat * (1 - _ramp(coverage - taps[at][1], numbers.normal_threshold * scale))
+    return (1 - flat).astype(np.float32)
+
+
+def look_up(table: NDArray[np.uint8], tone: Image, detail: Image) -> Image:
+    """Colours of a shade table (R, 256, 3): the nearest column for the tone, and a linear mix of two rows."""
+    column = (tone * (TONES - 1) + 0.5).astype(int)
+    row = detail * (len(table) - 1)
+    first = np.minimum(row.astype(int), max(len(table) - 2, 0))
+    second = np.minimum(first + 1, len(table) - 1)
+    colours = table.astype(np.float32) / 255
+    return _mix(colours[first, column], colours[second, column], row - first)
+
+
+def hatching(light: Image, numbers: Numbers) -> Image:
+    """Share of ink in [0, 1], (H, W), for the light in [0, 1] of each pixel."""
+    height, width = light.shape
+    y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
+    ink = np.zeros(light.shape, np.float32)
+    for position, level in zip((x + 0.5 * y, 16384 + x - 0.7 * y), numbers.hatch_levels, strict=True):
+        part = position / numbers.hatch_spacing
+        part = part - np.trunc(part)
+        distance = 1 - np.abs(2 * part - 1)
+        wide = numbers.hatch_width * _clamp((level - light) / max(level, 1e-6))
+        share = _clamp((wide - distance) * numbers.hatch_spacing * 0.5 + 0.5)
+        ink = np.maximum(ink, np.where(wide > 0, share, 0))
+    return ink
+
+
+@dataclass(frozen=True)
+class _Shift:
+    """Reads the pixels at a distance of ``thickness`` pixels. Pixels outside the image repeat its border."""
+
+    thickness: int
+
+    def __call__(self, image: NDArray[Any], down: int, right: int) -> NDArray[Any]:
+        height, width = image.shape[:2]
+        rows = np.clip(np.arange(height) + down * self.thickness, 0, height - 1)
+        columns = np.clip(np.arange(width) + right * self.thickness, 0, width - 1)
+        return image[rows[:, None], columns]
+
+
+def _sobel(taps: dict[tuple[int, int], Image]) -> Image:
+    """Magnitude of the Sobel gradient, scaled so that a step of height h gives h."""
+    columns = {right: taps[-1, right] + taps[1, right] + 2 * taps[0, right] for right in (-1, 1)}
+    rows = {down: taps[down, -1] + taps[down, 1] + 2 * taps[down, 0] for down in (-1, 1)}
+    return np.sqrt((columns[1] - columns[-1]) ** 2 + (rows[1] - rows[-1]) ** 2) / 4
+
+
+def _rays(size: tuple[int, int], numbers: Numbers) -> Image:
+    height, width = size
+    y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
+    ray = np.asarray(numbers.ray, np.float32)
+    across, along = ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5]
+    return np.stack([across, along, np.ones_like(x)], 2)
+
+
+def _ramp(value: Image, threshold: Image) -> Image:
+    """0 up to the threshold, 1 from 1.5 times the threshold."""
+    return _clamp(2 * (value / threshold - 1))
+
+
+def _mix(a: Image, b: object, share: Image) -> Image:
+    return (a + share[..., None] * (np.asarray(b, np.float32) - a)).astype(np.float32)
+
+
+def _clamp(value: NDArray[np.floating]) -> Image:
+    return np.clip(value, 0, 1).astype(np.float32)
+
+
+def _bytes(value: Image) -> NDArray[np.uint8]:
+    return (_clamp(value) * 255 + 0.5).astype(np.uint8)

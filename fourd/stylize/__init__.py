@@ -1,0 +1,16 @@
+"""Cartoons and drawings of a scene: styles, their presets, and the normals of points. This package needs no torch."""
+
+from fourd.stylize.normals import decode_octahedral, encode_octahedral, estimate_normals
+from fourd.stylize.presets import PRESETS, load_style
+from fourd.stylize.styles import Style
+from fourd.stylize.view import view_style
+
+__all__ = [
+    "PRESETS",
+    "Style",
+    "decode_octahedral",
+    "encode_octahedral",
+    "estimate_normals",
+    "load_style",
+    "view_style",
+]

@@ -1,0 +1,38 @@
+"""The styles that come with fourd, and the reading of style files."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from difflib import get_close_matches
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from fourd.configs import load_overlay
+from fourd.errors import UserError
+from fourd.stylize.styles import Style
+from fourd.stylize.tables import make_table
+
+PRESETS = ("toon", "xtoon", "gooch", "ink")
+"""Names of the styles that come with fourd, one YAML file each."""
+
+
+def load_style(name: str) -> Style:
+    """Load a preset by its name, or a style file. The path of a shade map is relative to the style file.
+
+    Raises:
+        UserError: for an unknown name, an unknown key, a value out of range, or a shade map of another shape. The
+            message names the file, the line and the key.
+    """
+    if name in PRESETS:
+        with as_file(files("fourd.stylize.presets") / f"{name}.yaml") as path:
+            return load_overlay(Style(), path)
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        near = get_close_matches(name, PRESETS, n=1)
+        hint = f"did you mean {near[0]}?" if near else "write one of the names or the path of a .yaml file"
+        raise UserError(f"--style: expected {', '.join(PRESETS)} or FILE.yaml, got '{name}'; {hint}")
+    style = load_overlay(Style(), path)
+    if style.ramp.map is not None:
+        style = replace(style, ramp=replace(style.ramp, map=path.parent / style.ramp.map))
+    make_table(style)  # reports a wrong shade map
+    return style

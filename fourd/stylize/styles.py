@@ -1,0 +1,226 @@
+"""The settings of a style. Each class is one section of a style file (YAML)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from fourd.ops.stylize.parameters import MAX_THICKNESS, Detail, LineFilter, Triple
+
+ShadingKind = Literal["none", "toon", "xtoon", "gooch"]
+Stop = tuple[float, float, float, float]
+MAX_LIGHT = 1e6
+"""Largest coordinate of a light direction."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light of the shading.
+
+    Attributes:
+        direction: the direction towards the light, of any length.
+        frame: the axes of ``direction``. camera: x to the right, y down, z away from the camera, so that the light
+            moves with the camera. world: the axes of the scene.
+    """
+
+    direction: Triple = (-0.5, -0.7, -0.5)
+    frame: Literal["camera", "world"] = "camera"
+
+    def __post_init__(self) -> None:
+        length = math.hypot(*self.direction)
+        if not 0 < length < MAX_LIGHT:
+            raise ValueError(f"direction: expected a direction of length above 0, got {list(self.direction)}")
+
+
+@dataclass(frozen=True)
+class Ramp:
+    """The colours of toon and X-Toon shading.
+
+    Attributes:
+        stops: lists of a tone in [0, 1], where a colour begins, and the red, green and blue of that colour in [0, 1].
+            The first stop has the tone 0.
+        softness: width of the change between two colours, in tones, 0 to 1.
+        map: a PNG instead of stops. Columns are tones. toon: 1 row. xtoon: 1 to 64 rows, the first for the detail 0.
+        gain: factor on the colours.
+    """
+
+    stops: tuple[Stop, ...] = ((0.0, 0.42, 0.42, 0.52), (0.45, 0.72, 0.7, 0.74), (0.72, 1.0, 1.0, 1.0))
+    softness: float = 0.03
+    map: Path | None = None
+    gain: float = 1.1
+
+    def __post_init__(self) -> None:
+        tones = [stop[0] for stop in self.stops]
+        if not tones or tones[0] != 0 or tones != sorted(tones) or len(tones) > 32:
+            raise ValueError(f"stops: expected 1 to 32 stops with rising tones, the first 0, got the tones {tones}")
+        for stop in self.stops:
+            _check_unit("stops", *stop)
+        _check_unit("softness", self.softness)
+        _check_range("gain", self.gain, 0, 10)
+
+
+@dataclass(frozen=True)
+class DetailAxis:
+    """The second axis of X-Toon shading.
+
+    Attributes:
+        by: what the detail depends on. depth: 0 at ``near``, 1 at ``far``. focus: 0 at the depth ``focus``, 1 at the
+            distance ``far - near`` from it. facing: N.V to the power ``power``, 0 at silhouettes.
+        near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
+        power: exponent of N.V.
+        fade: share of ``fade_colour`` in the stops' colours at the last row. Not used with a map.
+        fade_colour: colour of the last row.
+    """
+
+    by: Detail = "facing"
+    near: float = 0.7
+    far: float = 1.6
+    focus: float = 1.0
+    power: float = 1.0
+    fade: float = 0.0
+    fade_colour: Triple = (1.0, 1.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if not self.far - self.near > 1e-6:
+            raise ValueError(f"far: expected more than near ({self.near:g}), got {self.far:g}")
+        for name in ("near", "far", "focus"):
+            _check_range(name, getattr(self, name), 0, 1e6)
+        _check_range("power", self.power, 0.01, 100)
+        _check_unit("fade", self.fade)
+        _check_unit("fade_colour", *self.fade_colour)
+
+
+@dataclass(frozen=True)
+class Gooch:
+    """The two colours of Gooch shading, away from the light and towards it."""
+
+    cool: Triple = (0.1, 0.16, 0.5)
+    warm: Triple = (0.62, 0.5, 0.2)
+
+    def __post_init__(self) -> None:
+        _check_unit("cool", *self.cool)
+        _check_unit("warm", *self.warm)
+
+
+@dataclass(frozen=True)
+class Angle:
+    """Darkening of surfaces at grazing angles.
+
+    Attributes:
+        threshold: the colour begins where N.V is below this number. 0 for none.
+        softness: half of the width of the change, in N.V.
+        strength: largest share of ``colour``.
+        colour: red, green and blue.
+    """
+
+    threshold: float = 0.0
+    softness: float = 0.06
+    strength: float = 0.0
+    colour: Triple = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        _check_unit("threshold", self.threshold)
+        _check_range("softness", self.softness, 1e-4, 1)
+        _check_unit("strength", self.strength)
+        _check_unit("colour", *self.colour)
+
+
+@dataclass(frozen=True)
+class LineSettings:
+    """The outlines and the inner lines.
+
+    Attributes:
+        filter: none, sobel (nine taps) or cross (five taps).
+        depth: relative jump of depth at which a line begins, above 0.
+        normal: change of the cosine between normals at which a line begins, above 0.
+        thickness: distance between the taps in pixels of a picture with 1080 rows, 0.25 to 8. Lines are about twice as
+            wide.
+        opacity: strongest line, 0 to 1.
+        colour: red, green and blue.
+    """
+
+    filter: LineFilter = "sobel"
+    depth: float = 0.02
+    normal: float = 0.45
+    thickness: float = 1.5
+    opacity: float = 1.0
+    colour: Triple = (0.05, 0.04, 0.06)
+
+    def __post_init__(self) -> None:
+        _check_range("depth", self.depth, 1e-6, 10)
+        _check_range("normal", self.normal, 1e-6, 10)
+        _check_range("thickness", self.thickness, 0.25, MAX_THICKNESS)
+        _check_unit("opacity", self.opacity)
+        _check_unit("colour", *self.colour)
+
+
+@dataclass(frozen=True)
+class Hatching:
+    """Parallel lines in dark regions.
+
+    Attributes:
+        width: largest share of ink in a layer of lines, 0 for no hatching.
+        spacing: distance of the lines in pixels of a picture with 1080 rows.
+        levels: brightness below which the first and the second layer begin.
+        colour: red, green and blue of the ink.
+    """
+
+    width: float = 0.0
+    spacing: float = 9.0
+    levels: tuple[float, float] = (0.75, 0.45)
+    colour: Triple = (0.05, 0.04, 0.06)
+
+    def __post_init__(self) -> None:
+        _check_unit("width", self.width)
+        _check_range("spacing", self.spacing, 1, 1000)
+        _check_unit("levels", *self.levels)
+        _check_unit("colour", *self.colour)
+
+
+@dataclass(frozen=True)
+class Style:
+    """A style. All parts can be combined.
+
+    Attributes:
+        shading: how a colour depends on the light.
+        albedo: share of the captured colours. The rest is white, or ``base`` without shading.
+        base: colour of surfaces whose albedo is not used, for shading none.
+        paper: colour behind the scene, or None for the background colour of the picture.
+        persistence: weight of the previous depth and normals while the camera rests, from 0 to 0.95.
+        hysteresis: share by which the thresholds of lines are lower where the previous picture has a line.
+    """
+
+    shading: ShadingKind = "none"
+    albedo: float = 1.0
+    base: Triple = (1.0, 1.0, 1.0)
+    light: Light = field(default_factory=Light)
+    ramp: Ramp = field(default_factory=Ramp)
+    detail: DetailAxis = field(default_factory=DetailAxis)
+    gooch: Gooch = field(default_factory=Gooch)
+    angle: Angle = field(default_factory=Angle)
+    lines: LineSettings = field(default_factory=LineSettings)
+    hatching: Hatching = field(default_factory=Hatching)
+    paper: Triple | None = None
+    persistence: float = 0.7
+    hysteresis: float = 0.35
+
+    def __post_init__(self) -> None:
+        _check_unit("albedo", self.albedo)
+        _check_unit("base", *self.base)
+        if self.paper is not None:
+            _check_unit("paper", *self.paper)
+        _check_range("persistence", self.persistence, 0, 0.95)
+        _check_range("hysteresis", self.hysteresis, 0, 0.95)
+
+
+def _check_unit(name: str, *values: float) -> None:
+    for value in values:
+        _check_range(name, value, 0, 1)
+
+
+def _check_range(name: str, value: float, least: float, most: float) -> None:
+    # The comparison is false for NaN.
+    if not least <= value <= most:
+        raise ValueError(f"{name}: expected {least:g} to {most:g}, got {value:g}")

@@ -1,0 +1,120 @@
+"""Surfaces of baked frames, normals in scene files, and pictures in a style."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter, combine_frames, shade
+from fourd.baking.packing.pack import pack_scene
+from fourd.baking.styled.normals import FrameNormals, add_normals
+from fourd.baking.styled.player import StyledPlayer
+from fourd.ops.play.op import MIN_TRANSMITTANCE
+from fourd.ops.points.arrays import render_points_numpy
+from fourd.stylize import PRESETS, decode_octahedral, load_style
+from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame
+
+MANIFEST: SceneManifest = manifest()
+
+
+@pytest.fixture
+def frame() -> BakedFrame:
+    return add_normals(random_frame(400, 6, seed=3), MANIFEST)
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512", ""])
+def test_surfaces_equal_those_of_the_float_renderer(
+    frame: BakedFrame, simd: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches normals in the wrong axes, depths that are not divided by alpha, and colours over a background."""
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    camera = MANIFEST.cameras[1]
+    assert frame.normals is not None
+    normals = decode_octahedral(frame.normals) @ camera.rotation.T.astype(np.float32)
+    features = np.concatenate([shade(frame, camera, MANIFEST), normals], axis=1).astype(np.float32)
+    arrays = (frame.xyz, features, frame.radius.astype(np.float32), frame.density.astype(np.float32))
+    try:
+        values, alpha, depth = render_points_numpy(
+            *arrays, camera, layers=12, near=MANIFEST.near, transmittance_min=MIN_TRANSMITTANCE
+        )
+    except ValueError as error:
+        pytest.skip(str(error))  # this machine lacks the instruction set
+    surface = StyledPlayer().draw_surface(frame, camera, MANIFEST, layers=12)
+    coverage = np.clip(3 * alpha - 0.5, 0, 1)
+    np.testing.assert_allclose(surface.albedo[..., :3] / 255, values[..., :3].clip(0, 1), atol=1.6 / 255)
+    np.testing.assert_allclose(surface.albedo[..., 3] / 255, alpha, atol=0.6 / 255)
+    np.testing.assert_allclose(surface.coverage, coverage, atol=0.6 / 255)
+    np.testing.assert_allclose(surface.inverse_depth, coverage / np.where(alpha > 0, depth, 1), atol=1e-4)
+    length = np.linalg.norm(values[..., 3:], axis=2, keepdims=True)
+    expected = values[..., 3:] / np.maximum(length, 1e-6)
+    clear = length[..., 0] > 0.05
+    np.testing.assert_allclose(surface.unit_normal[clear], expected[clear], atol=0.02)
+    empty = alpha == 0
+    assert empty.any()
+    assert (surface.normal[empty] == [128, 128, 128, 0]).all()
+    assert np.isinf(surface.depth[empty]).all()
+
+
+def test_a_resting_camera_averages_the_surface(frame: BakedFrame, rng: np.random.Generator) -> None:
+    """Catches averages that continue after the camera moves, and surfaces that move but are averaged."""
+    camera, other = MANIFEST.cameras[:2]
+    noisy = replace(frame, xyz=frame.xyz + rng.normal(0, 0.004, frame.xyz.shape).astype(np.float32))
+    fresh = StyledPlayer().draw_surface(noisy, camera, MANIFEST).inverse_depth.copy()
+    player = StyledPlayer()
+    first = player.draw_surface(frame, camera, MANIFEST).inverse_depth.copy()
+    second = player.draw_surface(noisy, camera, MANIFEST, persistence=0.75).inverse_depth.copy()
+    same = np.abs(first - fresh) <= 0.02 * fresh
+    averaged = np.abs(second - (fresh + 0.75 * (first - fresh))) < 1e-5
+    replaced = second == fresh
+    assert (averaged | replaced).all()
+    assert averaged[same].mean() > 0.5
+    assert replaced[~same].all()
+    player.draw_surface(frame, other, MANIFEST, persistence=0.75)
+    again = player.draw_surface(noisy, camera, MANIFEST, persistence=0.75).inverse_depth
+    np.testing.assert_array_equal(again, fresh)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_styles_draw_points_on_their_paper(frame: BakedFrame, name: str) -> None:
+    """Catches a style that draws nothing, or that draws over the whole picture."""
+    style = load_style(name)
+    picture = StyledPlayer().draw(frame, MANIFEST.cameras[0], MANIFEST, style, background=(0.2, 0.4, 0.6))
+    paper = np.round(255 * np.array(style.paper or (0.2, 0.4, 0.6))).astype(int)
+    assert (np.abs(picture[0, 0, :3].astype(int) - paper) <= 1).all()
+    assert picture[0, 0, 3] == 0
+    assert picture[24, 24, 3] == 255
+    assert (np.abs(picture[..., :3].astype(int) - paper).max(2) > 20).mean() > 0.05
+
+
+def test_normals_are_stored_and_estimated_where_they_are_missing(tmp_path: Path) -> None:
+    """Catches a scene without normals that cannot be drawn, and stored normals that are estimated again."""
+    own, room = random_frame(60, 6, seed=1), room_frame(90, 6, seed=2)
+    described = full_manifest(frames=1)
+    for name, change in (("new", lambda item: add_normals(item, described)), ("old", lambda item: item)):
+        with SceneWriter(tmp_path / f"{name}.4dv", described) as writer:
+            writer.add_background(change(room))
+            writer.add_frame(0, change(own))
+    new, old = (SceneReader(tmp_path / f"{name}.4dv") for name in ("new", "old"))
+    stored, estimated = new.read(0), FrameNormals().get(old.read(0), old.manifest)
+    assert new.manifest.version == old.manifest.version
+    assert old.read(0).normals is None
+    assert stored.normals is not None
+    assert stored.normals.nbytes == 2 * 150
+    np.testing.assert_array_equal(stored.normals, estimated)
+    assert FrameNormals().get(stored, new.manifest) is stored.normals
+    combined = combine_frames(add_normals(own, described), add_normals(room, described))
+    np.testing.assert_array_equal(combined.normals, estimated)
+
+
+@pytest.mark.parametrize("tier", ["full", "light"])
+def test_packed_scenes_have_no_normals(tmp_path: Path, tier: str) -> None:
+    """Catches packed scenes that become larger by the normals."""
+    with SceneWriter(tmp_path / "scene.4dv", manifest(frames=1)) as writer:
+        writer.add_frame(0, add_normals(random_frame(300, 6, seed=1), MANIFEST))
+    pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", tier)
+    packed = SceneReader(tmp_path / "packed.4dv")
+    assert packed.manifest.optional_attributes == ()
+    assert packed.read(0).normals is None
