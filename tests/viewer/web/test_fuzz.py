@@ -36,7 +36,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 def fuzz(scenes: list[Path], seed: int, cases: int) -> None:
     """Read damaged scenes. Raises AssertionError if one ends with anything but a scene or a clear message."""
-    words = ["node", str(PROGRAM), str(seed), str(cases), *map(str, scenes)]
+    words = ["node", "--expose-gc", str(PROGRAM), str(seed), str(cases), *map(str, scenes)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60 + cases)
     lines = [json.loads(line) for line in done.stdout.splitlines()]
     repeat = f"seed {seed}; to repeat a case: node {PROGRAM} {seed} =CASE {' '.join(map(str, scenes))}"

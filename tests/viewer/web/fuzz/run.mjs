@@ -5,7 +5,8 @@
  *   node run.mjs SEED =CASE SCENE...    reads one of them again, and prints the error
  *
  * Prints a JSON object for each case that ends with something else than a scene or a SceneError, and at the end the
- * numbers of scenes that were read and that were refused, the number of different messages, and the peak memory in bytes.
+ * numbers of scenes that were read and that were refused, the number of different messages, and the largest resident size
+ * in bytes. The resident size is read after each case: the maximum that the system reports includes the parent process.
  */
 
 import { readFileSync } from "node:fs";
@@ -39,8 +40,10 @@ for (let index = first; index < end; index++) {
     messages[words] = (messages[words] ?? 0) + 1;
   }
   clearTimeout(watchdog);
+  result.peakMemory = Math.max(result.peakMemory, process.memoryUsage.rss());
+  // Garbage of earlier cases would otherwise count as memory of later ones.
+  globalThis.gc?.();
 }
-result.peakMemory = 1024 * process.resourceUsage().maxRSS;
 result.messages = Object.keys(messages).length;
 console.log(JSON.stringify(result));
 
