@@ -26,7 +26,7 @@ class CPURenderer:
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
         self._player = Player()
-        self._styled = StyledPlayer()
+        self._styled: StyledPlayer | None = None
         self._pixels: NDArray[np.uint8] | None = None
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
@@ -39,6 +39,7 @@ class CPURenderer:
         if settings.style is None:
             self.style_seconds = 0.0
             return self._player.draw(frame, camera, manifest, layers=layers, background=background, out=self._pixels)
+        self._styled = self._styled or StyledPlayer()
         self._styled.draw(
             frame, camera, manifest, settings.style, layers=layers, background=background, out=self._pixels
         )
