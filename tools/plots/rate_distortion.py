@@ -122,7 +122,8 @@ def print_table(rows: list[Row]) -> None:
     print("|---|---|---|---|---|---|")
     for row in rows:
         same, measured = np.mean([row.psnr[frame] for frame in common]), np.mean(list(row.psnr.values()))
-        print(f"| {row.name} | {row.size / 1e3:,.0f} | {row.fetched / 1e3:,.0f} | {same:.2f} dB | {measured:.2f} dB |")
+        sizes = " | ".join(f"{size / 1e3:,.0f}" for size in (row.size, row.fetched, row.background))
+        print(f"| {row.name} | {sizes} | {same:.2f} dB | {measured:.2f} dB |")
 
 
 def _measure(arguments: Arguments, scene: Scene, truth: Truth, known: set[str]) -> Iterator[Row]:

@@ -30,6 +30,7 @@ from fourd.baking.exporting.export import ExportSettings, export_scene
 from fourd.baking.player import Player
 from fourd.baking.splats.reader import SplatReader
 from fourd.cameras import Camera
+from fourd.training.evaluation.metrics import psnr
 from fourd.viewer.publish.site import write_site
 
 HERE = Path(__file__).parent
@@ -169,15 +170,14 @@ def print_table(
     print("|---|---|---|---|---|---|---|")
     for name, picture in pictures.items():
         references = (pictures["Player"], pictures["Player, exported file"])
-        errors = [psnr(picture[where], other[where]) for other in references for where in (np.s_[:], subject)]
+        errors = [error(picture[where], other[where]) for other in references for where in (np.s_[:], subject)]
         values = speeds.get(name)
         speed = f"{statistics.median(values):.1f} | {min(values):.1f} to {max(values):.1f}" if values else " | "
         print(f"| {name} | {' | '.join(errors)} | {speed} |")
 
 
-def psnr(got: NDArray[np.uint8], expected: NDArray[np.uint8]) -> str:
-    error = np.square(got.astype(float) - expected).mean()
-    return "" if error == 0 else f"{10 * np.log10(255**2 / error):.1f} dB"
+def error(got: NDArray[np.uint8], expected: NDArray[np.uint8]) -> str:
+    return "" if np.array_equal(got, expected) else f"{float(psnr(got / 255, expected / 255)):.1f} dB"
 
 
 if __name__ == "__main__":

@@ -19,18 +19,36 @@ DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
 
 
 @contextmanager
+def open_browser() -> Iterator[Any]:
+    """Yield a running Chromium of Playwright."""
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    with sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=chromium, args=FLAGS, ignore_default_args=DEFAULT_FLAGS)
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+@contextmanager
+def serving(server: SiteServer) -> Iterator[SiteServer]:
+    """Serve while the block runs."""
+    with server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        try:
+            yield server
+        finally:
+            server.shutdown()
+
+
+@contextmanager
 def open_pages(addresses: dict[str, tuple[Path, str]], size: int) -> Iterator[dict[str, Any]]:
     """Yield one Playwright page for each name. Each address is a folder, and a path with a query inside the folder."""
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
     with ExitStack() as stack:
-        running = stack.enter_context(sync_playwright())
-        browser = running.chromium.launch(executable_path=chromium, args=FLAGS, ignore_default_args=DEFAULT_FLAGS)
-        stack.callback(browser.close)
+        browser = stack.enter_context(open_browser())
         pages = {}
         for name, (folder, address) in addresses.items():
-            server = stack.enter_context(SiteServer(folder))
-            threading.Thread(target=server.serve_forever, daemon=True).start()
-            stack.callback(server.shutdown)
+            server = stack.enter_context(serving(SiteServer(folder)))
             pages[name] = browser.new_page(viewport={"width": size, "height": size})
             pages[name].goto(server.url + address)
         yield pages

@@ -9,7 +9,6 @@ prints the share of the time in which playback waits for frames. It needs Chromi
 
 from __future__ import annotations
 
-import shutil
 import tempfile
 import threading
 import time
@@ -18,7 +17,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 import tyro
-from playwright.sync_api import sync_playwright
+from pages import open_browser, serving
 
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.rate import choose_tier
@@ -28,7 +27,6 @@ from fourd.viewer.publish.site import write_site
 CHUNK = 1 << 14
 CREDIT_SECONDS = 0.05
 """Time that the server may catch up if the operating system wakes it late."""
-FLAGS = ("--headless", "--no-sandbox", "--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=swiftshader")
 READY = "() => document.querySelector('fourd-player').firstImageMs > 0"
 PLAY = """
 async (milliseconds) => {
@@ -123,10 +121,8 @@ def main(arguments: Arguments) -> None:
     with tempfile.TemporaryDirectory() as folder:
         site = Path(folder) / "site"
         write_site(arguments.scene, site, tier, level=level)
-        with SlowServer(site, arguments.served_mbps or arguments.mbps, arguments.latency) as server:
-            threading.Thread(target=server.serve_forever, daemon=True).start()
+        with serving(SlowServer(site, arguments.served_mbps or arguments.mbps, arguments.latency)) as server:
             result = _play(server.url, arguments)
-            server.shutdown()
     seconds = result["ms"] / 1000
     print(
         f"{result['shown']} frames in {seconds:.1f} s ({result['shown'] / seconds:.1f} per second), "
@@ -137,13 +133,11 @@ def main(arguments: Arguments) -> None:
 
 
 def _play(url: str, arguments: Arguments) -> dict[str, float]:
-    with sync_playwright() as running:
-        browser = running.chromium.launch(executable_path=shutil.which("chromium"), args=list(FLAGS))
+    with open_browser() as browser:
         page = browser.new_page(viewport={"width": arguments.size[0], "height": arguments.size[1]})
         page.goto(url)
         page.wait_for_function(READY, timeout=60_000)
         result: dict[str, float] = page.evaluate(PLAY, 1000 * arguments.seconds)
-        browser.close()
     return result
 
 

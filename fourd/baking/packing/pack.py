@@ -81,7 +81,7 @@ def measure_frames(
 
     ``frames`` are frame indices. The background is not included, because it is fetched once.
     """
-    packer = _Packer(reader, tier, level, frames, untracked)
+    packer = _Packer(reader, tier, level, frames, untracked, has_background=False)
     sizes = {
         f"{frame_folder(index)}/{name}": len(compress(content, compression))
         for index in frames
@@ -101,7 +101,16 @@ class _Cloud:
 class _Packer:
     """Packs the frames of a scene with one encoding, which is chosen from samples of some frames."""
 
-    def __init__(self, reader: SceneReader, tier: Tier, level: int, frames: Sequence[int], track: Track) -> None:
+    def __init__(
+        self,
+        reader: SceneReader,
+        tier: Tier,
+        level: int,
+        frames: Sequence[int],
+        track: Track,
+        *,
+        has_background: bool = True,
+    ) -> None:
         if not frames:
             raise UserError(f"{reader.path}: expected a scene with at least one frame, got none; export the run again")
         self.reader = reader
@@ -109,7 +118,7 @@ class _Packer:
         self.convert, manifest = _conversion(reader.manifest, tier)
         sampled = (sample_cloud(self._read(index), len(frames)) for index in frames)
         dynamic = merge_samples(track(sampled, len(frames), "sample"))
-        background = reader.read_background()
+        background = reader.read_background() if has_background else None
         self.background = None if background is None else self.convert(background)
         self.encoding = SceneEncoding(
             tier,

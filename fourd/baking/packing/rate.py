@@ -10,6 +10,7 @@ from fourd.baking.files.encoding import Tier
 from fourd.baking.packed.streams import Compression
 from fourd.baking.packing.pack import measure_frames
 from fourd.baking.packing.precision import LEVELS
+from fourd.capture.layout import sample_indices
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
@@ -76,7 +77,7 @@ def choose_tier(
     reader = SceneReader(source)
     try:
         count, fps = reader.manifest.frame_count, reader.manifest.fps
-        frames = sorted({round(index * (count - 1) / max(SAMPLED_FRAMES - 1, 1)) for index in range(SAMPLED_FRAMES)})
+        frames = sample_indices(count, SAMPLED_FRAMES)
         mbps: float | None = None
         for tier, level in track(CANDIDATES, len(CANDIDATES), "measure"):
             finer = mbps

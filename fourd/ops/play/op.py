@@ -77,11 +77,7 @@ class PointPlayer:
         out = _check_canvas(out, (camera.height, camera.width, 4))
         with self._lock:
             self._native.draw(
-                xyz,
-                radius.view(np.uint16),
-                density.view(np.uint16),
-                sh.view(np.uint16),
-                blend_weights.view(np.uint16),
+                *_native_points(xyz, radius, density, sh, blend_weights),
                 rgb,
                 *shading.arguments(),
                 pack_camera(camera),
@@ -129,11 +125,7 @@ class PointPlayer:
             raise ValueError(f"out: expected the camera's size {(camera.height, camera.width)}, got {out.size}")
         with self._lock:
             self._native.draw_surface(
-                xyz,
-                radius.view(np.uint16),
-                density.view(np.uint16),
-                sh.view(np.uint16),
-                blend_weights.view(np.uint16),
+                *_native_points(xyz, radius, density, sh, blend_weights),
                 rgb,
                 normals,
                 *shading.arguments(),
@@ -148,6 +140,11 @@ class PointPlayer:
                 out.inverse_depth,
                 out.normal,
             )
+
+
+def _native_points(xyz: NDArray[np.float32], *halves: NDArray[np.float16]) -> tuple[NDArray[np.generic], ...]:
+    """Positions, and float16 arrays as the 16-bit words that the native module takes."""
+    return (xyz, *(half.view(np.uint16) for half in halves))
 
 
 def _check_canvas(out: NDArray[np.uint8] | None, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
