@@ -45,7 +45,8 @@ class Arguments:
     frames: int = 6
     """Number of frames to measure, spread evenly over the run's frames. 0 measures all frames."""
     orbit: int = 0
-    """Number of images of a full orbit at the middle frame, for the jumps. 0 measures no jumps."""
+    """Number of images on a full orbit around the subject at the middle frame. The largest difference between
+    neighbouring images is divided by the median difference (column `jump`). 0 skips this measurement."""
     pictures: Path | None = None
     """Folder for images: the rendered and the true image of each held-out view at the middle frame, and the error."""
     json: Path | None = None

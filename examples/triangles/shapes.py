@@ -1,4 +1,5 @@
-"""Objects with known geometry, cameras around them, and errors of meshes, for the examples that recover shapes."""
+"""Objects with known geometry, cameras around these objects, and functions that measure the error of a mesh. The
+examples that reconstruct shapes use this module."""
 
 from __future__ import annotations
 

@@ -63,9 +63,9 @@ def resolve_ambiguities(
         resize: how images were resized after the calibration: a name from
             :func:`fourd.calibration.image_sizes.size_hypotheses`. ``auto`` chooses the name that best fits the images'
             black borders and feature matches.
-        centres: ``as-given`` skips the check of principal points. ``auto`` warns if mirrored principal points have
-            clearly smaller residuals. ``mirrored`` mirrors principal points if this reduces the residuals. The check of
-            principal points needs 2 to 5 cameras.
+        centres: ``as-given`` skips the check of principal points. ``auto`` warns if the residuals are clearly smaller
+            with mirrored principal points than with the given ones. ``mirrored`` mirrors principal points if this
+            reduces the residuals. The check of principal points needs 2 to 5 cameras.
         track: progress callback.
 
     Raises:
@@ -149,8 +149,8 @@ class _SizeResolver:
         matches = match_cameras(self.pictures_by_frame, guess.cameras, self.track)
         choice = choose_size(matches, self.cameras, self.sizes, borders)
         if not choice.is_clear and self.checks_principal_points:
-            # Mirrored principal points can cause larger residuals than a wrong size hypothesis. The size hypotheses are
-            # therefore compared again with corrected principal points.
+            # Mirrored principal points can change the residuals more than a wrong hypothesis about the resizing of the
+            # images does. The hypotheses are therefore compared again with corrected principal points.
             mirrors = _choose_mirrors(matches, choice.cameras)
             if mirrors is not None and mirrors.is_clear:
                 corrected = [

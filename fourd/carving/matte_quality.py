@@ -31,7 +31,7 @@ class MatteQuality:
 
     Attributes:
         names: camera names.
-        frames: numbers of the F measured frames in the whole capture.
+        frames: frame numbers (F,) of the measured frames, as in the capture.
         explained: (F, C) share in [0, 1] of each matte that the hull of the other views covers. NaN if the matte is
             empty.
         kept: (F, C) share in [0, 1] of each matte that the hull of all views covers. NaN if the matte is empty.

@@ -103,8 +103,8 @@ class BackgroundConfig:
     points. The gradient then enlarges the discs, so that even more points exceed K. As a result, the image becomes
     blurred."""
     encoder_every: int = 8
-    """The background's image encoder is updated only in steps on a clean plate whose step number is divisible by
-    `encoder_every`."""
+    """The background's image encoder is updated only in training steps that use a clean plate, and only if the step
+    number is divisible by `encoder_every`."""
     shadow: bool = False
     """Learn the shadows and the reflected light that the foreground casts on the background in each frame. This option
     needs a model with image-based colour."""

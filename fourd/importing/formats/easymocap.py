@@ -1,7 +1,7 @@
 """EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext.
 
 Mattes in masks/CAM/ are optional. Pixel coordinates are not converted. fourd's own captures use the same files, and
-EasyVolcap writes pixel coordinates in COLMAP's convention.
+EasyVolcap writes pixel coordinates in the convention of COLMAP, which fourd uses, too.
 """
 
 from __future__ import annotations

@@ -37,7 +37,8 @@ class MatteMaker:
     Attributes:
         appearances: one appearance per camera, at the image size of ``cameras``.
         cameras: cameras of the reduced images from which log-odds are computed.
-        grid: voxel grid for multi-view consistency, or None if the views cannot be combined.
+        grid: voxel grid for multi-view consistency, or None for a single camera or for parallel
+            cameras, whose views cannot be combined.
         local: local colours of each camera's background.
     """
 

@@ -198,8 +198,8 @@ def _default_head_files() -> list[Path]:
 
 
 def _read(file: Path) -> dict[str, Tensor]:
-    """Read the LPIPS weights in a file as float32 tensors with the names of :func:`expected_shapes`. Raises UserError
-    if a weight has a wrong shape."""
+    """Read LPIPS weights from a file. Return float32 tensors by name. The names are the keys of
+    :func:`expected_shapes`. Raises UserError if a weight has a wrong shape."""
     shapes = expected_shapes()
     found: dict[str, Tensor] = {}
     for key, value in _load(file).items():

@@ -64,7 +64,7 @@ class ObjectScene:
     def evaluate_visible(
         self, points: FramePoints, rows: Tensor, time: float, sample: StepSample, camera: Camera, step: int
     ) -> OptimizedPoints:
-        """Evaluate the points ``rows`` (M,) of a frame for training."""
+        """Evaluate the attributes of the points with the indices ``rows`` (M,), so that gradients can be computed."""
         sources = None
         if self.config.model.appearance != "sh":
             views = self.views.sources(sample.sources, sample.frame).weighted(sample.source_weights)
