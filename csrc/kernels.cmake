@@ -35,6 +35,13 @@ fourd_kernel(interpolate
 fourd_kernel(meshes
   CPU tile_slots.cpp)
 
+fourd_kernel(pixel_filter
+  CPU cpu/pixel_filter.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx512 EXACT
+  CUDA cuda/pixel_filter.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
+
 fourd_kernel(planes
   CPU cpu/sample.cpp
   DISPATCH cpu/loops.cpp WIDEST avx2 TOLERANT

@@ -15,6 +15,7 @@
 #include "soft_triangles/cpu/workspace.h"
 #include "splat_triangles/cpu/workspace.h"
 #include "tests/antialias_inputs.h"
+#include "tests/filter_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
@@ -303,6 +304,7 @@ int main(int count, char** arguments) {
             run_mesh(seed, simd);
             fourd::tests::run_unpack(seed, simd);
             fourd::tests::run_stylize(seed, simd);
+            fourd::tests::run_pixel_filter(seed, simd);
             run_texture(seed, simd);
         }
         std::printf("all kernels, %s: %u inputs each\n", simd, runs);

@@ -9,6 +9,7 @@
 #include "edge_gradients/cuda/edge_gradients.h"
 #include "hashgrid/cuda/encode.h"
 #include "interpolate/cuda/interpolate.h"
+#include "pixel_filter/cuda/pixel_filter.h"
 #include "planes/cuda/sample.h"
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
@@ -17,6 +18,7 @@
 #include "sources/cuda/sample.h"
 #include "splat_triangles/cuda/render.h"
 #include "tests/antialias_inputs.h"
+#include "tests/filter_inputs.h"
 #include "tests/hashgrid_inputs.h"
 #include "tests/mesh_inputs.h"
 #include "tests/random_inputs.h"
@@ -224,6 +226,12 @@ void run_texture(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_pixel_filter(unsigned seed) {
+    Random random(seed);
+    fourd::tests::FilterInput input(random);
+    fourd::pixel_filter::cuda::filter_pixels(input.image(), input.side, input.out.data(), nullptr);
+}
+
 }  // namespace
 
 int main(int count, char** arguments) {
@@ -240,6 +248,7 @@ int main(int count, char** arguments) {
         run_edge_gradients(seed);
         run_mesh(seed);
         run_texture(seed);
+        run_pixel_filter(seed);
     }
     std::printf("all kernels, emulated GPU: %u inputs each\n", runs);
 }

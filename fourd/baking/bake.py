@@ -113,6 +113,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
         sh_range=trained.model.sh_range,
         sh_base=trained.model.sh_base,
         near=NEAR,
+        pixel_filter=run.config.train.pixel_filter,
         kind=run.config.train.scene,
         background=None if background is None else SceneBackground(background.points.xyz.shape[0]),
         producer=f"fourd {__version__}",

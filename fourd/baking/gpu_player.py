@@ -17,6 +17,7 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
 from fourd.ops.gpu import load_gpu
+from fourd.ops.pixel_filter.cuda import filter_pixels_gpu
 from fourd.ops.play.cuda import draw_points_gpu
 from fourd.ops.shade.cuda import shade_points_gpu
 
@@ -78,7 +79,8 @@ class GpuPlayer:
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
-        return draw_points_gpu(
+        side = manifest.pixel_filter
+        image = draw_points_gpu(
             frame.xyz,
             frame.radius,
             frame.density,
@@ -90,8 +92,9 @@ class GpuPlayer:
             layers=manifest.layers if layers is None else layers,
             near=manifest.near,
             background=background,
-            out=out,
+            out=out if side == 0 else None,
         )
+        return image if side == 0 else filter_pixels_gpu(image, side, out)
 
     def shade(self, frame: GpuFrame, camera: Camera, manifest: SceneManifest) -> Tensor:
         """Compute the same colours as :func:`fourd.baking.shade.shade`, (N, 3) float32 on the device."""

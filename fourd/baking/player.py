@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from threading import Lock
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
+from fourd.ops.pixel_filter.op import filter_pixels
 from fourd.ops.play.op import PointPlayer
 
 
@@ -20,6 +23,8 @@ class Player:
     def __init__(self) -> None:
         """Raises ImportError if the native module is not built."""
         self._points = PointPlayer()
+        self._lock = Lock()
+        self._unfiltered: NDArray[np.uint8] | None = None
 
     def draw(
         self,
@@ -36,8 +41,8 @@ class Player:
         alpha.
 
         The image differs in only two ways from the image that :meth:`fourd.baking.rendering.Scene.render` returns.
-        Values are rounded to bytes. Compositing of a pixel ends when the pixel's transmittance falls below
-        :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
+        Values are rounded to bytes, before and after the scene's pixel filter. Compositing of a pixel ends when the
+        pixel's transmittance falls below :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.
@@ -51,18 +56,27 @@ class Player:
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
         """
-        return self._points.draw(
-            frame.xyz,
-            frame.radius,
-            frame.density,
-            frame.sh,
-            frame.blend_weights,
-            frame.rgb,
-            make_shading(camera, manifest),
-            camera,
-            layers=manifest.layers if layers is None else layers,
-            near=manifest.near,
-            background=background,
-            threads=threads,
-            out=out,
-        )
+        side = manifest.pixel_filter
+        with self._lock:
+            image = self._points.draw(
+                frame.xyz,
+                frame.radius,
+                frame.density,
+                frame.sh,
+                frame.blend_weights,
+                frame.rgb,
+                make_shading(camera, manifest),
+                camera,
+                layers=manifest.layers if layers is None else layers,
+                near=manifest.near,
+                background=background,
+                threads=threads,
+                out=out if side == 0 else self._unfiltered_image(camera),
+            )
+            return image if side == 0 else filter_pixels(image, side, threads=threads, out=out)
+
+    def _unfiltered_image(self, camera: Camera) -> NDArray[np.uint8]:
+        shape = (camera.height, camera.width, 4)
+        if self._unfiltered is None or self._unfiltered.shape != shape:
+            self._unfiltered = np.empty(shape, np.uint8)
+        return self._unfiltered

@@ -15,6 +15,7 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import shade
 from fourd.baking.splats.reader import open_reader
 from fourd.cameras import Camera
+from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.ops.points.arrays import render_points_numpy
 
 CACHE_BYTES = 256 << 20
@@ -22,7 +23,10 @@ CACHE_BYTES = 256 << 20
 
 @dataclass(frozen=True, eq=False)
 class RenderedImage:
-    """An image: rgb (H, W, 3) in [0, 1], alpha (H, W) and camera depth (H, W) in world units, all float32."""
+    """An image: rgb (H, W, 3) in [0, 1], alpha (H, W) and camera depth (H, W) in world units, all float32.
+
+    The scene's pixel filter is applied to ``rgb`` and ``alpha``, but not to ``depth``.
+    """
 
     rgb: NDArray[np.float32]
     alpha: NDArray[np.float32]
@@ -138,7 +142,8 @@ def render_frame(
         background=background,
         threads=threads,
     )
-    return RenderedImage(np.clip(rgb, 0, 1), alpha, depth)
+    rgb, alpha = (filter_pixels_reference(image, manifest.pixel_filter) for image in (np.clip(rgb, 0, 1), alpha))
+    return RenderedImage(rgb, alpha, depth)
 
 
 def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:

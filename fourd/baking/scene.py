@@ -157,6 +157,8 @@ class SceneManifest:
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.
         near: depth in world units of the near plane. Points with a smaller depth are not rendered.
+        pixel_filter: weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25; see
+            :func:`fourd.ops.pixel_filter.op.filter_pixels`. With 0, images are not filtered.
         kind: "object" (on black) or "full" (with a static background).
         background: static points of a full scene; set by the writer.
         producer: program and version that wrote the scene.
@@ -183,6 +185,7 @@ class SceneManifest:
     sh_range: float = 0.25
     sh_base: float = 0.0
     near: float = 0.01
+    pixel_filter: float = 0.0
     kind: SceneKind = "object"
     background: SceneBackground | None = None
     producer: str = "fourd"

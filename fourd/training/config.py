@@ -224,6 +224,13 @@ class TrainConfig:
     minimum and `layers`. An exported scene composites fewer layers than training does. The surfaces of an exported
     scene must therefore be opaque after few layers. Training with a small K produces such surfaces. Full scenes use
     `background.least_layers` instead of this key."""
+    samples: int = 2
+    """Number of samples in each pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of
+    all its samples. With one sample, contours become ragged and new views become worse."""
+    pixel_filter: float = 0.1
+    """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. The filter replaces several
+    samples in each pixel when a trained or exported scene is rendered. It has the weights `pixel_filter`,
+    1 - 2 `pixel_filter` and `pixel_filter` along rows and along columns. With 0, images are not filtered."""
     crop: Literal["mask", "full"] = "mask"
     """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
     selects the whole image."""
@@ -278,6 +285,8 @@ class TrainConfig:
         require(1 <= self.layers <= 64, f"layers: expected 1 to 64, got {self.layers}")
         require(self.encoder_every >= 1, f"encoder_every: expected at least 1, got {self.encoder_every}")
         require(self.least_layers >= 1, f"least_layers: expected at least 1, got {self.least_layers}")
+        require(1 <= self.samples <= 4, f"samples: expected 1 to 4, got {self.samples}")
+        require(0 <= self.pixel_filter <= 0.25, f"pixel_filter: expected 0 to 0.25, got {self.pixel_filter}")
         require(self.hidden_weight >= 0, f"hidden_weight: expected 0 or more, got {self.hidden_weight}")
         require(0 < self.image_scale <= 4, f"image_scale: expected more than 0 and at most 4, got {self.image_scale}")
         require(

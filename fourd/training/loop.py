@@ -84,7 +84,7 @@ class Trainer:
         saved = self._restore()
         drop_stale_points(run.checkpoints)
         self.frames = run.frame_store(saved)
-        self.renderer = ModelRenderer(self.scene, run.training, run.focus)
+        self.renderer = ModelRenderer(self.scene, run.training, run.focus, run.config.train.pixel_filter)
         self._saved_step = self.done if saved is not None else -1
 
     def train(self) -> TrainSummary:

@@ -65,6 +65,22 @@ def composite(
     )
 
 
+def composite_samples(
+    clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, samples: int
+) -> tuple[Tensor, Tensor]:
+    """Render all clouds together, with ``samples`` x ``samples`` evenly spaced samples in each pixel.
+
+    Returns:
+        features (H, W, 4) as in :func:`composite`, and alpha (H, W). Both are means over the samples of each pixel.
+    """
+    render = composite(clouds, viewer if samples == 1 else viewer.rescale(samples), layers)
+    if samples == 1:
+        return render.features, render.alpha
+    channels = torch.cat([render.features, render.alpha[..., None]], 2).permute(2, 0, 1)
+    means = torch.nn.functional.avg_pool2d(channels, samples).permute(1, 2, 0)
+    return means[..., :-1], means[..., -1]
+
+
 def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, min_weight: float) -> list[Tensor]:
     """For each cloud, indices of the points whose largest compositing weight over the pixels of the view exceeds
     ``min_weight``.

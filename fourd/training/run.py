@@ -221,7 +221,8 @@ def load_run(folder: Path) -> TrainedRun:
         each.requires_grad_(False)
     scene.set_rig(rig)
     frames = run.frame_store(points_folder(found))
-    return TrainedRun(run, step, model, frames, ModelRenderer(scene, run.training, run.focus))
+    renderer = ModelRenderer(scene, run.training, run.focus, run.config.train.pixel_filter)
+    return TrainedRun(run, step, model, frames, renderer)
 
 
 def read_run_plates(

@@ -20,7 +20,7 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.selective_adam import BETAS, EPSILON
 from fourd.training.points.silhouette import revert_moves_out_of_silhouettes
 from fourd.training.points.smoothing import smooth_surface
-from fourd.training.rendering import composite
+from fourd.training.rendering import composite_samples
 from fourd.training.scenes.scene import OptimizedPoints, Target, TrainingScene
 from fourd.training.schedule import StepSample
 
@@ -114,12 +114,12 @@ class Stepper:
         clouds = [each.renderable for each in evaluated]
         if self.refinement is not None:
             clouds = self.refinement.attach_camera_gradient(clouds, sample.target)
-        render = composite(clouds, target.camera, sample.layers)
-        colour, coverage = render.features[..., :3], render.features[..., 3]
+        features, alpha = composite_samples(clouds, target.camera, sample.layers, self.config.samples)
+        colour, coverage = features[..., :3], features[..., 3]
         if self.refinement is not None:
-            colour = self.refinement.recolour(colour, render.alpha, sample.target)
+            colour = self.refinement.recolour(colour, alpha, sample.target)
         background_colour = torch.from_numpy(sample.background_colour)
-        prediction = colour + (1 - render.alpha)[..., None] * background_colour
+        prediction = colour + (1 - alpha)[..., None] * background_colour
         truth = target.rgb + (1 - target.known)[..., None] * background_colour
         if target.fills_picture:
             prediction = torch.where(target.known[..., None] > 0, prediction, truth)

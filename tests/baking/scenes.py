@@ -47,6 +47,7 @@ def manifest(views: int = 6, frames: int = 3) -> SceneManifest:
         other_cameras=cameras[views:],
         fps=24.0,
         fade_views=True,
+        pixel_filter=0.1,
         producer="tests",
     )
 

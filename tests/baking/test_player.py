@@ -14,6 +14,7 @@ from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
 from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
 from fourd.ops.loading import load_native
+from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.ops.play.reference import draw_points_reference
 from tests.baking.scenes import manifest, random_frame, ring
 
@@ -28,7 +29,7 @@ def draw_reference(
     background: tuple[float, float, float] = BLACK,
 ) -> NDArray[np.float32]:
     """Return colour and alpha (H, W, 4) in [0, 1]."""
-    return draw_points_reference(
+    image = draw_points_reference(
         frame.xyz,
         frame.radius,
         frame.density,
@@ -41,6 +42,7 @@ def draw_reference(
         near=described.near,
         background=background,
     )
+    return filter_pixels_reference(image, described.pixel_filter)
 
 
 @pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])

@@ -36,7 +36,8 @@ class Compositor(Protocol):
 
 
 class OverBackground:
-    """Draws a composited image over the background colour. Row 0 of the image's texture is the top of the image."""
+    """Draws a composited image over the background colour, with the scene's pixel filter. Row 0 of the image's texture
+    is the top of the image."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -46,7 +47,8 @@ class OverBackground:
         """Draw ``image`` over the background colour into ``target``. The framebuffer ``target`` stays bound."""
         target.use()
         disable_blending(self._context)
-        self._pass.run({"image": image}, background=request.settings.background)
+        uniforms = {"background": request.settings.background, "pixel_filter": request.manifest.pixel_filter}
+        self._pass.run({"image": image}, **uniforms)
 
     def release(self) -> None:
         """Free all GL objects."""
@@ -54,21 +56,34 @@ class OverBackground:
 
 
 class SortedBlending:
-    """Blends all discs in one pass, from the farthest to the nearest. The number of layers is not limited to K."""
+    """Blends all discs in one pass, from the farthest to the nearest. The number of layers is not limited to K.
+
+    If the scene has a pixel filter, a second pass filters the image.
+    """
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         self.discs = Discs(context, {"blend": "sorted.frag"}, farthest_first=True)
+        self._targets = RenderTargets(context, {"image": (4, "f1")})
+        self._over_background = OverBackground(context)
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
         """See :meth:`Compositor.draw`."""
-        target.clear(color=(*request.settings.background, 0.0))
+        if request.manifest.pixel_filter == 0:
+            target.clear(color=(*request.settings.background, 0.0))
+            blend_over(self._context)
+            self.discs.draw("blend", target, upright=True)
+            return
+        self._targets.resize((request.camera.width, request.camera.height))
+        self._targets.clear("image")
         blend_over(self._context)
-        self.discs.draw("blend", target, upright=True)
+        self.discs.draw("blend", self._targets.framebuffer(["image"]))
+        self._over_background.run(self._targets.texture("image"), request, target)
 
     def release(self) -> None:
         """Free all GL objects."""
-        self.discs.release()
+        for item in (self._over_background, self._targets, self.discs):
+            item.release()
 
 
 class DepthPeeling:

@@ -1,13 +1,31 @@
 #version 330 core
-// Composites a premultiplied image over a uniform background. Row 0 is the top row of the premultiplied image.
+// Composites a premultiplied image over a uniform background, and applies the pixel filter. Row 0 is the top row of the
+// premultiplied image.
 
 uniform sampler2D image;
 uniform vec3 background;
+uniform float pixel_filter;  // Weight of a neighbouring pixel along rows and columns, or 0 for no filter.
 
 out vec4 colour;
 
+// A pixel over the background. Pixels outside the image equal the nearest pixel of the image.
+vec4 over_background(ivec2 pixel) {
+    vec4 source = texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0);
+    return vec4(clamp(source.rgb + (1.0 - source.a) * background, 0.0, 1.0), source.a);
+}
+
+vec4 filter_row(ivec2 pixel) {
+    vec4 sides = over_background(pixel - ivec2(1, 0)) + over_background(pixel + ivec2(1, 0));
+    return pixel_filter * sides + (1.0 - 2.0 * pixel_filter) * over_background(pixel);
+}
+
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
-    vec4 source = texelFetch(image, ivec2(pixel.x, textureSize(image, 0).y - 1 - pixel.y), 0);
-    colour = vec4(clamp(source.rgb + (1.0 - source.a) * background, 0.0, 1.0), source.a);
+    pixel.y = textureSize(image, 0).y - 1 - pixel.y;
+    if (pixel_filter == 0.0) {
+        colour = over_background(pixel);
+        return;
+    }
+    vec4 sides = filter_row(pixel - ivec2(0, 1)) + filter_row(pixel + ivec2(0, 1));
+    colour = pixel_filter * sides + (1.0 - 2.0 * pixel_filter) * filter_row(pixel);
 }

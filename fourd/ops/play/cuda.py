@@ -8,7 +8,7 @@ from torch import Tensor
 from fourd.cameras import Camera
 from fourd.ops.gpu import load_gpu
 from fourd.ops.play.op import MIN_TRANSMITTANCE
-from fourd.ops.points.validation import check_points, pack_camera
+from fourd.ops.points.validation import check_canvas, check_points, pack_camera
 from fourd.ops.shade.shading import Shading
 
 
@@ -44,8 +44,7 @@ def draw_points_gpu(
     shape = (camera.height, camera.width, 4)
     if out is None:
         out = torch.empty(shape, dtype=torch.uint8, device=gpu.device)
-    elif tuple(out.shape) != shape or out.dtype != torch.uint8 or not out.is_contiguous():
-        raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of {tuple(out.shape)}")
+    check_canvas(out, shape, out.is_contiguous())
     entries, size = gpu.kernels.plan_draw(gpu.estimator, xyz.shape[0], camera.width, camera.height)
     with gpu.activate():
         gpu.kernels.draw(

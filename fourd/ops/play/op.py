@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.ops.loading import load_native, simd_name, thread_count
-from fourd.ops.points.validation import check_points, pack_camera
+from fourd.ops.points.validation import check_canvas, check_points, pack_camera
 from fourd.ops.shade.shading import Shading
 from fourd.ops.stylize.parameters import Surface
 
@@ -74,7 +74,10 @@ class PointPlayer:
             TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
-        out = _check_canvas(out, (camera.height, camera.width, 4))
+        shape = (camera.height, camera.width, 4)
+        if out is None:
+            out = np.empty(shape, np.uint8)
+        check_canvas(out, shape, out.flags.c_contiguous)
         with self._lock:
             self._native.draw(
                 *_native_points(xyz, radius, density, sh, blend_weights),
@@ -145,14 +148,6 @@ class PointPlayer:
 def _native_points(xyz: NDArray[np.float32], *halves: NDArray[np.float16]) -> tuple[NDArray[np.generic], ...]:
     """Positions, and float16 arrays as the 16-bit words that the native module takes."""
     return (xyz, *(half.view(np.uint16) for half in halves))
-
-
-def _check_canvas(out: NDArray[np.uint8] | None, shape: tuple[int, int, int]) -> NDArray[np.uint8]:
-    if out is None:
-        return np.empty(shape, np.uint8)
-    if out.shape != shape or out.dtype != np.uint8 or not out.flags.c_contiguous:
-        raise ValueError(f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of shape {out.shape}")
-    return out
 
 
 class PointSorter:

@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera, SelectedViews, select_views
+from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.training.background import StaticBackground
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import RenderablePoints, composite
@@ -21,7 +22,7 @@ from fourd.training.views import ViewStore
 
 @dataclass(frozen=True)
 class RenderedView:
-    """A rendered view. All arrays are float32.
+    """A rendered view. All arrays are float32. The pixel filter is applied to all arrays except ``depth``.
 
     Attributes:
         rgb: (H, W, 3) colours on black, clamped to [0, 1].
@@ -40,7 +41,9 @@ class ModelRenderer:
     """Renders frames of a scene. The source views are the images of the training cameras nearest to the viewing
     camera."""
 
-    def __init__(self, scene: TrainingScene, training: list[int], focus: NDArray[np.float64]) -> None:
+    def __init__(
+        self, scene: TrainingScene, training: list[int], focus: NDArray[np.float64], pixel_filter: float = 0.0
+    ) -> None:
         """Create a renderer.
 
         Args:
@@ -48,10 +51,12 @@ class ModelRenderer:
             training: indices of the training cameras.
             focus: (3,) point in world units. Angles between cameras are measured at this point. The source views come
                 from the cameras with the smallest angles to the viewing camera.
+            pixel_filter: weight of a neighbouring pixel in the filter of rendered images.
         """
         self.scene = scene
         self.training = training
         self.focus = focus
+        self.pixel_filter = pixel_filter
 
     @property
     def views(self) -> ViewStore:
@@ -75,7 +80,7 @@ class ModelRenderer:
             exclude: index of a camera that is not used as a source view. For a training view, pass the index of its
                 camera, so that the view is not blended from its own image.
         """
-        return render_view(self.evaluate(points, frame, camera, exclude), camera, layers)
+        return render_view(self.evaluate(points, frame, camera, exclude), camera, layers, self.pixel_filter)
 
     def evaluate(
         self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None
@@ -87,7 +92,7 @@ class ModelRenderer:
         """Render only the background of a full scene, without shadows."""
         assert isinstance(self.scene, FullScene), "expected a full scene, got an object scene, which has no background"
         points = self.scene.evaluate_background(camera, self._nearest(camera, exclude))
-        return render_view([points], camera, layers)
+        return render_view([points], camera, layers, self.pixel_filter)
 
     def _nearest(self, camera: Camera, exclude: int | None) -> SelectedViews:
         candidates = [index for index in self.training if index != exclude]
@@ -97,9 +102,10 @@ class ModelRenderer:
         return replace(views, indices=[candidates[i] for i in views.indices])
 
 
-def render_view(clouds: Sequence[RenderablePoints], camera: Camera, layers: int) -> RenderedView:
+def render_view(clouds: Sequence[RenderablePoints], camera: Camera, layers: int, pixel_filter: float) -> RenderedView:
     """Render points whose colours were evaluated for ``camera`` or for a nearby camera."""
     with torch.no_grad():
         render = composite(clouds, camera, layers)
-    rgb, foreground = render.features[..., :3].clamp(0, 1), render.features[..., 3]
-    return RenderedView(rgb.numpy(), render.alpha.numpy(), render.depth.numpy(), foreground.numpy())
+    images = (render.features[..., :3].clamp(0, 1), render.alpha, render.features[..., 3])
+    rgb, alpha, foreground = (filter_pixels_reference(image.numpy(), pixel_filter) for image in images)
+    return RenderedView(rgb, alpha, render.depth.numpy(), foreground)

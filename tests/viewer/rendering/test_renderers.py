@@ -17,6 +17,7 @@ from fourd.baking import BakedFrame, SceneManifest
 from fourd.baking.shade import shade_reference
 from fourd.cameras import Camera
 from fourd.errors import UserError
+from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.raster import render_points
 from fourd.training.memory import resident_bytes
 from fourd.viewer.display import DisplaySettings, RenderRequest
@@ -66,7 +67,7 @@ def reference(request: RenderRequest, layers: int | None = None) -> NDArray[np.f
         background=torch.tensor(settings.background),
         backend="reference",
     )
-    return rendered.features.clamp(0, 1).numpy()
+    return filter_pixels_reference(rendered.features.clamp(0, 1).numpy(), request.manifest.pixel_filter)
 
 
 def require_parity(name: str, got: NDArray[np.float32], truth: NDArray[np.float32]) -> None:

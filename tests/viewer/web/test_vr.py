@@ -129,8 +129,7 @@ def test_both_eyes_show_the_image_of_the_cpu(
     for own, other in ((0, 1), (1, 0)):
         assert expected[own].std() > 15
         # The eyes share the source views of the head, whose weights differ a little from those of each eye.
-        assert psnr(got[own], expected[own]) > 35
-        assert psnr(got[own], expected[other]) < 25
+        assert psnr(got[own], expected[own]) > max(35, psnr(got[own], expected[other]) + 10)
     assert page.problems == []
 
 

@@ -62,7 +62,7 @@ export class HostRenderer {
     gl.viewport(target.corner[0], target.corner[1], width, height);
     gl.bindVertexArray(this.emptyArray);
     this.#drawColour(images[0], top);
-    if (target.writesDepth) this.#drawDepth(images[1], { ...depth, corner: top });
+    if (target.writesDepth) this.#drawDepth(images[1], { ...depth, corner: top, pixel_filter: this.manifest.pixelFilter });
     gl.bindVertexArray(null);
     gl.useProgram(null);
   }
@@ -105,7 +105,7 @@ export class HostRenderer {
     bindTexture(gl, 0, image);
     colour.use();
     colour.integers({ image: 0 });
-    colour.floats({ corner });
+    colour.floats({ corner, pixel_filter: this.manifest.pixelFilter });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     gl.disable(gl.BLEND);
     gl.depthMask(true);

@@ -1,4 +1,4 @@
-import { DISC, HEADER } from "./shaders.js";
+import { DISC, HEADER, pixelFilter } from "./shaders.js";
 
 /** GLSL expression of the depth of a disc, in the normalised device coordinates of the host. */
 export const HOST_DEPTH = "depth_range.x + depth_range.y / disc.z";
@@ -26,27 +26,35 @@ void main() {
 }
 `;
 
-/** Outputs the premultiplied image. Row 0 of the image is its top. */
+/** Outputs the filtered premultiplied image. Row 0 of the image is its top. */
 export const HOST_COLOUR_FRAGMENT = `${HEADER}
 uniform sampler2D image;
 uniform vec2 corner;  // Pixel of the target at the image's top left pixel.
 out vec4 colour;
+
+vec4 tap(ivec2 pixel) { return texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0); }
+${pixelFilter("ivec2")}
 void main() {
   ivec2 pixel = ivec2(gl_FragCoord.xy) - ivec2(corner);
-  colour = texelFetch(image, ivec2(pixel.x, -pixel.y), 0);
+  colour = filtered(ivec2(pixel.x, -pixel.y), ivec2(1, 0), ivec2(0, 1));
 }
 `;
 
-/** Outputs the mean depth of the points where they cover at least half of a pixel. */
+/** Outputs the mean depth of the points where they cover at least half of a pixel of the filtered image. */
 export const HOST_DEPTH_FRAGMENT = `${HEADER}
 uniform sampler2D weighted_depth;
 uniform vec2 corner;
 uniform vec2 depth_range;
 uniform float unit_depth;
 out vec4 nothing;
+
+vec4 tap(ivec2 pixel) {
+  return texelFetch(weighted_depth, clamp(pixel, ivec2(0), textureSize(weighted_depth, 0) - 1), 0);
+}
+${pixelFilter("ivec2")}
 void main() {
   ivec2 pixel = ivec2(gl_FragCoord.xy) - ivec2(corner);
-  vec4 texel = texelFetch(weighted_depth, ivec2(pixel.x, -pixel.y), 0);
+  vec4 texel = filtered(ivec2(pixel.x, -pixel.y), ivec2(1, 0), ivec2(0, 1));
   if (!(texel.a >= 0.5)) discard;
   nothing = vec4(0.0);
   gl_FragDepth = clamp(0.5 + 0.5 * (depth_range.x + depth_range.y / unit_depth * texel.a / texel.r), 0.0, 1.0);

@@ -22,6 +22,7 @@ export class CanvasRenderer {
     }
     this.gl = gl;
     this.canvas = canvas;
+    this.manifest = manifest;
     this.points = new ProjectedPoints(gl, manifest);
     this.overBackground = makeProgram(gl, FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT);
     this.emptyArray = gl.createVertexArray();
@@ -89,7 +90,7 @@ export class CanvasRenderer {
     for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
     overBackground.use();
     overBackground.integers({ image: 0 });
-    overBackground.floats({ background, target: [width, height] });
+    overBackground.floats({ background, target: [width, height], pixel_filter: this.manifest.pixelFilter });
     gl.bindVertexArray(this.emptyArray);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }

@@ -272,15 +272,43 @@ out vec4 colour;
 void main() { colour = texelFetch(image, ivec2(gl_FragCoord.xy), 0); }
 `;
 
-/** Composites a premultiplied image over a uniform background, scaled to the target. Row 0 of the image is its top. */
+/**
+ * The pixel filter: a weighted mean of 3 x 3 values. A shader defines `vec4 tap(T)` before this text, and `+` and `-` of
+ * T move by whole pixels.
+ * @param {"vec2" | "ivec2"} type T, the type of positions.
+ */
+export const pixelFilter = (type) => `
+uniform float pixel_filter;  // Weight of a neighbouring pixel along rows and columns, or 0 for no filter.
+
+vec4 filter_row(${type} position, ${type} right) {
+  return pixel_filter * (tap(position - right) + tap(position + right)) + (1.0 - 2.0 * pixel_filter) * tap(position);
+}
+
+vec4 filtered(${type} position, ${type} right, ${type} down) {
+  if (pixel_filter == 0.0) return tap(position);
+  vec4 sides = filter_row(position - down, right) + filter_row(position + down, right);
+  return pixel_filter * sides + (1.0 - 2.0 * pixel_filter) * filter_row(position, right);
+}
+`;
+
+/**
+ * Composites a premultiplied image over a uniform background, filtered and scaled to the target. Row 0 of the image is
+ * its top. Texels outside the image equal the nearest texel of the image.
+ */
 export const OVER_BACKGROUND_FRAGMENT = `${HEADER}
 uniform sampler2D image;
 uniform vec3 background;
 uniform vec2 target;
 out vec4 colour;
-void main() {
-  vec2 position = vec2(gl_FragCoord.x, target.y - gl_FragCoord.y) / target;
+
+vec4 tap(vec2 position) {
   vec4 source = texture(image, position);
-  colour = vec4(clamp(source.rgb + (1.0 - source.a) * background, 0.0, 1.0), 1.0);
+  return vec4(clamp(source.rgb + (1.0 - source.a) * background, 0.0, 1.0), 1.0);
+}
+${pixelFilter("vec2")}
+void main() {
+  vec2 texel = 1.0 / vec2(textureSize(image, 0));
+  vec2 position = vec2(gl_FragCoord.x, target.y - gl_FragCoord.y) / target;
+  colour = filtered(position, vec2(texel.x, 0.0), vec2(0.0, texel.y));
 }
 `;

@@ -45,6 +45,7 @@ import { largestContent } from "./limits.js";
  * @property {number} shRange
  * @property {number} shBase
  * @property {number} near
+ * @property {number} pixelFilter Weight of a neighbouring pixel in the filter of images, from 0 to 0.25.
  * @property {{points: number, shadow: boolean} | null} background
  * @property {CloudEncoding} dynamicEncoding
  * @property {CloudEncoding | null} backgroundEncoding
@@ -84,6 +85,7 @@ export function parseManifest(text) {
     shRange: sh.number("range", 0, 1e3),
     shBase: sh.number("base", -1e3, 1e3),
     near: root.number("near", 1e-12, 1e9),
+    pixelFilter: root.number("pixel_filter", 0, 0.25, 0),
     background: described && { points: described.integer("points", 0, MAX_POINTS), shadow: described.flag("shadow") },
     dynamicEncoding: cloudEncoding(encoding.node("dynamic")),
     backgroundEncoding: full ? cloudEncoding(encoding.node("background")) : null,

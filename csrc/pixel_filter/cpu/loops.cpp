@@ -1,0 +1,62 @@
+// The filter is separable. Runs of kRun pixels are first filtered along columns, with one more pixel on each side, and
+// then along rows.
+#include "pixel_filter/cpu/loops.h"
+
+#include <cstddef>
+
+#include "pixel_filter/maths.h"
+
+namespace fourd::pixel_filter::FOURD_SIMD {
+namespace {
+
+constexpr int kRun = 256;
+constexpr int kChannels = 4;
+
+// The row of the image and the rows above and below.
+struct Rows {
+    const std::uint8_t *above, *centre, *below;
+};
+
+FOURD_INLINE Rows rows_around(const Image& image, int row) {
+    const std::size_t stride = static_cast<std::size_t>(kChannels) * image.width;
+    const auto at = [&](int y) FOURD_INLINE_LAMBDA {
+        return image.rgba + stride * static_cast<std::size_t>(y < 0 ? 0 : y < image.height ? y : image.height - 1);
+    };
+    return {at(row - 1), at(row), at(row + 1)};
+}
+
+// Means along columns of `count` bytes from byte `first` of the rows.
+FOURD_INLINE void filter_columns(const Rows& rows, std::size_t first, int count, float side, float* FOURD_RESTRICT out) {
+    const std::uint8_t *above = rows.above + first, *centre = rows.centre + first, *below = rows.below + first;
+    for (int i = 0; i < count; ++i) out[i] = mean_of(above[i], centre[i], below[i], side);
+}
+
+FOURD_INLINE void filter_run(const Image& image, const Rows& rows, int begin, int end, float side,
+                             std::uint8_t* FOURD_RESTRICT out) {
+    float columns[kChannels * (kRun + 2)];
+    const int count = kChannels * (end - begin), last = image.width - 1;
+    const auto byte_of = [](int pixel) FOURD_INLINE_LAMBDA { return static_cast<std::size_t>(kChannels) * pixel; };
+    filter_columns(rows, byte_of(begin > 0 ? begin - 1 : 0), kChannels, side, columns);
+    filter_columns(rows, byte_of(begin), count, side, columns + kChannels);
+    filter_columns(rows, byte_of(end < last ? end : last), kChannels, side, columns + kChannels + count);
+    for (int i = 0; i < count; ++i) {
+        out[i] = to_byte(mean_of(columns[i], columns[i + kChannels], columns[i + 2 * kChannels], side));
+    }
+}
+
+void filter_rows(const Image& image, float side, int begin, int end, std::uint8_t* out) {
+    for (int row = begin; row < end; ++row) {
+        const Rows rows = rows_around(image, row);
+        for (int first = 0; first < image.width; first += kRun) {
+            const int next = first + kRun < image.width ? first + kRun : image.width;
+            const std::size_t pixel = static_cast<std::size_t>(row) * image.width + first;
+            filter_run(image, rows, first, next, side, out + kChannels * pixel);
+        }
+    }
+}
+
+}  // namespace
+
+const Loops loops = {filter_rows};
+
+}  // namespace fourd::pixel_filter::FOURD_SIMD

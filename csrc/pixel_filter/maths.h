@@ -1,0 +1,19 @@
+// The arithmetic of the pixel filter, which CPU and GPU share.
+#pragma once
+
+#include <cstdint>
+
+#include "common/host_device.h"
+#include "common/inline.h"
+
+namespace fourd::pixel_filter {
+
+// Weighted mean of three neighbours. The mean of three equal numbers is that number, up to rounding.
+FOURD_HD FOURD_INLINE float mean_of(float before, float centre, float after, float side) {
+    return centre + side * ((before - centre) + (after - centre));
+}
+
+// Rounds a number from 0 to 255.
+FOURD_HD FOURD_INLINE std::uint8_t to_byte(float value) { return static_cast<std::uint8_t>(value + 0.5f); }
+
+}  // namespace fourd::pixel_filter

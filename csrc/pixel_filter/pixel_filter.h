@@ -1,0 +1,20 @@
+// The pixel filter: each pixel of an 8-bit image becomes a weighted mean of 3 x 3 pixels. Along rows and along columns,
+// the weights are `side`, 1 - 2 side and `side`. Pixels outside the image equal the nearest pixel of the image. Callers
+// check shapes, and arrays are dense and row-major.
+#pragma once
+
+#include <cstdint>
+
+#include "common/simd.h"
+
+namespace fourd::pixel_filter {
+
+struct Image {
+    const std::uint8_t* rgba;  // (height, width, 4).
+    int width, height;
+};
+
+// Writes the filtered image to `out` (height, width, 4), which must not overlap image.rgba. `side` is in [0, 0.25].
+void filter_pixels(const Image& image, float side, int threads, Simd simd, std::uint8_t* out);
+
+}  // namespace fourd::pixel_filter

@@ -1,0 +1,32 @@
+"""The pixel filter's CUDA kernel, for 8-bit torch images."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from fourd.ops.gpu import load_gpu
+from fourd.ops.points.validation import check_canvas
+
+
+def filter_pixels_gpu(image: Tensor, side: float, out: Tensor | None = None) -> Tensor:
+    """Filter an (H, W, 4) uint8 image on its device, as :func:`fourd.ops.pixel_filter.op.filter_pixels` does.
+
+    The kernel is queued on torch's current stream, and the call returns before the kernel finishes. For CPU tensors,
+    the emulated kernel runs.
+
+    Returns:
+        (H, W, 4) uint8 image on the device. If ``out`` is given, ``out`` itself is returned. ``out`` must not overlap
+        ``image``.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
+    """
+    gpu = load_gpu(image.device)
+    if out is None:
+        out = torch.empty_like(image)
+    height, width, channels = image.shape
+    check_canvas(out, (height, width, channels), out.is_contiguous())
+    with gpu.activate():
+        gpu.kernels.filter_pixels(image, side, gpu.stream, out)
+    return out
