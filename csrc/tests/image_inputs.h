@@ -1,10 +1,11 @@
-// Random and invalid inputs of the stylizer, and of the drawing of visible surfaces.
+// Random and invalid inputs of the stylizer, the drawing of visible surfaces, and the pixel filter.
 #pragma once
 
 #include <cstdint>
 #include <cstring>
 #include <vector>
 
+#include "pixel_filter/pixel_filter.h"
 #include "play/play.h"
 #include "stylize/stylize.h"
 #include "tests/random_inputs.h"
@@ -49,6 +50,28 @@ inline void draw_surfaces(Random& random, play::Player& player, play::Frame fram
         player.draw_surface(frame, settings, shading,
                             {{rgba.data(), {0, 0, 0}}, nullptr, depths.data(), normal.data(), persistence});
     }
+}
+
+// An image of random bytes and a size that may be empty, and a random weight.
+struct FilterInput {
+    int width, height;
+    float side;
+    std::vector<std::uint8_t> rgba, out;
+
+    explicit FilterInput(Random& random)
+        : width(random_int(random, 0, 600)), height(random_int(random, 0, 70)), side(0.25f / random_int(random, 1, 9)) {
+        const std::size_t bytes = std::size_t{4} * width * height;
+        rgba = random_bytes(random, bytes);
+        out.resize(bytes);
+    }
+
+    pixel_filter::Image image() const { return {rgba.data(), width, height}; }
+};
+
+inline void run_pixel_filter(unsigned seed, const char* simd) {
+    Random random(seed);
+    FilterInput input(random);
+    pixel_filter::filter_pixels(input.image(), input.side, random_int(random, 1, 3), simd_named(simd), input.out.data());
 }
 
 }  // namespace fourd::tests
