@@ -53,7 +53,7 @@ class ModelConfig:
     `explicit`, training optimises 48 coefficients for each point of each frame."""
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH when it is added to the image-based colour."""
-    own_colour: float = 0.4
+    own_colour: float = 0.6
     """Share of the own colour of a point in the point's image-based colour, at least 0 and less than 1. Each point of
     each frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a
     point a wrong colour where geometry or blending is inexact. The own colour reduces this error in new views. If the
