@@ -33,6 +33,15 @@ def test_bytes_equal_the_reference(
         assert np.abs(got - expected).max() <= 0.5 + 1e-3
 
 
+def test_single_pixels_on_a_background(rng: np.random.Generator) -> None:
+    """Catches a pixel of another colour that is not spread to its neighbours, because their run or row is copied."""
+    for _ in range(50):
+        image = np.full((9, 200, 4), rng.integers(0, 256, 4), np.uint8)
+        image[rng.integers(9), rng.integers(200)] = rng.integers(0, 256, 4)
+        expected = filter_pixels_reference(image.astype(np.float32), 0.1)
+        assert np.abs(filter_pixels(image, 0.1) - expected).max() <= 0.5 + 1e-3
+
+
 @pytest.mark.parametrize("size", SIZES[:4])
 def test_bytes_of_the_gpu_equal_the_reference(
     size: tuple[int, int], gpu: torch.device, rng: np.random.Generator

@@ -1,15 +1,17 @@
 // The filter is separable. Runs of kRun pixels are first filtered along columns, with one more pixel on each side, and
-// then along rows.
+// then along rows. Runs of one colour, such as the background, are copied.
 #include "pixel_filter/cpu/loops.h"
 
 #include <cstddef>
+#include <cstdint>
+#include <cstring>
 
 #include "pixel_filter/maths.h"
 
 namespace fourd::pixel_filter::FOURD_SIMD {
 namespace {
 
-constexpr int kRun = 256;
+constexpr int kRun = 64;
 constexpr int kChannels = 4;
 
 // The row of the image and the rows above and below.
@@ -31,14 +33,36 @@ FOURD_INLINE void filter_columns(const Rows& rows, std::size_t first, int count,
     for (int i = 0; i < count; ++i) out[i] = mean_of(above[i], centre[i], below[i], side);
 }
 
+FOURD_INLINE std::uint32_t load_pixel(const std::uint8_t* row, std::size_t pixel) {
+    std::uint32_t word;
+    std::memcpy(&word, row + kChannels * pixel, sizeof word);
+    return word;
+}
+
+// Whether the pixels [begin, end) of the three rows are all equal.
+FOURD_INLINE bool is_one_colour(const Rows& rows, std::size_t begin, std::size_t end) {
+    const std::uint32_t first = load_pixel(rows.centre, begin);
+    std::uint32_t different = 0;
+    for (std::size_t pixel = begin; pixel < end; ++pixel) {
+        different |= (load_pixel(rows.above, pixel) ^ first) | (load_pixel(rows.centre, pixel) ^ first) |
+                     (load_pixel(rows.below, pixel) ^ first);
+    }
+    return different == 0;
+}
+
 FOURD_INLINE void filter_run(const Image& image, const Rows& rows, int begin, int end, float side,
                              std::uint8_t* FOURD_RESTRICT out) {
-    float columns[kChannels * (kRun + 2)];
-    const int count = kChannels * (end - begin), last = image.width - 1;
+    const int left = begin > 0 ? begin - 1 : 0, right = end < image.width ? end : image.width - 1;
+    const int count = kChannels * (end - begin);
     const auto byte_of = [](int pixel) FOURD_INLINE_LAMBDA { return static_cast<std::size_t>(kChannels) * pixel; };
-    filter_columns(rows, byte_of(begin > 0 ? begin - 1 : 0), kChannels, side, columns);
+    if (is_one_colour(rows, static_cast<std::size_t>(left), static_cast<std::size_t>(right) + 1)) {
+        std::memcpy(out, rows.centre + byte_of(begin), static_cast<std::size_t>(count));
+        return;
+    }
+    float columns[kChannels * (kRun + 2)];
+    filter_columns(rows, byte_of(left), kChannels, side, columns);
     filter_columns(rows, byte_of(begin), count, side, columns + kChannels);
-    filter_columns(rows, byte_of(end < last ? end : last), kChannels, side, columns + kChannels + count);
+    filter_columns(rows, byte_of(right), kChannels, side, columns + kChannels + count);
     for (int i = 0; i < count; ++i) {
         out[i] = to_byte(mean_of(columns[i], columns[i + kChannels], columns[i + 2 * kChannels], side));
     }
