@@ -1,14 +1,19 @@
 """Measure whether a scene plays without pauses in Chromium over a slow connection.
 
     python tools/web/playback_rate.py scene.4dv --mbps 50
+    python tools/web/playback_rate.py scene.4dv --mbps 50 --tier stream --repeat 25
 
-The program chooses a level as `fourd web --max-mbps` does, and serves the page at this rate. Frames are dropped from
-the player's memory after they are shown, so that every frame is fetched each time, as in a long scene. The program
-prints the share of the time in which playback waits for frames. It needs Chromium and the package playwright.
+The program opens the page of the scene with an empty cache, through a server that sends at this rate. It prints the
+time from the opening of the page to the start of playback, and what follows: pauses, images per second and received
+data. Without --tier, the program chooses a level as `fourd web --max-mbps` does. With --repeat, the frames are repeated
+under other numbers, so that the scene is longer. It needs Chromium and the package playwright.
 """
 
 from __future__ import annotations
 
+import json
+import statistics
+import struct
 import tempfile
 import threading
 import time
@@ -22,31 +27,53 @@ from pages import open_browser, serving
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.rate import choose_tier
 from fourd.viewer.publish.server import Part, SiteHandler, SiteServer
-from fourd.viewer.publish.site import write_site
+from fourd.viewer.publish.site import SCENE_NAME, write_site
 
 CHUNK = 1 << 14
+LOCAL_HEADER, SIZES_AT, NAME_LENGTH_AT = 30, 18, 26
+"""Size of a local file header in a ZIP archive, and the offsets of two fields in it (ZIP appnote 4.3.7)."""
 CREDIT_SECONDS = 0.05
 """Time that the server may catch up if the operating system wakes it late."""
-READY = "() => document.querySelector('fourd-player').firstImageMs > 0"
 PLAY = """
 async (milliseconds) => {
-  const {stage} = document.querySelector('fourd-player'), {clock, store} = stage;
-  const start = performance.now(), received = store.file.source.bytesReceived;
-  let waiting = 0, shown = 0, last = start, frame = clock.frame, pauses = 0, wasWaiting = false;
-  clock.isPlaying = true;
-  while (last - start < milliseconds) {
-    await new Promise((resolve) => setTimeout(resolve, 10));
-    const now = performance.now();
+  const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));
+  let player;
+  while (!(player = document.querySelector('fourd-player'))?.stage) await sleep();
+  const {stage} = player, {clock, playback} = stage, {source} = stage.store.file;
+  while (playback.isBuffering) await sleep();
+  const start = performance.now();
+  let now = start, frame = stage.order.frame, shownAt = start, bytes = source.bytesReceived;
+  let waiting = 0, pauses = 0, wasWaiting = false, shown = 0, half = 0;
+  const gaps = [], strides = [];
+  while (now - start < milliseconds) {
+    await sleep();
+    const last = now;
+    now = performance.now();
     if (stage.isWaiting) waiting += now - last;
     if (stage.isWaiting && !wasWaiting) pauses++;
     wasWaiting = stage.isWaiting;
-    last = now;
-    for (; frame !== clock.frame; frame = (frame + 1) % clock.frames) {
-      store.entries.delete(frame);
-      shown++;
-    }
+    if (strides.at(-1) !== clock.stride) strides.push(clock.stride);
+    if (half === 0 && now - start > milliseconds / 2) half = source.bytesReceived;
+    if (stage.order.frame === frame) continue;
+    frame = stage.order.frame;
+    gaps.push(now - shownAt);
+    shownAt = now;
+    shown++;
   }
-  return {shown, pauses, waiting, ms: last - start, bytes: store.file.source.bytesReceived - received};
+  gaps.sort((a, b) => a - b);
+  const seconds = (now - start) / 1000, mbps = (count, time) => (count * 8) / time / 1e6;
+  return {
+    "first image, s": player.firstImageMs / 1000,
+    "start of playback, s": start / 1000,
+    "images per second": shown / seconds,
+    "pauses": pauses,
+    "time in pauses, %": (100 * waiting) / 1000 / seconds,
+    "95% of the images follow within, ms": gaps[Math.floor(0.95 * gaps.length)] ?? 0,
+    "received, Mbit/s": mbps(source.bytesReceived - bytes, seconds),
+    "received in the second half, Mbit/s": mbps(source.bytesReceived - half, seconds / 2),
+    "largest stride": Math.max(...strides),
+    "last stride": strides.at(-1),
+  };
 }
 """
 
@@ -68,6 +95,10 @@ class Arguments:
     """Seconds of playback."""
     tier: Tier | None = None
     """Use the default level of this tier. The default is the level that fits the connection."""
+    repeat: int = 1
+    """Number of times that the frames are repeated."""
+    rounds: int = 5
+    """Number of measurements. Each one starts with an empty cache."""
     size: tuple[int, int] = (256, 256)
     """Width and height of the page in pixels."""
 
@@ -112,7 +143,7 @@ class SlowServer(SiteServer):
 
 
 def main(arguments: Arguments) -> None:
-    """Serve the scene, play it and print the result."""
+    """Serve the scene, play it several times, and print the medians and the ranges."""
     tier, level = arguments.tier, None
     if tier is None:
         choice = choose_tier(arguments.scene, arguments.mbps, arguments.scene, for_web=True)
@@ -121,24 +152,49 @@ def main(arguments: Arguments) -> None:
     with tempfile.TemporaryDirectory() as folder:
         site = Path(folder) / "site"
         write_site(arguments.scene, site, tier, level=level)
+        if arguments.repeat > 1:
+            repeat_frames(site / SCENE_NAME, arguments.repeat)
         with serving(SlowServer(site, arguments.served_mbps or arguments.mbps, arguments.latency)) as server:
-            result = _play(server.url, arguments)
-    seconds = result["ms"] / 1000
-    print(
-        f"{result['shown']} frames in {seconds:.1f} s ({result['shown'] / seconds:.1f} per second), "
-        f"{result['bytes'] / max(result['shown'], 1) / 1e3:.0f} kB per frame, "
-        f"{result['bytes'] * 8 / seconds / 1e6:.1f} Mbit/s, {result['pauses']} pauses, "
-        f"{100 * result['waiting'] / result['ms']:.1f} % of the time waiting"
-    )
+            rounds = [play(server.url, arguments) for _ in range(arguments.rounds)]
+    print("| measurement | median | range |\n|---|---|---|")
+    for name in rounds[0]:
+        values = [measured[name] for measured in rounds]
+        print(f"| {name} | {statistics.median(values):.3g} | {min(values):.3g} to {max(values):.3g} |")
 
 
-def _play(url: str, arguments: Arguments) -> dict[str, float]:
+def play(url: str, arguments: Arguments) -> dict[str, float]:
+    """Open the page in a new browser and measure one playback."""
     with open_browser() as browser:
         page = browser.new_page(viewport={"width": arguments.size[0], "height": arguments.size[1]})
-        page.goto(url)
-        page.wait_for_function(READY, timeout=60_000)
+        page.goto(url, wait_until="commit")
         result: dict[str, float] = page.evaluate(PLAY, 1000 * arguments.seconds)
     return result
+
+
+def repeat_frames(scene: Path, times: int) -> None:
+    """Repeat the frames of a packed scene. The new frames have their own numbers, but share the bytes of the file.
+
+    The result can be read by the web player, but the ZIP directory at its end is not correct.
+    """
+    content = scene.read_bytes()
+    name, extra = struct.unpack_from("<2H", content, NAME_LENGTH_AT)
+    (size,) = struct.unpack_from("<L", content, SIZES_AT)
+    start = LOCAL_HEADER + name + extra
+    manifest = json.loads(content[start : start + size])
+    frames, members = manifest["frames"], manifest["members"]
+    room = (times + 1) * size
+    moved = {member: [offset + room - size, length] for member, (offset, length) in members.items()}
+    manifest["frames"] = [{**frame, "number": index} for index, frame in enumerate(times * frames)]
+    manifest["members"] = {
+        member.replace(f"{index:06d}", f"{index + copy * len(frames):06d}"): place
+        for copy in range(times)
+        for index in range(len(frames))
+        for member, place in moved.items()
+        if member.startswith(f"frames/{index:06d}/")
+    } | {member: place for member, place in moved.items() if not member.startswith("frames/")}
+    text = json.dumps(manifest, separators=(",", ":")).encode().ljust(room)
+    header = content[:SIZES_AT] + 2 * struct.pack("<L", room) + content[NAME_LENGTH_AT:start]
+    scene.write_bytes(header + text + content[start + size :])
 
 
 if __name__ == "__main__":

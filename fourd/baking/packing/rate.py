@@ -19,8 +19,8 @@ SAMPLED_FRAMES = 3
 MARGIN = 0.95
 """Share of the connection's data rate that the estimated data rate may use. The rest is for frames that are larger than
 the mean."""
-WEB_MARGIN = 0.8
-"""The same share for web pages. Between requests, the connection is idle until the server answers."""
+WEB_MARGIN = 0.9
+"""The same share for web pages, which request several frames at the same time."""
 
 
 @dataclass(frozen=True)

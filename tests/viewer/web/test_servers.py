@@ -126,7 +126,7 @@ def test_a_scene_that_changes(open_page: Callable[..., PlayerPage], object_site:
         page.pause(0)
         write_random_scene(tmp_path / "other.4dv", frames=6, points=100)
         write_scene(tmp_path / "other.4dv", site / SCENE_NAME, "full")
-        page.run("stage.store.entries.clear(); player.seek(5);")
+        page.run("stage.store.entries.clear(); stage.store.downloads.members.clear(); player.seek(5);")
         assert page.error() == "The scene has changed on the server. Reload the page."
 
 

@@ -1,4 +1,4 @@
-/** The time of playback. The time does not advance until the frame that is due has arrived. */
+/** The time of playback. */
 export class Clock {
   /**
    * @param {number} frames
@@ -11,6 +11,8 @@ export class Clock {
     this.speed = 1;
     this.isPlaying = false;
     this.loops = true;
+    /** During playback, only frames whose numbers are multiples of the stride are due. */
+    this.stride = 1;
   }
 
   get duration() {
@@ -19,6 +21,12 @@ export class Clock {
 
   /** Index of the frame that is due. */
   get frame() {
+    const { exactFrame } = this;
+    return this.isPlaying ? exactFrame - (exactFrame % this.stride) : exactFrame;
+  }
+
+  /** Index of the frame at the time, whatever the stride. */
+  get exactFrame() {
     return Math.min(Math.floor(this.seconds * this.fps + 1e-6), this.frames - 1);
   }
 
@@ -47,20 +55,25 @@ export class Clock {
   /** Starts or pauses. At the end, playback starts again at the first frame. */
   toggle() {
     this.isPlaying = !this.isPlaying;
-    if (this.isPlaying && !this.loops && this.frame === this.frames - 1) this.seconds = 0;
+    if (this.isPlaying && !this.loops && this.exactFrame === this.frames - 1) this.seconds = 0;
   }
 
   /**
    * The frames that are due after the current frame.
    * @param {number} count
+   * @param {number} [stride]
    * @returns {number[]}
    */
-  upcoming(count) {
+  upcoming(count, stride = this.isPlaying ? this.stride : 1) {
     const found = [];
-    for (let step = 1; step <= Math.min(count, this.frames - 1); step++) {
-      const frame = this.frame + step;
-      if (frame < this.frames) found.push(frame);
-      else if (this.loops) found.push(frame - this.frames);
+    let next = this.frame;
+    for (let step = 1; step <= Math.min(count, Math.ceil(this.frames / stride) - 1); step++) {
+      next += stride;
+      if (next >= this.frames) {
+        if (!this.loops) break;
+        next = 0;
+      }
+      found.push(next);
     }
     return found;
   }

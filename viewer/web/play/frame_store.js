@@ -1,34 +1,39 @@
-import { frameFolder } from "../scene/manifest.js";
+import { BACKGROUND, baseMembers, describeCloud, viewMember } from "../scene/members.js";
+import { Downloads } from "./downloads.js";
 /** @typedef {import("../scene/scene_file.js").SceneFile} SceneFile */
 /** @typedef {import("../decode/pool.js").DecodePool} DecodePool */
 /** @typedef {import("../decode/cloud.js").CloudBase} CloudBase */
-/** @typedef {import("../scene/manifest.js").CloudEncoding} CloudEncoding */
 
 const CACHE_BYTES = 256 << 20;
-/** Number of frames that are fetched and decoded at the same time. */
+/** Number of frames that are decoded at the same time. */
 const CONCURRENT = 4;
 
-/** The number that identifies the background in the store. */
-export const BACKGROUND = -1;
-
 /**
- * A frame, or the background. Parts are null or missing until they are decoded.
+ * A decoded frame, or the background. Parts are null or missing until they are decoded.
  * @typedef {object} Entry
  * @property {CloudBase | null} base
  * @property {Map<number, Uint8Array<ArrayBuffer>>} views
  * @property {Uint8Array | null} shadow
  * @property {boolean} isBusy
- * @property {boolean} hasFailed A failed entry is loaded again only after a call of `retry`.
- * @property {AbortController | null} abort
+ * @property {boolean} hasFailed A failed entry is decoded again only after a call of `retry`.
  * @property {number} used Counter value of the last request for the entry.
  */
 
-/** Fetches and decodes frames, nearest first, and keeps the most recently used frames. */
+/**
+ * What to load.
+ * @typedef {object} Demand
+ * @property {number[]} decoded Frames to decode, in order of urgency.
+ * @property {number[]} downloaded Frames to download, in order of urgency. They begin with those of `decoded`.
+ * @property {number[]} views Source views whose colours are needed.
+ * @property {boolean} isPlaying Otherwise, the first frame is downloaded before all others.
+ */
+
+/** Downloads and decodes frames, nearest first, and keeps the most recently used frames decoded. */
 export class FrameStore {
   /**
    * @param {SceneFile} file
    * @param {DecodePool} pool
-   * @param {() => void} changed Called when a part has arrived.
+   * @param {() => void} changed Called when a part has been decoded.
    * @param {(error: unknown) => void} failed
    */
   constructor(file, pool, changed, failed) {
@@ -37,34 +42,40 @@ export class FrameStore {
     this.pool = pool;
     this.changed = changed;
     this.failed = failed;
+    this.downloads = new Downloads(file, () => this.#start(), failed);
     /** @type {Map<number, Entry>} */
     this.entries = new Map();
+    /** Names of the members of each frame. @type {Map<number, {base: string[], views: string[]}>} */
+    this.names = new Map();
     this.turn = 0;
     /** @type {number[]} */
     this.wanted = [];
     /** @type {number[]} */
     this.views = [];
+    this.hasDecoded = false;
   }
 
   /**
-   * Sets what to load: the background, then frames in order of urgency, each with the colours of some source views.
-   * @param {number[]} frames
-   * @param {number[]} views
+   * Sets what to load. The background is loaded before the frames.
+   * @param {Demand} demand
    */
-  want(frames, views) {
-    this.wanted = this.manifest.background ? [BACKGROUND, ...frames] : frames;
+  want({ decoded, downloaded, views, isPlaying }) {
+    const background = this.manifest.background ? [BACKGROUND] : [];
+    this.wanted = [...background, ...decoded];
     this.views = views;
     this.turn++;
     for (const number of this.wanted) this.#entry(number).used = this.turn;
-    for (const [number, entry] of this.entries) {
-      if (entry.isBusy && !this.wanted.includes(number)) entry.abort?.abort();
-    }
+    // Until the first image, and after a jump in time, other frames would delay the frame that is due.
+    const isUrgent = decoded.length > 0 && !(isPlaying && this.hasDecoded) && !this.isDrawable(decoded[0]);
+    const namesOf = (/** @type {number} */ number) => this.#missing(number, isUrgent ? [] : views);
+    this.downloads.want([...background, ...downloaded], namesOf, isUrgent);
     this.#start();
     this.#evict();
   }
 
   /** Allows failed frames to be loaded again. */
   retry() {
+    this.downloads.retry();
     for (const entry of this.entries.values()) entry.hasFailed = false;
   }
 
@@ -78,7 +89,7 @@ export class FrameStore {
    * @param {number} frame
    */
   isDrawable(frame) {
-    return this.#parts(frame).every((entry) => entry?.base && this.#hasShadow(entry, frame));
+    return this.#parts(frame).every((number) => this.#hasBase(number));
   }
 
   /**
@@ -86,20 +97,31 @@ export class FrameStore {
    * @param {number} frame
    */
   isComplete(frame) {
-    return this.isDrawable(frame) && this.#parts(frame).every((entry) => this.views.every((view) => entry?.views.has(view)));
+    return this.#parts(frame).every((number) => this.#isLoaded(number));
+  }
+
+  /**
+   * Compressed size in bytes of the members of a frame that have not been downloaded yet.
+   * @param {number} frame
+   */
+  missingBytes(frame) {
+    let bytes = 0;
+    for (const name of this.#missing(frame, this.views)) {
+      if (!this.downloads.get(frame, name)) bytes += this.file.sizeOf(name);
+    }
+    return bytes;
+  }
+
+  /** Aborts all requests and drops all frames. */
+  release() {
+    this.wanted = [];
+    this.downloads.release();
+    this.entries.clear();
   }
 
   /** @param {number} frame */
   #parts(frame) {
-    return this.manifest.background ? [this.get(BACKGROUND), this.get(frame)] : [this.get(frame)];
-  }
-
-  /**
-   * @param {Entry | null} entry
-   * @param {number} frame
-   */
-  #hasShadow(entry, frame) {
-    return !this.manifest.background?.shadow || entry !== this.get(frame) || entry?.shadow !== null;
+    return this.manifest.background ? [BACKGROUND, frame] : [frame];
   }
 
   /**
@@ -109,58 +131,86 @@ export class FrameStore {
   #entry(number) {
     let entry = this.entries.get(number);
     if (!entry) {
-      entry = { base: null, views: new Map(), shadow: null, isBusy: false, hasFailed: false, abort: null, used: 0 };
+      entry = { base: null, views: new Map(), shadow: null, isBusy: false, hasFailed: false, used: 0 };
       this.entries.set(number, entry);
     }
     return entry;
   }
 
-  /** Whether the first wanted frame cannot be drawn yet. */
-  #isUrgent() {
-    const first = this.wanted.find((number) => number !== BACKGROUND);
-    return first !== undefined && !this.isDrawable(first);
+  /** @param {number} number */
+  #hasBase(number) {
+    const entry = this.entries.get(number);
+    if (!entry?.base) return false;
+    return number === BACKGROUND || !this.manifest.background?.shadow || entry.shadow !== null;
+  }
+
+  /** @param {number} number */
+  #isLoaded(number) {
+    return this.#hasBase(number) && this.views.every((view) => this.entries.get(number)?.views.has(view));
+  }
+
+  /**
+   * Names of the members of which the decoded parts are missing.
+   * @param {number} number
+   * @param {number[]} views
+   */
+  #missing(number, views) {
+    const { base, views: members } = this.#namesOf(number);
+    const decoded = this.entries.get(number)?.views;
+    const missing = views.filter((view) => !decoded?.has(view)).map((view) => members[view]);
+    return this.#hasBase(number) ? missing : [...base, ...missing];
+  }
+
+  /** @param {number} number */
+  #namesOf(number) {
+    let names = this.names.get(number);
+    if (!names) {
+      const { points, sh, colour, shadow } = baseMembers(this.manifest, number);
+      const base = [points, sh, colour, shadow].filter((name) => name !== null);
+      names = { base, views: this.manifest.sources.map((_, view) => viewMember(this.manifest, number, view)) };
+      this.names.set(number, names);
+    }
+    return names;
   }
 
   #start() {
     let busy = [...this.entries.values()].filter((entry) => entry.isBusy).length;
-    // Until the first wanted frame can be drawn, only this frame and the background are fetched.
-    const limit = this.#isUrgent() ? (this.manifest.background ? 2 : 1) : CONCURRENT;
     for (const number of this.wanted) {
-      if (busy >= limit) return;
+      if (busy >= CONCURRENT) return;
       const entry = this.#entry(number);
-      if (entry.isBusy || entry.hasFailed || this.#isLoaded(number, entry)) continue;
+      if (entry.isBusy || entry.hasFailed) continue;
+      const views = this.#decodableViews(number, entry);
+      const needsBase = !this.#hasBase(number) && this.downloads.hasAll(number, this.#namesOf(number).base);
+      if (!needsBase && (views.length === 0 || !entry.base)) continue;
       busy++;
-      this.#load(number, entry);
+      this.#decode(number, entry, needsBase);
     }
   }
 
   /**
+   * Wanted views that are downloaded, but not decoded.
    * @param {number} number
    * @param {Entry} entry
    */
-  #isLoaded(number, entry) {
-    const needsShadow = number !== BACKGROUND && this.manifest.background?.shadow;
-    return entry.base && (!needsShadow || entry.shadow) && this.views.every((view) => entry.views.has(view));
+  #decodableViews(number, entry) {
+    const { views } = this.#namesOf(number);
+    return this.views.filter((view) => !entry.views.has(view) && this.downloads.get(number, views[view]) !== null);
   }
 
   /**
    * @param {number} number
    * @param {Entry} entry
+   * @param {boolean} needsBase
    */
-  async #load(number, entry) {
+  async #decode(number, entry, needsBase) {
     entry.isBusy = true;
-    entry.abort = new AbortController();
-    const { signal } = entry.abort;
     try {
-      if (!entry.base && this.#isUrgent()) await this.#loadBase(number, entry, signal);
-      const views = this.views.filter((view) => !entry.views.has(view));
-      const reading = this.#readViews(number, views, signal);
-      reading.catch(() => {}); // The error is reported by the code that awaits the views.
-      if (!entry.base) await this.#loadBase(number, entry, signal);
-      await this.#decodeViews(number, entry, views, await reading);
+      if (needsBase) await this.#decodeBase(number, entry);
+      await this.#decodeViews(number, entry);
     } catch (error) {
-      entry.hasFailed = !signal.aborted;
-      if (entry.hasFailed) this.failed(error);
+      entry.hasFailed = true;
+      this.downloads.forget(number);
+      this.failed(error);
     } finally {
       entry.isBusy = false;
     }
@@ -171,66 +221,37 @@ export class FrameStore {
   /**
    * @param {number} number
    * @param {Entry} entry
-   * @param {AbortSignal} signal
    */
-  async #loadBase(number, entry, signal) {
-    const { folder, points, encoding } = this.#describe(number);
-    const names = [`${folder}/points`, `${folder}/sh`];
-    if (this.manifest.sources.length) names.push(`${folder}/colour`);
-    const shadowed = number !== BACKGROUND && this.manifest.background?.shadow ? `${folder}/shadow` : null;
-    const found = await this.file.read(shadowed ? [...names, shadowed] : names, signal);
-    const [pointsMember, sh, colour] = names.map((name) => /** @type {Uint8Array} */ (found.get(name)));
-    const members = { points: pointsMember, sh, colour: colour ?? null };
+  async #decodeBase(number, entry) {
+    const { folder, points, encoding } = describeCloud(this.manifest, number);
+    const names = baseMembers(this.manifest, number);
+    const member = (/** @type {string} */ name) => /** @type {Uint8Array} */ (this.downloads.get(number, name));
+    const colour = names.colour ? member(names.colour) : null;
+    const members = { points: member(names.points), sh: member(names.sh), colour };
     const decoding = this.pool.base({ kind: "base", folder, points, encoding, members });
-    if (shadowed) {
-      const member = /** @type {Uint8Array} */ (found.get(shadowed));
+    if (names.shadow) {
       const count = this.manifest.background?.points ?? 0;
-      entry.shadow = await this.pool.shadow({ kind: "shadow", folder, points: count, member });
+      entry.shadow = await this.pool.shadow({ kind: "shadow", folder, points: count, member: member(names.shadow) });
     }
     entry.base = await decoding;
+    this.hasDecoded = true;
     this.changed();
   }
 
   /**
    * @param {number} number
-   * @param {number[]} views
-   * @param {AbortSignal} signal
-   */
-  async #readViews(number, views, signal) {
-    const { folder } = this.#describe(number);
-    const found = await this.file.read(views.map((view) => viewMember(folder, view)), signal);
-    return views.map((view) => ({ view, member: /** @type {Uint8Array} */ (found.get(viewMember(folder, view))) }));
-  }
-
-  /**
-   * @param {number} number
    * @param {Entry} entry
-   * @param {number[]} views
-   * @param {{view: number, member: Uint8Array}[]} members
    */
-  async #decodeViews(number, entry, views, members) {
+  async #decodeViews(number, entry) {
+    const views = this.#decodableViews(number, entry);
     if (views.length === 0 || !entry.base) return;
-    const { folder, encoding } = this.#describe(number);
-    const request = { kind: /** @type {const} */ ("views"), folder, encoding, mean: entry.base.mean, views: members };
-    for (const [view, rgba] of await this.pool.views(request)) entry.views.set(view, rgba);
-  }
-
-  /** @param {number} number */
-  #describe(number) {
-    const { manifest } = this;
-    if (number === BACKGROUND) {
-      const encoding = /** @type {CloudEncoding} */ (manifest.backgroundEncoding);
-      return { folder: "background", points: manifest.background?.points ?? 0, encoding };
+    const { folder, encoding } = describeCloud(this.manifest, number);
+    const names = this.#namesOf(number).views;
+    const members = views.map((view) => ({ view, member: /** @type {Uint8Array} */ (this.downloads.get(number, names[view])) }));
+    const { mean } = entry.base;
+    for (const [view, rgba] of await this.pool.views({ kind: "views", folder, encoding, mean, views: members })) {
+      entry.views.set(view, rgba);
     }
-    const folder = frameFolder(number);
-    return { folder, points: manifest.points[number], encoding: manifest.dynamicEncoding };
-  }
-
-  /** Aborts all requests and drops all frames. */
-  release() {
-    this.wanted = [];
-    for (const entry of this.entries.values()) entry.abort?.abort();
-    this.entries.clear();
   }
 
   #bytes() {
@@ -261,12 +282,4 @@ export class FrameStore {
 function bytesOf({ base, views }) {
   if (!base) return 0;
   return base.xyz.byteLength + base.sizes.byteLength + base.factors.byteLength + base.mean.byteLength * (1 + views.size);
-}
-
-/**
- * @param {string} folder
- * @param {number} view
- */
-function viewMember(folder, view) {
-  return `${folder}/views/${String(view).padStart(3, "0")}`;
 }

@@ -1,14 +1,24 @@
 import { selectSourceViews } from "../navigate/source_views.js";
 import { Sorter } from "../sort/sorter.js";
 import { backgroundFirst } from "../draw/frame_textures.js";
+import { BACKGROUND } from "../scene/members.js";
+import { LONGEST_WAIT, adaptStride, planStart } from "./buffering.js";
 import { Clock } from "./clock.js";
-import { BACKGROUND, FrameStore } from "./frame_store.js";
+import { FrameStore } from "./frame_store.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../draw/projected_points.js").Picture} Picture */
 
+/** Playback starts when this number of frames after the current frame are decoded. */
 const BUFFERED_FRAMES = 3;
-const AHEAD_BYTES = 96 << 20;
-const MAX_AHEAD = 24;
+/** Frames ahead of the current frame: size of the decoded frames, and of the compressed frames. */
+const DECODED_BYTES = 96 << 20;
+const DOWNLOADED_BYTES = 64 << 20;
+const MAX_DECODED = 24;
+const PAUSED_AHEAD = 2;
+/** Largest number of frames whose sizes are summed to plan playback. */
+const MAX_PLANNED = 3000;
+/** Time between two changes of the stride during playback, in seconds. */
+const ADAPT_SECONDS = 0.5;
 
 /** Loads the frames that are due and sorts their points for a camera. Draws nothing. */
 export class Playback {
@@ -25,13 +35,20 @@ export class Playback {
     this.store = new FrameStore(file, pool, changed, failed);
     this.sorter = new Sorter();
     this.clock = new Clock(this.manifest.points.length, this.manifest.fps);
+    /** Whether the frame that is due cannot be shown yet. */
     this.isWaiting = true;
+    /** Whether playback waits until it can go on without a pause. */
+    this.isBuffering = true;
+    /** Seconds since playback began to wait. */
+    this.waited = 0;
+    this.sinceAdapted = 0;
     /** The newest depth order. @type {(import("../sort/sorter.js").SortedPoints & {frame: number, camera: Camera}) | null} */
     this.order = null;
     this.cloudNumbers = new WeakMap();
     this.cloudCount = 0;
-    const fetched = Math.max(this.manifest.mostPoints, 1) * (18 + 2 * this.manifest.dynamicEncoding.shRows);
-    this.ahead = Math.min(Math.max(Math.floor(AHEAD_BYTES / fetched), 4), MAX_AHEAD);
+    const decoded = Math.max(this.manifest.mostPoints, 1) * (18 + 2 * this.manifest.dynamicEncoding.shRows);
+    this.decodedAhead = Math.min(Math.max(Math.floor(DECODED_BYTES / decoded), 4), MAX_DECODED);
+    this.downloadedAhead = Math.max(Math.floor(DOWNLOADED_BYTES / meanBytes(file)), this.decodedAhead);
   }
 
   /**
@@ -42,8 +59,13 @@ export class Playback {
   update(elapsed, camera) {
     this.#advance(elapsed);
     const { views } = selectSourceViews(camera, this.manifest);
-    const { frame, isPlaying } = this.clock;
-    this.store.want([frame, ...this.clock.upcoming(isPlaying ? this.ahead : 2)], views);
+    const { clock } = this;
+    const { frame, isPlaying } = clock;
+    const next = [frame, ...clock.upcoming(isPlaying ? this.downloadedAhead : PAUSED_AHEAD)];
+    const decoded = next.slice(0, 1 + (isPlaying ? this.decodedAhead : PAUSED_AHEAD));
+    const isSkipping = isPlaying && clock.stride > 1;
+    const skipped = isSkipping ? clock.upcoming(this.downloadedAhead, 1).filter((other) => other % clock.stride) : [];
+    this.store.want({ decoded, downloaded: [...next, ...skipped], views, isPlaying });
     this.#sort(frame, camera);
   }
 
@@ -86,17 +108,48 @@ export class Playback {
   /** @param {number} elapsed */
   #advance(elapsed) {
     const { clock, store } = this;
-    if (!clock.isPlaying) {
-      this.isWaiting = !store.isComplete(clock.frame);
-      return;
+    if (!clock.isPlaying || this.isBuffering) {
+      this.waited = clock.isPlaying ? this.waited + elapsed : 0;
+      this.isBuffering = !clock.isPlaying || !this.#canStart();
+      this.isWaiting = clock.isPlaying ? this.isBuffering : !store.isComplete(clock.frame);
+      if (this.isBuffering) return;
     }
     const { seconds } = clock;
-    if (this.isWaiting && ![clock.frame, ...clock.upcoming(BUFFERED_FRAMES)].every((frame) => store.isComplete(frame))) {
-      return;
-    }
     clock.advance(Math.min(elapsed, 0.25));
     this.isWaiting = !store.isComplete(clock.frame);
-    if (this.isWaiting) clock.seconds = seconds;
+    if (this.isWaiting) {
+      clock.seconds = seconds;
+      this.isBuffering = true;
+      this.waited = 0;
+    }
+    this.sinceAdapted += elapsed;
+    if (this.sinceAdapted < ADAPT_SECONDS) return;
+    this.sinceAdapted = 0;
+    const buffer = this.#buffer();
+    if (buffer) clock.stride = adaptStride(buffer, clock.stride);
+  }
+
+  /** Chooses the stride, and returns whether playback can start. */
+  #canStart() {
+    const { clock, store } = this;
+    const buffer = this.#buffer();
+    if (!buffer) return false;
+    const plan = planStart(buffer, Math.max(LONGEST_WAIT - this.waited, 0));
+    clock.stride = plan.stride;
+    const isDecoded = [clock.frame, ...clock.upcoming(BUFFERED_FRAMES)].every((frame) => store.isComplete(frame));
+    return isDecoded && (plan.wait === 0 || this.waited >= LONGEST_WAIT);
+  }
+
+  /**
+   * The frames up to the end of the scene, or those of one loop. Null if the rate of the connection is not known.
+   * @returns {import("./buffering.js").Buffer | null}
+   */
+  #buffer() {
+    const { clock, store } = this;
+    const frames = [clock.frame, ...clock.upcoming(MAX_PLANNED, 1)];
+    const missing = frames.map((frame) => store.missingBytes(frame));
+    const rate = store.file.source.rate.bytesPerSecond;
+    return rate === null ? null : { frames, missing, interval: 1 / (clock.fps * clock.speed), rate };
   }
 
   /**
@@ -143,4 +196,18 @@ export class Playback {
  */
 function signature({ rotation, translation, intrinsics, width, height }) {
   return [...rotation, ...translation, (intrinsics[4] / height).toFixed(3), (width / height).toFixed(2)];
+}
+
+/**
+ * Mean compressed size of a frame in bytes, as fetched for one viewer.
+ * @param {import("../scene/scene_file.js").SceneFile} file
+ */
+function meanBytes({ manifest }) {
+  const { sources, neighbours } = manifest;
+  let bytes = 0;
+  for (const [name, [, size]] of manifest.members) {
+    if (!name.startsWith("frames/")) continue;
+    bytes += name.includes("/views/") ? (size * Math.min(neighbours, sources.length)) / sources.length : size;
+  }
+  return Math.max(bytes / manifest.points.length, 1);
 }

@@ -1,4 +1,5 @@
 import { ChangedError, SceneError } from "./errors.js";
+import { LineRate } from "./line_rate.js";
 
 const ATTEMPTS = 3;
 const WHOLE_FILE_LIMIT = 2 ** 30;
@@ -26,6 +27,7 @@ export class ByteSource {
     /** The size of the file in bytes, or null if the server sends no Content-Range. @type {number | null} */
     this.size = null;
     this.bytesReceived = 0;
+    this.rate = new LineRate();
   }
 
   /**
@@ -82,6 +84,7 @@ export class ByteSource {
    */
   async #request(offset, size, signal) {
     const stall = new Stall(this.stallMs, signal);
+    this.rate.begin();
     try {
       const headers = { Range: `bytes=${offset}-${offset + size - 1}` };
       const response = await fetch(this.url, { headers, signal: stall.signal, cache: "no-cache" });
@@ -99,11 +102,22 @@ export class ByteSource {
       this.#checkVersion(response);
       if (response.status === 206) return await this.#collect(response, size, stall);
       stall.release();
-      this.whole ??= new WholeFile(response, this.stallMs, (count) => (this.bytesReceived += count));
+      if (!this.whole) {
+        this.whole = new WholeFile(response, this.stallMs, (count) => this.#receive(count));
+        this.rate.begin();
+        this.whole.end.then(() => this.rate.end());
+      }
       return await this.whole.read(offset, size);
     } finally {
+      this.rate.end();
       stall.release();
     }
+  }
+
+  /** @param {number} count */
+  #receive(count) {
+    this.bytesReceived += count;
+    this.rate.receive(count);
   }
 
   /** @param {Response} response */
@@ -133,7 +147,7 @@ export class ByteSource {
       if (count + chunk.length > expected) throw new Error("the server sends more than it announced");
       bytes.set(chunk, count);
       count += chunk.length;
-      this.bytesReceived += chunk.length;
+      this.#receive(chunk.length);
     }
     if (count < expected) throw new Error("the connection ended early");
     return bytes;
@@ -160,7 +174,8 @@ class WholeFile {
     this.error = null;
     /** @type {Set<() => void>} */
     this.waiting = new Set();
-    this.#receive(response, stallMs, report);
+    /** Resolves when no more data will arrive. */
+    this.end = this.#receive(response, stallMs, report);
   }
 
   /**

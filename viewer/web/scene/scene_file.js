@@ -69,6 +69,14 @@ export class SceneFile {
     return found;
   }
 
+  /**
+   * Compressed size of a member in bytes.
+   * @param {string} name
+   */
+  sizeOf(name) {
+    return this.#range(name).size;
+  }
+
   /** @param {string} name */
   #range(name) {
     const range = this.manifest.members.get(name);
