@@ -5,8 +5,8 @@
 The poses of all cameras, and the centres, radii and textures of the spheres are unknown. The poses, centres and radii
 start with errors, and the textures start grey. Adam minimises the difference between the rendered and the given images
 at several scales. The first steps compare only coarse scales, because the difference of sharp images has many local
-minima. A rotation of a camera turns it around the centre of the scene, so that rotations and translations change the
-images independently.
+minima. The rotation of a camera turns the camera around the centre of the scene, so that rotations and translations
+change the images independently.
 
 The images determine the poses only up to one common rotation, translation and scale. The program removes the common
 rotation before it computes the rotation errors, and the common similarity transformation before it computes the errors

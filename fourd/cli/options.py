@@ -57,7 +57,7 @@ TIER_HELP = (
 )
 MaxMbps = Annotated[
     float | None,
-    option("FLOAT", "no limit", "Choose the best tier that a connection of this many megabits per second can play."),
+    option("FLOAT", "no limit", "Choose the best tier and level for a connection of this many megabits per second."),
 ]
 
 StyleName = Annotated[
