@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import read_text_limited
 
 Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
@@ -153,7 +154,7 @@ def read_board(path: Path) -> CalibrationBoard:
         UserError: if the file is missing or not TOML, or a key is unknown, missing or invalid.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(read_text_limited(path))
     except OSError as error:
         raise UserError(f"{path}: expected a board's TOML file, got '{error.strerror}'; check the path") from error
     except (ValueError, RecursionError) as error:

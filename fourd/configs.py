@@ -21,6 +21,7 @@ import yaml
 
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import MAX_CONFIG_BYTES, read_limited
 
 Config = TypeVar("Config")
 
@@ -115,6 +116,10 @@ class _Place:
         return UserError(f"{self.source}, line {node.start_mark.line + 1}:{label} {message}")
 
 
+MAX_DIGITS = 64
+"""Maximum number of characters of a whole number. Python refuses numbers of more than 4300 digits."""
+
+
 class _Dumper(yaml.SafeDumper):
     """A YAML dumper that writes lists on one line, indents mappings, and writes no anchors."""
 
@@ -131,7 +136,7 @@ def _parse_file(path: Path) -> yaml.Node | None:
     YAML tags cannot create Python objects, because the nodes are not converted to Python objects.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = read_limited(path, MAX_CONFIG_BYTES).decode("utf-8-sig")
     except OSError as error:
         raise UserError(f"{path}: expected a YAML file, got '{error.strerror}'; name a readable file") from error
     except UnicodeDecodeError as error:
@@ -293,7 +298,7 @@ def _scalar(kind: Any, node: yaml.Node, place: _Place) -> Any:
             return text == "true"
         raise place.error(node, f"expected true or false, got {_describe(node)}; write one of them without quotes")
     if kind is int:
-        if plain is not None and _INTEGER.fullmatch(text):
+        if plain is not None and len(text) <= MAX_DIGITS and _INTEGER.fullmatch(text):
             return int(text.replace("_", ""))
         raise place.error(node, f"expected a whole number, got {_describe(node)}; write for example 12")
     if kind is float:

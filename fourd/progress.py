@@ -8,9 +8,12 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import Protocol, TypeVar
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn
+from rich.segment import Segment
 from rich.text import Text
+
+from fourd.limits import printable
 
 Item = TypeVar("Item")
 Log = Callable[[str], None]
@@ -38,6 +41,24 @@ def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
     return items
 
 
+class Terminal(Console):
+    """A console that shows text as it is: without markup, and with escaped control characters.
+
+    Paths, names of cameras and messages of libraries can contain square brackets and sequences that change the
+    terminal.
+    """
+
+    def __init__(self, *, stderr: bool = False, quiet: bool = False) -> None:
+        super().__init__(stderr=stderr, quiet=quiet, markup=False, emoji=False)
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        for segment in super().render(renderable, options):
+            if segment.control is None and not segment.text.isprintable():
+                text = "\n".join(printable(line) for line in segment.text.split("\n"))
+                segment = Segment(text, segment.style)
+            yield segment
+
+
 def console_log(console: Console) -> Log:
     """A logging callback that prints each line unchanged."""
 
@@ -59,7 +80,7 @@ class Tracker:
 
     def _bar(self, items: Iterable[Item], count: int, what: str) -> Iterator[Item]:
         columns = (
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),

@@ -29,7 +29,9 @@ from fourd.capture.frame_rate import DEFAULT_FPS
 MAX_FRAMES = 1_000_000
 MAX_POINTS = 1 << 26
 MAX_VIEWS = 4096
-MAX_PIXELS = 1 << 16
+MAX_SIDE = 1 << 16
+MAX_PIXELS = 1 << 25
+"""Maximum number of pixels of a camera. 8K cameras have 7680 x 4320 pixels, which is less."""
 KINDS: tuple[SceneKind, ...] = ("object", "full")
 
 
@@ -180,13 +182,16 @@ def _views(nodes: list[JsonNode]) -> tuple[tuple[str, ...], tuple[Camera, ...]]:
 
 
 def _camera(node: JsonNode) -> Camera:
+    width, height = node.integer("width", 1, MAX_SIDE), node.integer("height", 1, MAX_SIDE)
+    if width * height > MAX_PIXELS:
+        raise ManifestError(f"{node.where}: expected at most {MAX_PIXELS} pixels, got {width} x {height}")
     try:
         return Camera(
             intrinsics=np.array(node.matrix("intrinsics")),
             rotation=np.array(node.matrix("rotation")),
             translation=np.array(node.numbers("translation", 3)),
-            width=node.integer("width", 1, MAX_PIXELS),
-            height=node.integer("height", 1, MAX_PIXELS),
+            width=width,
+            height=height,
         )
     except ManifestError:
         raise

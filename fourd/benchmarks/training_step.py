@@ -9,10 +9,9 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from rich.console import Console
-
 from fourd.benchmarks.timing import Work
 from fourd.pipeline.make import create_run
+from fourd.progress import Terminal
 from fourd.synth import make_synthetic
 from fourd.training.config import TrainConfig
 from fourd.training.loop import Trainer
@@ -48,7 +47,7 @@ def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
 def _step(run: Run, config: TrainConfig, learning: bool) -> Work:
     """Return a repeatable training step. The learning rates are so small that repeated steps do not change the
     scene."""
-    trainer = Trainer(run, None, Console(quiet=True), config)
+    trainer = Trainer(run, None, Terminal(quiet=True), config)
     sample = trainer.sampler.sample(1)
     points = trainer.frames.get(sample.frame)
     number = 0 if learning else 1

@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.limits import MAX_CALIBRATION_BYTES, read_text_limited
 
 Array = NDArray[np.float64]
 
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
+MAX_DEPTH = 1000
+"""Maximum depth of nested content in a calibration file."""
 MAX_ROTATION_DIFFERENCE = 1e-3
 """Maximum difference between elements of the rotation matrix Rot_c and of the matrix from the Rodrigues vector R_c."""
 
@@ -219,6 +222,27 @@ def _read_rotation(name: str, extri: _Storage) -> Array:
     return rotation
 
 
+def _check_depth(path: Path, text: str) -> None:
+    """Raise UserError for nested content, because OpenCV's parser overflows the stack on deeply nested content.
+
+    Calibration files have lists in lists of at most three levels. The check uses upper bounds of the depth. A closing
+    bracket is not counted if it may be part of a string or a comment. OpenCV also reads JSON and XML, which are refused
+    here.
+    """
+    depth = 0
+    for number, line in enumerate(text.split("\n"), 1):
+        depth += line.count("[") + line.count("{")
+        nested = max(depth, len(line) - len(line.lstrip()), line.count("-"), line.count(":"))
+        if nested > MAX_DEPTH:
+            raise UserError(
+                f"{path}, line {number}: expected matrices and names, got deeply nested content; export the file again"
+            )
+        certain = line if '"' not in line and "'" not in line and "#" not in line else ""
+        depth = max(0, depth - certain.count("]") - certain.count("}"))
+    if not text.startswith("%YAML"):
+        raise ValueError
+
+
 class _Storage:
     """An OpenCV FileStorage that is open for reading. Its error messages contain the file and the key."""
 
@@ -230,10 +254,12 @@ class _Storage:
                 f"(a capture consists of images/CAM/, {INTRINSICS_NAME} and {EXTRINSICS_NAME})"
             )
         try:
-            self._storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+            text = read_text_limited(path, MAX_CALIBRATION_BYTES)
+            _check_depth(path, text)
+            self._storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
             # If a file is truncated within its first key, OpenCV opens it as a string without nodes.
             opened = self._storage.isOpened() and (self._storage.root().isMap() or self._storage.root().empty())
-        except (cv2.error, SystemError):
+        except (cv2.error, SystemError, ValueError):
             opened = False
         if not opened:
             raise UserError(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from fourd.errors import UserError
+from fourd.limits import open_regular
 
 PICTURE_FORMATS = ("JPEG", "PNG")
 """Image formats that Pillow may decode. For some other formats, such as EPS, Pillow starts external programs."""
@@ -21,7 +23,7 @@ def decode_rgb(path: Path) -> NDArray[np.uint8]:
     Raises:
         UserError: if the file is missing, is not a JPEG or PNG, or is truncated.
     """
-    return np.asarray(_open(path, path, "RGB"))
+    return np.asarray(_decode_file(path, "RGB"))
 
 
 def decode_rgb_bytes(content: bytes, name: str) -> NDArray[np.uint8]:
@@ -35,7 +37,7 @@ def decode_matte(path: Path) -> NDArray[np.uint8]:
     If the values have 16 bits, only the upper 8 bits are used. The function raises the same errors as
     :func:`decode_rgb`.
     """
-    return np.asarray(_open(path, path, "L"))
+    return np.asarray(_decode_file(path, "L"))
 
 
 def decode_alpha(path: Path) -> NDArray[np.uint8]:
@@ -44,7 +46,7 @@ def decode_alpha(path: Path) -> NDArray[np.uint8]:
     The function raises the same errors as :func:`decode_rgb`.
     """
     try:
-        with Image.open(path, formats=PICTURE_FORMATS) as image:
+        with open_regular(path) as stream, Image.open(stream, formats=PICTURE_FORMATS) as image:
             return np.array(image.convert("RGBA").getchannel("A"))
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise _damaged(path, error) from error
@@ -53,13 +55,21 @@ def decode_alpha(path: Path) -> NDArray[np.uint8]:
 def picture_size(path: Path) -> tuple[int, int]:
     """Read (width, height) in pixels from an image file's header; raises the same errors as :func:`decode_rgb`."""
     try:
-        with Image.open(path, formats=PICTURE_FORMATS) as image:
+        with open_regular(path) as stream, Image.open(stream, formats=PICTURE_FORMATS) as image:
             return image.size
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise _damaged(path, error) from error
 
 
-def _open(file: Path | io.BytesIO, name: Path | str, mode: str) -> Image.Image:
+def _decode_file(path: Path, mode: str) -> Image.Image:
+    try:
+        with open_regular(path) as stream:
+            return _open(stream, path, mode)
+    except OSError as error:
+        raise _damaged(path, error) from error
+
+
+def _open(file: BinaryIO, name: Path | str, mode: str) -> Image.Image:
     try:
         with Image.open(file, formats=PICTURE_FORMATS) as image:
             image.load()

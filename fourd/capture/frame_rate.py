@@ -9,6 +9,7 @@ from pathlib import Path
 from fourd.capture.layout import camera_folders
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import read_fraction, read_json
 
 NAME = "capture.json"
 VERSION = 1
@@ -58,10 +59,10 @@ def read_rate(capture: Path) -> Fraction | None:
     """
     path = capture / NAME
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         if content["version"] != VERSION:
             raise UserError(f"{path}: expected version {VERSION}, got {content['version']}; update fourd")
-        rate = Fraction(content["fps"])
+        rate = read_fraction(content["fps"])
         if not 0 < rate <= MAX_FPS:
             raise ValueError
     except FileNotFoundError:

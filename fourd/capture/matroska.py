@@ -8,6 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import BinaryIO
 
+from fourd.limits import open_regular
+
 HEADER = b"\x1a\x45\xdf\xa3"
 SEGMENT = b"\x18\x53\x80\x67"
 
@@ -18,7 +20,7 @@ def missing_bytes(path: Path) -> int:
     The result is 0 for complete files, for files in other formats, and for files whose header does not contain
     the size of the file. The header of a live recording that was not finalised does not contain the size.
     """
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         if stream.read(len(HEADER)) != HEADER:
             return 0
         header = _size(stream)

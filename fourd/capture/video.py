@@ -11,13 +11,18 @@ from pathlib import Path
 
 import av
 import numpy as np
+from av.container import InputContainer
 from numpy.typing import NDArray
 
 from fourd.capture.frame_rate import STANDARD_TOLERANCE, standard_rate
 from fourd.capture.matroska import missing_bytes
 from fourd.capture.video_picture import reduced_size, to_rgb, transfer_of, turn_of
 from fourd.errors import UserError
+from fourd.limits import require_regular
 
+CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,h264,hevc"
+"""Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams,
+which a later check refuses with advice."""
 MAX_JITTER = 0.05
 """Maximum deviation of a frame's time from a constant frame rate, in frame intervals.
 
@@ -98,6 +103,19 @@ class VideoIndex:
         return self.keyframes[count - 1] if count else 0
 
 
+def open_container(path: Path) -> InputContainer:
+    """Open a video file.
+
+    Only the container formats of :data:`CONTAINERS` are read, and only from the file itself. Playlists and other
+    formats could make FFmpeg open other files or network addresses.
+
+    Raises:
+        UserError: if the file is a named pipe, a socket or a device. av.FFmpegError, OSError: if it is not a video.
+    """
+    require_regular(path)
+    return av.open(str(path), options={"protocol_whitelist": "file", "format_whitelist": CONTAINERS})
+
+
 def index_video(path: Path) -> VideoIndex:
     """Create a video's index from its packets, and decode the first and the last frame as a check.
 
@@ -108,7 +126,7 @@ def index_video(path: Path) -> VideoIndex:
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy the video again")
     try:
-        with av.open(str(path)) as container:
+        with open_container(path) as container:
             if not container.streams.video:
                 raise UserError(f"{path}: expected a video, got a file without a video stream; remove the file")
             stream = container.streams.video[0]
@@ -240,7 +258,7 @@ class VideoReader:
 
     def _seek(self, frame: int) -> None:
         if self._container is None:
-            self._container = av.open(str(self.path))
+            self._container = open_container(self.path)
             self._container.streams.video[0].thread_type = "AUTO"
         stream = self._container.streams.video[0]
         assert stream.time_base is not None
@@ -256,7 +274,7 @@ def first_frame(path: Path) -> tuple[int, int, int, str]:
         UserError: if no frame can be decoded, or the metadata mirrors the frames or turns them by an angle that is not
             a multiple of 90 degrees.
     """
-    with av.open(str(path)) as container:
+    with open_container(path) as container:
         for frame in container.decode(video=0):
             turn = turn_of(frame)
             if turn is None:

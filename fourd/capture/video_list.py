@@ -20,6 +20,7 @@ from fourd.capture.video import VideoIndex, index_video
 from fourd.capture.video_picture import HLG, PQ
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import read_fraction, read_json
 
 NAME = "videos.json"
 CACHE = DERIVED / NAME
@@ -228,7 +229,7 @@ def read_entries(path: Path) -> dict[str, Entry]:
         UserError: if the file is damaged.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         if content["version"] not in range(1, VERSION + 1):
             raise UserError(f"{path}: expected version {VERSION} or older, got {content['version']}; import again")
         return dict(content["cameras"])
@@ -245,8 +246,8 @@ def read_clock(path: Path) -> Fraction | None:
         UserError: if the file is damaged.
     """
     try:
-        fps = json.loads(path.read_text(encoding="utf-8")).get("fps") if path.exists() else None
-        rate = None if fps is None else Fraction(fps)
+        fps = read_json(path).get("fps") if path.exists() else None
+        rate = None if fps is None else read_fraction(fps)
         if rate is not None and rate <= 0:
             raise ValueError
     except (ValueError, TypeError, AttributeError, ZeroDivisionError) as error:
@@ -256,7 +257,7 @@ def read_clock(path: Path) -> Fraction | None:
 
 def _load_index(values: dict[str, Any]) -> VideoIndex:
     """Create an index from its JSON values. Raises TypeError, KeyError or ValueError for invalid values."""
-    values |= {name: Fraction(values[name]) for name in FRACTIONS if name in values}
+    values |= {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
     values["times"] = tuple(int(ticks) for ticks in values.get("times", ()))
     index = VideoIndex(**values | {"keyframes": tuple(int(number) for number in values["keyframes"])})
     is_turned = index.turn in (0, 90, 180, 270) and index.transfer in ("", HLG, PQ) and 0 < index.scale <= 1

@@ -25,6 +25,7 @@ from fourd.carving.mask_source import MaskSource, frame_masks
 from fourd.errors import UserError
 from fourd.files import remove_unfinished, write_text_atomically
 from fourd.formats.ply import read_ply, write_ply
+from fourd.limits import read_json
 from fourd.parallel import run_jobs, split_into_blocks
 from fourd.progress import Track, untracked
 
@@ -253,7 +254,7 @@ def _save(folder: Path, key: str, settings: CarveSettings, search: Bounds, bound
 
 def _load(path: Path, *, missing_is_empty: bool = False) -> dict[str, Any]:
     try:
-        state = json.loads(path.read_text(encoding="utf-8"))
+        state = read_json(path)
     except FileNotFoundError as error:
         if missing_is_empty:
             return {}

@@ -8,10 +8,10 @@ import select
 import sys
 from collections.abc import Sequence
 
-from rich.console import Console
-
 from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
+from fourd.limits import printable
+from fourd.progress import Terminal
 
 COMMANDS = {
     "make": "runs.make",
@@ -33,6 +33,7 @@ COMMANDS = {
     "serve": "scenes.serve",
     "bench": "scenes.bench",
     "info": "scenes.info",
+    "verify": "scenes.verify",
 }
 """The module of each command, relative to :mod:`fourd.cli`."""
 
@@ -47,8 +48,12 @@ FILE_ERRORS = (
     errno.ENOTDIR,
     errno.EISDIR,
     errno.ENAMETOOLONG,
+    errno.ELOOP,
+    errno.EIO,
 )
 """File system errors that the user can fix."""
+
+LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch", "xatlas")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
@@ -77,6 +82,7 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
   fourd serve SCENE|RUN             show a scene in the web browser
   fourd bench                       time kernels and stages on this machine
   fourd info FILE|DIR               describe a file or folder
+  fourd verify RUN|SCENE|CAPTURE    verify that files are whole and unaltered
 
 fourd COMMAND --help lists the command's options and their units.
 Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be read or written;
@@ -143,25 +149,33 @@ def _report_errors(words: list[str]) -> int:
     try:
         return _run(words[0], words[1:])
     except UserError as error:
-        print(f"fourd {words[0]}: {error}", file=sys.stderr)
-        return 2
+        return _fail(words[0], str(error))
     except ModuleNotFoundError as error:
         package = (error.name or "").split(".")[0]
         if package not in TRAINING_PACKAGES:
             raise
         missing = f"expected the training packages, but {package} is missing; pip install 'fourd[train]'"
-        print(f"fourd {words[0]}: {missing}", file=sys.stderr)
-        return 2
+        return _fail(words[0], missing)
+    except MemoryError as error:
+        asked = f" ({error})" if str(error) else ""
+        return _fail(words[0], f"expected input that fits in memory, got larger input{asked}; {LESS_MEMORY}")
+    except RecursionError:
+        return _fail(words[0], "expected files of moderate depth, got deeply nested content; restore the files")
     except OSError as error:
         if error.errno not in FILE_ERRORS:
             raise
         reason = (error.strerror or "").lower()
         got = f"expected a readable and writable path, got '{reason}'; free disk space or use another folder"
-        print(f"fourd {words[0]}: {error.filename or 'the disk'}: {got}", file=sys.stderr)
-        return 2
+        return _fail(words[0], f"{error.filename or 'the disk'}: {got}")
     except KeyboardInterrupt:
-        Console(stderr=True).print(f"fourd {words[0]}: interrupted; finished results are kept")
+        Terminal(stderr=True).print(f"fourd {words[0]}: interrupted; finished results are kept")
         return 130
+
+
+def _fail(command: str, message: str) -> int:
+    """Print an error as one line and return the exit code 2."""
+    print(f"fourd {printable(command)}: {printable(message)}", file=sys.stderr)
+    return 2
 
 
 def _run(command: str, words: list[str]) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.limits import open_regular
 
 TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1",
@@ -121,7 +122,7 @@ class PlyHeader:
 
 def _read(path: Path, body_bytes: int) -> tuple[PlyHeader, bytes]:
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             return _read_header(path, stream), stream.read(body_bytes)
     except OSError as error:
         raise UserError(f"{path}: expected a readable PLY file, got {error.strerror}; check the path") from error

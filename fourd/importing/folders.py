@@ -14,6 +14,7 @@ from fourd.cameras import Camera
 from fourd.capture.layout import camera_folders, find_pictures, find_videos, sort_frames
 from fourd.errors import UserError
 from fourd.importing.imported import Frames, ImportedCamera, PictureFiles, VideoFile
+from fourd.limits import open_regular, read_limited
 
 Array = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ def list_entries(folder: Path) -> list[str]:
 def read_head(path: Path, count: int) -> bytes:
     """Read up to ``count`` bytes from the start of a file. Returns empty bytes if the file cannot be read."""
     try:
-        with open(path, "rb") as file:
+        with open_regular(path) as file:
             return file.read(count)
     except (OSError, ValueError):
         return b""
@@ -48,7 +49,7 @@ def read_head(path: Path, count: int) -> bytes:
 def read_file(path: Path) -> bytes:
     """Read the content of a file. Raises UserError if the file cannot be read."""
     try:
-        return path.read_bytes()
+        return read_limited(path)
     except OSError as error:
         raise UserError(f"{path}: expected a file, got '{error.strerror}'; copy it again") from error
 

@@ -13,6 +13,7 @@ from fourd.capture.layout import DERIVED
 from fourd.errors import UserError
 from fourd.files import is_unused, write_text_atomically
 from fourd.importing.imported import EncodedPictures, Imported, PictureFiles
+from fourd.limits import read_json
 
 RECORD = DERIVED / "import.json"
 VERSION = 1
@@ -58,7 +59,7 @@ def read_record(out: Path) -> ImportRecord | None:
         got = "a folder with other files" if out.is_dir() else "a file"
         raise UserError(f"{out}: expected a new folder or the folder of an import, got {got}; name another folder")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_json(path)
         if content.pop("version") != VERSION:
             raise ValueError
         return ImportRecord(**content | {"warnings": tuple(content["warnings"])})

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
+from fourd.limits import read_json
 from fourd.matting.selection import Selection
 from fourd.parallel import run_jobs
 from fourd.progress import Track
@@ -109,7 +110,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
     remove_unfinished(folder)
     state = folder.parent / STATE
     try:
-        done = dict(json.loads(state.read_text(encoding="utf-8")))
+        done = dict(read_json(state))
     except (OSError, ValueError, TypeError):
         done = {}
     keys = {name: _camera_key(capture, name, key) for name in capture.names}

@@ -21,6 +21,7 @@ from fourd.capture import Capture
 from fourd.capture.layout import MATTES, parse_frame_range, refuse_symlinks, sample_indices
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
+from fourd.limits import read_json
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
 from fourd.matting.mask_files import find_masks, read_mask
 from fourd.matting.motion.mattes import matting_cameras, refine_background
@@ -146,7 +147,7 @@ def _prepare_folder(folder: Path, key: str, model_key: str) -> None:
     """
     state = folder.parent / STATE
     try:
-        known = dict(json.loads(state.read_text(encoding="utf-8")))
+        known = dict(read_json(state))
     except (OSError, ValueError, TypeError):
         known = {}
     if known.get("model") != model_key:

@@ -17,6 +17,7 @@ from fourd.carving.mask_source import frame_masks
 from fourd.carving.sequence import settings_key
 from fourd.errors import UserError
 from fourd.files import remove_unfinished, write_text_atomically
+from fourd.limits import read_json
 from fourd.mesh.files.animation import write_animation
 from fourd.mesh.files.glb import write_glb
 from fourd.mesh.files.ply import write_mesh_ply
@@ -122,7 +123,7 @@ def _remove_stale(folder: Path, key: str) -> None:
     """If the meshes in ``folder`` were made with another key, remove them. Then store the new key."""
     state = folder / STATE_NAME
     try:
-        known = json.loads(state.read_text(encoding="utf-8"))["key"]
+        known = read_json(state)["key"]
     except (FileNotFoundError, ValueError, KeyError, TypeError):
         known = None
     if known == key:

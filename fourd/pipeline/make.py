@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 from fourd.capture.frame_rate import set_rate
+from fourd.capture.layout import DERIVED
 from fourd.errors import UserError
 from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
 from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings
-from fourd.pipeline.capture_graph import stages_to_capture
+from fourd.pipeline.capture_graph import has_masks, stages_to_capture
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
 from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Runner
@@ -19,6 +21,7 @@ from fourd.pipeline.stages.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.still import still_stage
 from fourd.pipeline.stages.train import start_run
 from fourd.pipeline.still_scenes import stands_still, still_config
+from fourd.processes import locked_folder
 from fourd.training.config import TrainConfig
 from fourd.training.run import Run
 from fourd.training.run_layout import CONFIG_NAME, PREPARATION
@@ -68,6 +71,23 @@ def make_scene(
             ``fourd make``.
     """
     work = _work_folder(out)
+    with locked_folder(work):
+        _run_graph(source, out, train, mattes, context, points_from, lpips_weights, imports, accept_mattes)
+
+
+def _run_graph(
+    source: Path,
+    out: Path,
+    train: TrainConfig,
+    mattes: MatteSettings,
+    context: Context,
+    points_from: Path | None,
+    lpips_weights: Path | None,
+    imports: ImportOptions | None,
+    accept_mattes: bool,
+) -> None:
+    """Run the stages of :func:`make_scene` in the locked folder for intermediate results."""
+    work = _work_folder(out)
     options = imports or ImportOptions()
     to_capture = stages_to_capture(source, work / CAPTURE, options)
     work.mkdir(parents=True, exist_ok=True)
@@ -88,7 +108,9 @@ def make_scene(
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
     request = RunRequest(capture, work / RUN, train, points_from, lpips_weights, is_still, accept_mattes)
-    runner.run(stages_to_scene(request, mattes, out))
+    # A capture with masks may be on a read-only disk, so its folder .fourd/ is locked only if mattes are made.
+    with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
+        runner.run(stages_to_scene(request, mattes, out))
 
 
 def _work_folder(out: Path) -> Path:

@@ -11,6 +11,7 @@ import av
 
 from fourd.capture.decoding import picture_size
 from fourd.capture.layout import parse_frame_range
+from fourd.capture.video import open_container
 from fourd.errors import UserError
 from fourd.importing.detection import pick_format
 from fourd.importing.imported import EncodedPictures, Frames, Imported, PictureFiles, VideoFile
@@ -132,7 +133,7 @@ def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:
         return frames.count, (0, 0)
     assert isinstance(frames, VideoFile)
     try:
-        with av.open(str(frames.path)) as container:
+        with open_container(frames.path) as container:
             stream = container.streams.video[0]
             seconds = (stream.duration or 0) * (stream.time_base or 0)
             return stream.frames or round(seconds * (stream.average_rate or 0)) or None, (stream.width, stream.height)

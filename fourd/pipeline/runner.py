@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from fourd.files import write_text_atomically
+from fourd.limits import read_json
 from fourd.pipeline.stage import Context, Stage
 
 AnyStage = Stage[Any, Any]
@@ -91,7 +92,7 @@ def _read_record(record: Path | None) -> dict[str, str]:
     if record is None:
         return {}
     try:
-        content = json.loads(record.read_text(encoding="utf-8"))
+        content = read_json(record)
     except (FileNotFoundError, ValueError):
         return {}
     return {str(name): str(key) for name, key in content.items()} if isinstance(content, dict) else {}

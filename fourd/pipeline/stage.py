@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rich.console import Console
 
-from fourd.progress import Log, Track, Tracker, console_log
+from fourd.progress import Log, Terminal, Track, Tracker, console_log
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -36,7 +36,7 @@ class Context:
         workers: number of processes that the work may use.
     """
 
-    console: Console = field(default_factory=lambda: Console(quiet=True))
+    console: Console = field(default_factory=lambda: Terminal(quiet=True))
     workers: int = 1
 
     @property

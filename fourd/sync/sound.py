@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
+from fourd.capture.video import open_container
 from fourd.errors import UserError
 from fourd.sync.pairs import camera_confidence, solve_offsets
 
@@ -104,7 +105,7 @@ def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
     blocks: list[Samples] = []
     start, count = None, 0
     try:
-        with av.open(str(path)) as container:
+        with open_container(path) as container:
             if not container.streams.audio:
                 return None
             resampler = av.AudioResampler(format="flt", layout="mono", rate=RATE)

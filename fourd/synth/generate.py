@@ -13,7 +13,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from fourd.cameras import Camera, look_at
@@ -21,6 +20,8 @@ from fourd.capture.calibration import write_calibration
 from fourd.capture.frame_rate import DEFAULT_FPS, check_rate, standard_rate, write_rate
 from fourd.errors import UserError
 from fourd.files import write_bytes_atomically, write_text_atomically
+from fourd.limits import read_json
+from fourd.progress import Terminal
 from fourd.synth.figure import Figure, make_figure, pose_figure
 from fourd.synth.render import RenderedFigure, projected_extent, render_figure, render_plate
 
@@ -134,7 +135,7 @@ def is_finished(out: Path | str, settings: SynthSettings) -> bool:
 def _read_settings(out: Path) -> dict[str, object] | None:
     """Read the content of synth.json. Returns None if the file is missing or invalid."""
     try:
-        content = json.loads((out / SETTINGS_NAME).read_text(encoding="utf-8"))
+        content = read_json(out / SETTINGS_NAME)
     except (OSError, ValueError):
         return None
     return content if isinstance(content, dict) and "version" in content else None
@@ -229,5 +230,5 @@ def _progress() -> Progress:
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
-        console=Console(stderr=True),
+        console=Terminal(stderr=True),
     )

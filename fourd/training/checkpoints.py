@@ -4,6 +4,7 @@ executes no code."""
 from __future__ import annotations
 
 import errno
+import hashlib
 import json
 import zlib
 from collections.abc import Mapping
@@ -17,12 +18,14 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from fourd.errors import UserError
-from fourd.files import atomic_path
-from fourd.training.run_layout import checkpoint_files
+from fourd.files import UNFINISHED, atomic_path
+from fourd.limits import open_regular, require_regular
+from fourd.training.run_layout import checkpoint_files, points_folder
 
 FORMAT = "fourd-checkpoint-1"
 KEPT = 2
 """Number of checkpoints that are kept on disk."""
+DIGEST_BYTES = 16
 MAX_SHOWN_MISMATCHES = 3
 
 
@@ -40,6 +43,9 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         tensors: name -> dense tensor, stored bit for bit.
         state: data for JSON, which is stored in the file's header. Floats are stored exactly.
 
+    The file also contains the digests (BLAKE2b) of all points files of this step, which must be written before, and a
+    digest of its own contents.
+
     Returns:
         The file's path.
 
@@ -49,14 +55,11 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         ValueError: the argument ``state`` is not JSON data, for example because it contains NaN.
     """
     plain = {name: value.detach().cpu().contiguous() for name, value in tensors.items()}
-    header = {
-        "format": FORMAT,
-        "step": str(step),
-        "state": json.dumps(dict(state), allow_nan=False),
-        "crc32": str(_checksum(plain)),
-    }
     path = checkpoint_path(folder, step)
+    header = {"format": FORMAT, "step": str(step), "state": json.dumps(dict(state), allow_nan=False)}
     try:
+        header["points"] = json.dumps(_points_digests(points_folder(path)))
+        header["digest"] = _digest(header, plain)
         with atomic_path(path) as temporary:
             save_file(plain, temporary, metadata=header)
     except (OSError, SafetensorError) as error:
@@ -66,7 +69,7 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
 
 def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
-    """The newest intact checkpoint in ``folder``. Each candidate checkpoint is loaded to verify it.
+    """The newest intact checkpoint in ``folder``. Each candidate is verified with all its points.
 
     Returns:
         (path, note). path is None if the folder is missing or contains no intact checkpoint. note is one line about
@@ -76,7 +79,7 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
     found = None
     for path in reversed(checkpoint_files(folder)):
         try:
-            load_checkpoint(path)
+            verify_checkpoint(path)
         except UserError as error:
             damaged.append(str(error).split(";")[0])
             continue
@@ -93,7 +96,43 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
 
     Raises UserError if the file is missing, truncated, altered, or not a checkpoint.
     """
+    header, tensors = _read(path)
     try:
+        return int(header["step"]), tensors, json.loads(header["state"])
+    except (KeyError, ValueError, RecursionError) as error:
+        raise _altered(path) from error
+
+
+def verify_checkpoint(path: Path) -> int:
+    """Verify a checkpoint with the points of all frames, and return the number of verified files.
+
+    Runs of older versions of fourd have no digests of points. Only the checkpoint file of these runs is verified.
+
+    Raises UserError if a file is missing, truncated or altered. The message names the file.
+    """
+    header, _ = _read(path)
+    if "points" not in header:
+        return 1
+    try:
+        known = dict(json.loads(header["points"]))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise _altered(path) from error
+    folder = points_folder(path)
+    found = _points_digests(folder)
+    for name, digest in known.items():
+        if found.get(name) != digest:
+            got = "an altered or truncated file" if name in found else "no such file"
+            raise UserError(
+                f"{folder / name}: expected the points of checkpoint {path.name}, got {got}; "
+                "delete that checkpoint to resume from the previous one"
+            )
+    return 1 + len(known)
+
+
+def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
+    """Read and verify the header and the tensors of a checkpoint file."""
+    try:
+        require_regular(path)
         with safe_open(path, framework="pt") as stream:
             header = stream.metadata() or {}
             # The object that safe_open returns cannot be iterated over directly.
@@ -108,12 +147,13 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
             f"{path}: expected a checkpoint of format {FORMAT}, got a safetensors file of another format; "
             f"use a checkpoint written by fourd train"
         )
-    if header.get("crc32") != str(_checksum(tensors)):
-        raise UserError(
-            f"{path}: expected unaltered contents, got contents with another checksum; "
-            f"delete the file to resume from the previous checkpoint"
-        )
-    return int(header["step"]), tensors, json.loads(header["state"])
+    if "digest" in header:
+        is_intact = header["digest"] == _digest(header, tensors)
+    else:  # the file was written by an older version of fourd
+        is_intact = header.get("crc32") == str(_checksum(tensors))
+    if not is_intact:
+        raise _altered(path)
+    return header, tensors
 
 
 def restore(module: nn.Module, tensors: Mapping[str, Tensor], prefix: str, source: Path | str) -> None:
@@ -244,9 +284,42 @@ def _cannot_write(folder: Path, error: Exception) -> UserError:
     return UserError(f"{folder}: expected free disk space for a checkpoint, got {got}; {kept}; {fix} and add --resume")
 
 
+def _altered(path: Path) -> UserError:
+    return UserError(
+        f"{path}: expected unaltered contents, got contents with another checksum; "
+        f"delete the file to resume from the previous checkpoint"
+    )
+
+
+def _points_digests(folder: Path) -> dict[str, str]:
+    """Digests of the points files in ``folder`` by file name. A missing folder has no files."""
+    digests = {}
+    for path in sorted(folder.glob("*.safetensors")):
+        if not path.name.startswith(UNFINISHED):
+            with open_regular(path) as stream:
+                digests[path.name] = hashlib.file_digest(stream, _new_hash).hexdigest()
+    return digests
+
+
+def _digest(header: Mapping[str, str], tensors: Mapping[str, Tensor]) -> str:
+    """Digest of the header, and of the tensors with their names, dtypes and shapes."""
+    digest = _new_hash()
+    for name in ("format", "step", "state", "points"):
+        digest.update(json.dumps([name, header.get(name)]).encode())
+    for name in sorted(tensors):
+        tensor = tensors[name]
+        digest.update(json.dumps([name, str(tensor.dtype), list(tensor.shape)]).encode())
+        if tensor.numel() > 0:
+            digest.update(tensor.reshape(-1).view(torch.uint8).numpy().data)
+    return digest.hexdigest()
+
+
+def _new_hash() -> hashlib.blake2b:
+    return hashlib.blake2b(digest_size=DIGEST_BYTES)
+
+
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """CRC-32 of the tensors' names and bytes. The checksum detects altered files. safetensors itself detects only
-    truncated files."""
+    """CRC-32 of the tensors' names and bytes, which checkpoints of older versions of fourd contain."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)

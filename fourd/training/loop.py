@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,7 @@ from safetensors.torch import save_file
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.processes import DeferredInterrupt
 from fourd.training.cameras.calibration import write_corrected
 from fourd.training.checkpoints import (
     checkpoint_path,
@@ -33,7 +35,8 @@ from fourd.training.evaluation.scores import score_view
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.memory import HeapTrimmer, retain_freed_memory
 from fourd.training.metrics_log import MetricsLog
-from fourd.training.run import Run, drop_stale_points, points_folder
+from fourd.training.run import Run, drop_stale_points
+from fourd.training.run_layout import VALIDATION, points_folder
 from fourd.training.scenes.build import build_scene
 from fourd.training.schedule import StepSampler, budget_spent, rate_factor
 from fourd.training.step import Stepper
@@ -73,7 +76,11 @@ class Trainer:
         self.config = budget
         self.console = console
         model = run.new_model()
-        background = run.background(_newest_points(run))
+        found, note = latest_checkpoint(run.checkpoints)
+        if note:
+            console.print(note, style="yellow")
+        saved = None if found is None else points_folder(found)
+        background = run.background(saved)
         self.scene = build_scene(budget, model, run.view_store(), background)
         self.refinement = run.new_refinement()
         self.stepper = Stepper(self.scene, budget, lpips, self.refinement)
@@ -81,35 +88,37 @@ class Trainer:
         self.done = 0
         self.seconds = 0.0
         self.psnr = 0.0
-        saved = self._restore()
+        if found is not None:
+            self._restore(found)
         drop_stale_points(run.checkpoints)
         self.frames = run.frame_store(saved)
         self.renderer = ModelRenderer(self.scene, run.training, run.focus, run.config.train.pixel_filter)
         self._saved_step = self.done if saved is not None else -1
 
     def train(self) -> TrainSummary:
-        """Train until the budget is spent. Ctrl-C saves a checkpoint from which the run can be resumed."""
+        """Train until the budget is spent.
+
+        Ctrl-C is handled after the training step, so that the saved checkpoint is that of a whole step. A second Ctrl-C
+        ends the training at once, without a new checkpoint.
+        """
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done)
         try:
-            with self._progress() as progress:
+            with self._progress() as progress, DeferredInterrupt() as interrupt:
                 task = progress.add_task("train", total=1.0, note="")
-                self._loop(log, lambda note: progress.update(task, completed=self._spent(), note=note))
+                show = partial(progress.update, task)
+                self._loop(log, lambda note: show(completed=self._spent(), note=note), interrupt)
         finally:
             log.close()
         self._checkpoint()
         return TrainSummary(self.done, self.seconds, self.psnr)
 
-    def _loop(self, log: MetricsLog, show: Callable[[str], None]) -> None:
+    def _loop(self, log: MetricsLog, show: Callable[[str], None], interrupt: DeferredInterrupt) -> None:
         trimmer = HeapTrimmer(self.scene.resident_bytes)
         last_save, last_validation = self.seconds, self.seconds
         while self._spent() < 1.0:
             started = time.monotonic()
-            try:
-                self._step(log)
-            except KeyboardInterrupt:
-                self._checkpoint()
-                raise
+            self._step(log)
             trimmer.after_step()
             self.seconds += time.monotonic() - started
             show(f"step {self.done}  {self.psnr:.2f} dB")
@@ -121,6 +130,9 @@ class Trainer:
                 trimmer.trim()
                 self._validate(log)
                 last_validation = self.seconds
+            if interrupt.is_pending:
+                self._checkpoint()
+                raise KeyboardInterrupt
 
     def _step(self, log: MetricsLog) -> None:
         sample = self.sampler.sample(self.done)
@@ -161,7 +173,7 @@ class Trainer:
             pair = (np.concatenate([truth, rendered.rgb], axis=1) * 255 + 0.5).astype(np.uint8)
         log.scalars(self.done, {"validation/psnr": float(np.mean(values)), "seconds": self.seconds})
         log.image(self.done, "validation", pair)
-        path = self.run.folder / "validation" / f"{self.done:07d}.png"
+        path = self.run.folder / VALIDATION / f"{self.done:07d}.png"
         with atomic_path(path) as temporary:
             cv2.imwrite(str(temporary), cv2.cvtColor(pair, cv2.COLOR_RGB2BGR))
 
@@ -198,13 +210,8 @@ class Trainer:
                 f"the previous checkpoint is intact: free some space and add --resume"
             ) from error
 
-    def _restore(self) -> Path | None:
-        """Load the newest checkpoint and return the folder of its points, or None if there is no checkpoint."""
-        found, note = latest_checkpoint(self.run.checkpoints)
-        if note:
-            self.console.print(note, style="yellow")
-        if found is None:
-            return None
+    def _restore(self, found: Path) -> None:
+        """Load the models, the optimizer and the state from the checkpoint ``found``."""
         self.done, tensors, state = load_checkpoint(found)
         for prefix, model in self.scene.models.items():
             restore(model, tensors, f"{prefix}.", found)
@@ -214,7 +221,6 @@ class Trainer:
         unpack_optimizer(self.stepper.optimizer, tensors, "optimizer.", found)
         self.seconds = float(state["seconds"])
         self.psnr = float(state["psnr"])
-        return points_folder(found)
 
     def _spent(self) -> float:
         return budget_spent(self.config, self.done, self.seconds)
@@ -233,8 +239,3 @@ class Trainer:
             TimeRemainingColumn(),
             console=self.console,
         )
-
-
-def _newest_points(run: Run) -> Path | None:
-    found, _ = latest_checkpoint(run.checkpoints)
-    return None if found is None else points_folder(found)

@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import load_file
 
 from fourd.background.contraction import Contraction
 from fourd.background.plates import PlateView, read_plates
 from fourd.capture import Capture
 from fourd.configs import load_overlay
 from fourd.errors import UserError
+from fourd.files import remove_unfinished
 from fourd.formats.ply import read_ply
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
@@ -35,9 +35,20 @@ from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, resto
 from fourd.training.config import TrainConfig
 from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.points.frame_points import FramePoints
-from fourd.training.points.frame_store import FrameStore
+from fourd.training.points.frame_store import FrameStore, load_points
 from fourd.training.points.scratch import Scratch
-from fourd.training.run_layout import BACKGROUND, CHECKPOINTS, CONFIG_NAME, HULL, PLATES, POINTS, SCRATCH
+from fourd.training.run_layout import (
+    BACKGROUND,
+    CHECKPOINTS,
+    CONFIG_NAME,
+    HULL,
+    PLATES,
+    POINTS,
+    PREPARATION,
+    SCRATCH,
+    VALIDATION,
+    points_folder,
+)
 from fourd.training.scenes.build import build_scene
 from fourd.training.views import ViewStore
 
@@ -137,7 +148,7 @@ class Run:
             scene = self.config.scene
             background.model.shadow = ShadowField(np.asarray(scene.lower), np.asarray(scene.upper), scene.frame_count)
         if saved is not None:
-            background.points = FramePoints.from_tensors(load_file(saved / f"{BACKGROUND}.safetensors"))
+            background.points = FramePoints.from_tensors(load_points(saved / f"{BACKGROUND}.safetensors"))
         return background
 
     def view_store(self) -> ViewStore:
@@ -234,9 +245,14 @@ def read_run_plates(
     return read_plates(capture, training, log, made=made if made.exists() else None)
 
 
-def points_folder(checkpoint: Path) -> Path:
-    """Path of the folder that contains the points of a checkpoint."""
-    return checkpoint.with_suffix(".points")
+def remove_leftovers(folder: Path) -> None:
+    """Remove the files that killed processes left unfinished in a run. Call this function only with the run's lock.
+
+    Scratch folders are not changed, because they belong to single processes; see :class:`Scratch`.
+    """
+    remove_unfinished(folder)
+    for name in (*PREPARATION, CHECKPOINTS, VALIDATION):
+        remove_unfinished(folder / name, deep=True)
 
 
 def drop_stale_points(checkpoints: Path) -> None:

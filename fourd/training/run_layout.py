@@ -20,6 +20,7 @@ START = "start"
 """Subfolder of ``calibration/`` with the cameras with which training starts."""
 CHECKPOINTS = "checkpoints"
 SCRATCH = "scratch"
+VALIDATION = "validation"
 PREPARATION = (HULL, BACKGROUND, CALIBRATION)
 """Folders that are written before training. These folders may exist before ``config.yaml``, the file that marks a
 folder as a run."""
@@ -30,6 +31,11 @@ def checkpoint_files(folder: Path) -> list[Path]:
     with a dot, are not included."""
     named = [path for path in folder.glob("*.safetensors") if path.stem.isdecimal()]
     return sorted(named, key=lambda path: int(path.stem))
+
+
+def points_folder(checkpoint: Path) -> Path:
+    """Path of the folder that contains the points of a checkpoint."""
+    return checkpoint.with_suffix(".points")
 
 
 def newest_checkpoint(run: Path) -> str:

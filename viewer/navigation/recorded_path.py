@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import read_json
 from fourd.viewer.navigation.pose import Pose
 from fourd.viewer.navigation.saved_views import pose_from_json, pose_to_json
 
@@ -71,7 +72,7 @@ def load_recorded_path(path: Path) -> RecordedPath:
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError(f"expected at most {_MAX_BYTES} bytes")
-        content = json.loads(path.read_text("utf-8"))
+        content = read_json(path, _MAX_BYTES)
         if not isinstance(content, dict) or content.get("format") != FORMAT:
             raise ValueError(f'expected "format": "{FORMAT}"')
         if content.get("version") != VERSION:

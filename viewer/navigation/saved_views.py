@@ -11,6 +11,7 @@ import numpy as np
 import platformdirs
 
 from fourd.files import write_text_atomically
+from fourd.limits import read_json
 from fourd.viewer.navigation.pose import Pose
 
 _MAX_SCENES = 200
@@ -82,7 +83,7 @@ class SavedViews:
 
     def _read(self) -> dict[str, Any]:
         try:
-            content = json.loads(self._file.read_text("utf-8"))
+            content = read_json(self._file)
         except (OSError, ValueError, RecursionError):
             return {}
         return content if isinstance(content, dict) else {}

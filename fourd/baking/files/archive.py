@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fourd.errors import UserError
+from fourd.limits import require_regular
 
 _TIMESTAMP = (1980, 1, 1, 0, 0, 0)
 _ENCRYPTED = 0x1
@@ -44,6 +45,7 @@ def open_zip(path: Path) -> zipfile.ZipFile:
     if path.is_dir():
         raise UserError(f"{path}: expected a .4dv file, got a folder; name the file that fourd export wrote")
     try:
+        require_regular(path)
         return zipfile.ZipFile(path)
     except FileNotFoundError as error:
         raise UserError(f"{path}: expected a .4dv file, got a path that does not exist; check the path") from error
@@ -79,6 +81,16 @@ def check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
     if total > size:
         raise damaged(path, f"members of at most {size} bytes, the file's size", f"{total}")
     return members
+
+
+def find_damaged_member(path: Path) -> str | None:
+    """Return the name of the first member whose bytes do not match their CRC-32, or None. Raises UserError."""
+    with open_zip(path) as archive:
+        check_members(path, archive)
+        try:
+            return archive.testzip()
+        except ZIP_ERRORS as error:
+            raise damaged(path, "a complete archive", f"an error ({error})") from error
 
 
 def damaged(path: Path, expected: str, got: str) -> UserError:

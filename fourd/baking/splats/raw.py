@@ -9,6 +9,7 @@ import numpy as np
 from fourd.baking.splats.cloud import SplatCloud, make_valid_cloud
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.limits import read_limited
 from fourd.ops.shade.harmonics import SH_CONSTANT
 
 ROW = np.dtype([("xyz", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
@@ -45,7 +46,7 @@ def read_splat(path: Path) -> SplatCloud:
         UserError: if the file cannot be read, or its size is not a multiple of 32 bytes.
     """
     count = count_splats(path)
-    rows = np.frombuffer(path.read_bytes(), ROW, count=count)
+    rows = np.frombuffer(read_limited(path, count * ROW.itemsize), ROW, count=count)
     rgba = np.asarray(rows["rgba"] / 255, np.float32)
     return make_valid_cloud(
         rows["xyz"].astype(np.float32),

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.text import Text
 
 from fourd.board_calibration.calibrate import CalibrationSettings, calibrate_rig
@@ -15,7 +14,7 @@ from fourd.board_calibration.printing import print_board
 from fourd.boards import read_board
 from fourd.cli.options import Frames, option, parse_offsets
 from fourd.errors import UserError
-from fourd.progress import Tracker
+from fourd.progress import Terminal, Tracker
 
 VIDEOS_HELP = (
     "Folder with one video per camera, or one folder of images per camera. "
@@ -65,7 +64,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Calibrate the rig, or print the board."""
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     board = read_board(arguments.board)
     if arguments.print_board is not None:
         _check_unused("--print-board", arguments.videos, arguments.out)
@@ -94,7 +93,7 @@ def run(arguments: Arguments) -> None:
     )
     calibrate_rig(arguments.videos, arguments.out, settings, log=log, warn=warn, track=Tracker(console).track)
     text = f"next: fourd import VIDEOS CAPTURE --calibration {arguments.out}"
-    Console().print(Text(f"{arguments.out}: written; {text}"), soft_wrap=True)
+    Terminal().print(Text(f"{arguments.out}: written; {text}"), soft_wrap=True)
 
 
 def _check_unused(option_name: str, *values: Path | None) -> None:

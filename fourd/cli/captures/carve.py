@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.carving import read_bounds
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, check_hull_shares, describe, option, worker_count
@@ -15,6 +14,8 @@ from fourd.errors import UserError
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.carve import CarveStageSettings, carve_stage
+from fourd.processes import locked_folder
+from fourd.progress import Terminal
 from fourd.training.cameras.selection import DataSelection
 
 FOLDER = Path(".fourd") / "hulls"
@@ -77,8 +78,9 @@ def run(arguments: Arguments) -> None:
         arguments.seed,
         arguments.accept_mattes,
     )
-    console = Console(stderr=True)
-    Runner(Context(console, worker_count(arguments.workers))).run([carve_stage(capture, folder, settings)])
+    console = Terminal(stderr=True)
+    with locked_folder(folder):
+        Runner(Context(console, worker_count(arguments.workers))).run([carve_stage(capture, folder, settings)])
     bounds = read_bounds(folder)
     lower, upper = (", ".join(f"{value:.4g}" for value in corner) for corner in (bounds.lower, bounds.upper))
     console.print(

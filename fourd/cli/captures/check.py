@@ -6,7 +6,6 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
@@ -18,7 +17,7 @@ from fourd.carving.matte_quality import MatteQuality, measure_mattes
 from fourd.cli.options import CapturePath
 from fourd.errors import UserError
 from fourd.matting.contours import find_foreign_mattes
-from fourd.progress import Tracker
+from fourd.progress import Terminal, Tracker
 from fourd.sync.lateness import find_late_cameras
 
 MOST_LINES = 20
@@ -41,14 +40,14 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Check the capture and print the report. Raises UserError for the first problem."""
-    console = Console()
-    report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Console(stderr=True)).track)
+    console = Terminal()
+    report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Terminal(stderr=True)).track)
     agreement = quality = None
     found: list[str] = []
     if not (arguments.quick or report.problems):
         try:
             agreement = _agreement(arguments.capture)
-            track = Tracker(Console(stderr=True)).track
+            track = Tracker(Terminal(stderr=True)).track
             found += find_late_cameras(arguments.capture, track)
             found += find_foreign_mattes(arguments.capture, track)
             quality = _quality(arguments.capture) if report.has_masks else None
@@ -69,11 +68,11 @@ def run(arguments: Arguments) -> None:
 
 
 def _agreement(path: Path) -> Agreement:
-    return check_agreement(path, Tracker(Console(stderr=True)).track)
+    return check_agreement(path, Tracker(Terminal(stderr=True)).track)
 
 
 def _quality(path: Path) -> MatteQuality | None:
-    return measure_mattes(open_capture(path), max_frames=MEASURED_FRAMES, track=Tracker(Console(stderr=True)).track)
+    return measure_mattes(open_capture(path), max_frames=MEASURED_FRAMES, track=Tracker(Terminal(stderr=True)).track)
 
 
 def _facts(path: Path, report: Report, agreement: Agreement | None, quality: MatteQuality | None) -> Table:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from fourd.cameras import estimate_up
@@ -16,7 +15,7 @@ from fourd.capture.layout import refuse_symlinks
 from fourd.cli.options import CapturePath, HullAgreement, HullLeastViews, Views, option, split_names
 from fourd.errors import UserError
 from fourd.files import remove_unfinished_file
-from fourd.progress import Tracker
+from fourd.progress import Terminal, Tracker
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.triangle_fitting.export import check_format, write_mesh
 from fourd.triangle_fitting.frame import FittedFrame, fit_frame
@@ -74,14 +73,14 @@ def run(arguments: Arguments) -> None:
     )
     views = open_run_views(arguments.capture, selection)
     refuse_symlinks(arguments.capture, arguments.out.parent)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     fitted = fit_frame(views, settings, Tracker(console).track)
     remove_unfinished_file(arguments.out)
     write_mesh(arguments.out, fitted.mesh, estimate_up(views.capture.cameras))
     count = len(fitted.mesh.triangles)
     console.print(f"{arguments.out}: {count:,} triangles after {fitted.steps:,} steps", soft_wrap=True, markup=False)
     if fitted.opaque is not None:
-        Console().print(_table(arguments, fitted))
+        Terminal().print(_table(arguments, fitted))
     if fitted.is_interrupted:
         raise KeyboardInterrupt
 

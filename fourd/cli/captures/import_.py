@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.text import Text
 
 from fourd.calibration.ambiguities import PrincipalPointMode
@@ -23,7 +22,8 @@ from fourd.importing.frame_geometry import CalibratedFrames
 from fourd.importing.given_calibration import VIDEOS_FORMAT
 from fourd.importing.importer import ImportOptions, import_source
 from fourd.importing.time_offsets import SoundPosition, SyncMethod
-from fourd.progress import Tracker
+from fourd.processes import locked_folder
+from fourd.progress import Terminal, Tracker
 
 WORDS_HELP = (
     f"FORMAT: {', '.join(each.name for each in FORMATS)}; detected if omitted. "
@@ -125,7 +125,7 @@ def run(arguments: Arguments) -> None:
     if len(arguments.words) not in (2, 3):
         raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} arguments; see fourd import --help")
     *name, source, out = arguments.words
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
 
     def log(line: str) -> None:
         console.print(Text(line), soft_wrap=True)
@@ -138,8 +138,9 @@ def run(arguments: Arguments) -> None:
     given = None if arguments.calibration is None else VIDEOS_FORMAT
     picked = pick_format(name[0] if name else given, Path(source))
     log(f"{picked.name}: {picked.summary}")
-    import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
-    Console().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
+    with locked_folder(Path(out)):
+        import_source(picked, Path(source), Path(out), options, log=log, warn=warn, track=Tracker(console).track)
+    Terminal().print(Text("Imported", "green"), f"next: fourd check {out}", sep="; ", soft_wrap=True)
 
 
 def _options(arguments: Arguments) -> ImportOptions:

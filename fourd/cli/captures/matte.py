@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
-from fourd.capture.layout import MATTES
+from fourd.capture.layout import DERIVED, MATTES, refuse_symlinks
 from fourd.cli.options import CapturePath, SelectionOptions, Workers, describe, option, worker_count
 from fourd.errors import UserError
 from fourd.matting.motion.paint import parse_paint
@@ -19,6 +18,8 @@ from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mattes import MatteStageSettings
+from fourd.processes import locked_folder
+from fourd.progress import Terminal
 
 
 @dataclass(frozen=True)
@@ -84,13 +85,15 @@ def run(arguments: Arguments) -> None:
     """Make missing mattes and plates, and print their paths."""
     capture, selection = arguments.capture, arguments.selection
     settings = MatteStageSettings(selection.names, selection.frames, arguments.mattes.settings(arguments.seed))
-    context = Context(Console(stderr=True), worker_count(arguments.workers))
+    context = Context(Terminal(stderr=True), worker_count(arguments.workers))
     masks = has_masks(capture)
     if masks and arguments.mattes.paint:
         raise UserError(
             f"--paint: expected a capture without {MASKS}/, got {capture / MASKS}; edit these masks instead"
         )
-    Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
+    refuse_symlinks(capture, capture / DERIVED)
+    with locked_folder(capture / DERIVED):
+        Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
     lines = [
         f"{capture / MASKS}: the capture has masks, so no mattes were made"
         if masks
@@ -99,4 +102,4 @@ def run(arguments: Arguments) -> None:
     if arguments.plates:
         lines.append(f"{capture / PLATES}: clean plates, transparent at pixels where no frame shows the background")
     for line in lines:
-        Console().print(line, soft_wrap=True)
+        Terminal().print(line, soft_wrap=True)

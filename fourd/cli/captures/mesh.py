@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 from rich.table import Table
 
 from fourd.cli.options import (
@@ -26,6 +25,8 @@ from fourd.mesh.surface.remeshing import remeshing_is_available
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.mesh import MeshFiles, MeshStageSettings, mesh_stage, read_scores
+from fourd.processes import locked_folder
+from fourd.progress import Terminal
 from fourd.training.cameras.selection import DataSelection
 from fourd.training.run import open_run
 from fourd.training.run_layout import CONFIG_NAME
@@ -70,9 +71,10 @@ def run(arguments: Arguments) -> None:
     """Make the meshes and print the scores of held-out views."""
     settings = _settings(arguments)
     capture, selection, adjusted = _source(arguments)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     files = MeshFiles(capture, arguments.out, adjusted)
-    Runner(Context(console)).run([mesh_stage(files, MeshStageSettings(selection, settings))])
+    with locked_folder(arguments.out):
+        Runner(Context(console)).run([mesh_stage(files, MeshStageSettings(selection, settings))])
     written = sorted(path.name for path in arguments.out.glob(f"*.{settings.format}"))
     console.print(f"{arguments.out}: {', '.join(written[:2])} ... {len(written)} files", soft_wrap=True, markup=False)
     scores = read_scores(arguments.out) if selection.test_views and settings.format == "glb" else None
@@ -81,7 +83,7 @@ def run(arguments: Arguments) -> None:
         for column in ("silhouette IoU", "PSNR dB inside the matte's box"):
             table.add_column(column, justify="right")
         table.add_row(f"{scores.iou:.4f}", "null" if scores.psnr is None else f"{scores.psnr:.2f}")
-        Console().print(table)
+        Terminal().print(table)
 
 
 def _settings(arguments: Arguments) -> MeshSettings:

@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.cli.options import option
 from fourd.errors import UserError
-from fourd.progress import Tracker
+from fourd.progress import Terminal, Tracker
 from fourd.synth import SynthSettings, is_finished, make_synthetic
 from fourd.synth.board_videos import BoardSettings, make_board_videos
 
@@ -44,7 +43,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Make the capture, unless a finished capture with the same options exists."""
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     defaults = BoardSettings(seed=arguments.seed) if arguments.board else SynthSettings(seed=arguments.seed)
     frames = defaults.frames if arguments.frames is None else _frame_count(arguments.frames)
     cameras = defaults.cameras if arguments.cameras is None else arguments.cameras

@@ -18,6 +18,7 @@ from fourd.capture.decoding import decode_rgb
 from fourd.cli.options import LpipsWeights, RunPath, option, split_names
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.progress import Terminal
 from fourd.training.evaluation.camera_fitting import FittedView, fit_test_camera
 from fourd.training.evaluation.metrics import psnr
 from fourd.training.evaluation.render import RenderedView
@@ -56,7 +57,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Render every held-out image, compare it with the captured image, and print the mean scores."""
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     trained = load_run(arguments.run)
     indices = _evaluated_views(trained, arguments.views)
     lpips = load_lpips(arguments.lpips_weights)
@@ -92,7 +93,7 @@ def run(arguments: Arguments) -> None:
         note = f"rotated by {view.degrees:.3f} degrees, moved by {view.distance:.4f} world units"
         colours = ", colours fitted" if view.colours is not None else ""
         line = f"{capture.names[index]}: fitted to its own images before evaluation: {note}{colours}"
-        Console().print(line, soft_wrap=True)
+        Terminal().print(line, soft_wrap=True)
     if arguments.json is not None:
         content = {"run": str(arguments.run), "step": trained.step, **evaluation.to_json()}
         if backgrounds:
@@ -196,7 +197,7 @@ def _print(evaluation: Evaluation, trained: TrainedRun, backgrounds: dict[str, f
             table.add_row(label, f"{scores.psnr:.2f}", _shown(scores.ssim), _shown(scores.lpips))
     if backgrounds:
         table.add_row("background alone", f"{np.mean(list(backgrounds.values())):.2f}", "", "")
-    Console().print(table)
+    Terminal().print(table)
 
 
 def _shown(value: float | None) -> str:

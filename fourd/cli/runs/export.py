@@ -18,7 +18,7 @@ from fourd.baking.rendering import Scene, open_scene
 from fourd.baking.scene import BAKED_LAYERS
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.errors import UserError
-from fourd.progress import Tracker
+from fourd.progress import Terminal, Tracker
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def run(arguments: Arguments) -> None:
     """Bake every frame, or write the files for other programs."""
     check_rendering(arguments.layers, fps=arguments.fps)
     check_mbps(arguments.max_mbps)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     if arguments.to is not None:
         _export(arguments, arguments.to, console)
         return

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.capture.frame_rate import check_rate
 from fourd.cli.captures.matte import MatteOptions
@@ -17,6 +16,7 @@ from fourd.cli.training_options import TrainingOptions
 from fourd.importing.importer import ImportOptions
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
+from fourd.progress import Terminal
 from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
@@ -48,7 +48,7 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Run all stages that are not up to date."""
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
-    console = Console()
+    console = Terminal()
     options = arguments.training
     check_rate(arguments.fps)
     config = options.train_config(DEFAULT_SECONDS)

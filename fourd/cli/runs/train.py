@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.cli.options import CapturePath, Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
@@ -18,9 +17,11 @@ from fourd.pipeline.make import require_new_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.train import TrainFiles, train_stage
+from fourd.processes import locked_folder
+from fourd.progress import Terminal
 from fourd.training.config import TrainConfig
 from fourd.training.losses.lpips import load_lpips
-from fourd.training.run import open_run
+from fourd.training.run import open_run, remove_leftovers
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,14 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Run the stages that training needs, then train."""
+    with locked_folder(arguments.out):
+        remove_leftovers(arguments.out)
+        _run_stages(arguments)
+
+
+def _run_stages(arguments: Arguments) -> None:
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
-    console = Console()
+    console = Terminal()
     options = arguments.training
     context = Context(console, worker_count(arguments.workers))
     # Loading the LPIPS weights here reports invalid weights before any stage runs.

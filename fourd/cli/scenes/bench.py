@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.benchmarks.cases import cases
 from fourd.benchmarks.gpu_cases import gpu_cases
@@ -19,6 +18,7 @@ from fourd.benchmarks.report import Row, markdown, table, to_json
 from fourd.benchmarks.timing import Clock
 from fourd.cli.options import option
 from fourd.files import write_text_atomically
+from fourd.progress import Terminal
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Time all cases and print the table."""
-    console = Console()
+    console = Terminal()
     machine = this_machine()
     console.print(str(machine), soft_wrap=True)
     clock = Clock(seconds=1.0 if arguments.quick else 6.0)

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 import tyro
 import yaml
-from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.errors import UserError
+from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited
+from fourd.progress import Terminal
 from fourd.training.run_layout import CHECKPOINTS, checkpoint_files
 
 if TYPE_CHECKING:
@@ -49,12 +50,12 @@ def run(arguments: Arguments) -> None:
     table.add_column(overflow="fold")
     for name, value in rows:
         table.add_row(name, Text(value))
-    Console().print(table)
+    Terminal().print(table)
 
 
 def _describe_file(path: Path) -> tuple[str, Rows]:
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
@@ -189,8 +190,10 @@ def _checkpoint(path: Path) -> Rows:
 def _video(path: Path) -> Rows:
     import av
 
+    from fourd.capture.video import open_container
+
     try:
-        with av.open(str(path)) as container:
+        with open_container(path) as container:
             if not container.streams.video:
                 raise UserError(f"{path}: expected a video, got a file without video frames; name another file")
             stream = container.streams.video[0]
@@ -218,7 +221,7 @@ def _turned_size(path: Path) -> str:
 
 def _run(path: Path) -> Rows:
     bad = UserError(f"{path / 'config.yaml'}: expected the config.yaml of a run, got other content; restore the file")
-    config = _parsed((path / "config.yaml").read_bytes(), yaml.safe_load, bad)
+    config = _parsed(read_limited(path / "config.yaml", MAX_CONFIG_BYTES), yaml.safe_load, bad)
     train = config.get("train")
     train = train if isinstance(train, dict) else {}
     steps = [int(file.stem) for file in checkpoint_files(path / CHECKPOINTS)]

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.report import PackSettings, pack_and_report
 from fourd.cli.options import TIER_HELP, MaxMbps, ScenePath, check_mbps, describe
+from fourd.progress import Terminal
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Pack the scene and print the sizes of its parts."""
     check_mbps(arguments.max_mbps)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     settings = PackSettings(arguments.tier, arguments.max_mbps)
     pack_and_report(arguments.scene, arguments.out, settings, console)
     size = arguments.out.stat().st_size / 1e6

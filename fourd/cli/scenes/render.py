@@ -17,6 +17,7 @@ from fourd.baking.playable import Playable, find_view, open_playable, select_fra
 from fourd.cameras import Camera
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.errors import UserError
+from fourd.progress import Terminal
 from fourd.stylize import load_style
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
@@ -58,7 +59,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Open the source, choose the cameras, render and write the images."""
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     if (arguments.views is None) == (arguments.path is None):
         raise UserError("--views, --path: expected exactly one of them; write --views 05,11 or --path orbit")
     check_rendering(

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.baking.files.encoding import Tier
 from fourd.cli.options import TIER_HELP, describe
 from fourd.errors import UserError
+from fourd.progress import Terminal
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def run(arguments: Arguments) -> None:
 
     if not 0 <= arguments.port <= 65535:
         raise UserError(f"--port: expected 0 to 65535, got {arguments.port}")
-    console, source = Console(stderr=True), arguments.source
+    console, source = Terminal(stderr=True), arguments.source
     if source.is_dir() and not is_site(source) and not (source / "config.yaml").exists():
         raise UserError(f"{source}: expected a .4dv file, a run or a folder of fourd web, got another folder")
     with ExitStack() as stack:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.console import Console
 
 from fourd.cli.options import StyleName, check_rendering, describe, option
 from fourd.errors import UserError
+from fourd.progress import Terminal
 from fourd.stylize import load_style
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.rendering.renderers import RendererName
@@ -55,7 +55,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Open a window, or write a video or an image."""
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )

@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import tyro
-from rich.console import Console
 
 from fourd.baking.container import SceneReader
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.rate import Choice, choose_tier
 from fourd.cli.options import TIER_HELP, MaxMbps, ScenePath, check_mbps, describe, option
 from fourd.errors import UserError
-from fourd.progress import Track, Tracker
+from fourd.progress import Terminal, Track, Tracker
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,7 @@ def run(arguments: Arguments) -> None:
     from fourd.viewer.publish.site import write_site
 
     check_mbps(arguments.max_mbps)
-    console = Console(stderr=True)
+    console = Terminal(stderr=True)
     track = Tracker(console).track
     tier, level = arguments.tier, None
     if arguments.max_mbps is not None:

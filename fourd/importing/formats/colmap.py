@@ -19,6 +19,7 @@ from fourd.capture.layout import find_pictures
 from fourd.errors import UserError
 from fourd.importing.folders import find_frames, join_calibrations, list_entries, make_camera
 from fourd.importing.imported import Frames, Imported, PictureFiles
+from fourd.limits import open_regular, read_limited
 
 MODEL_FOLDERS = (".", "sparse", "sparse/0")
 PHOTO_FOLDERS = ("images", "input", ".")
@@ -37,6 +38,8 @@ A lens model's parameters are the focal lengths, the principal point, and the di
 """
 PARAMETER_COUNTS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
 """Number of parameters of each lens model, by its id in cameras.bin."""
+MAX_MODEL_BYTES = 1 << 30
+"""Maximum size in bytes of cameras.bin and of images.bin."""
 MAX_MOTION = 1e-3
 """Maximum pose difference between the images of a static camera.
 
@@ -168,8 +171,8 @@ def _check_whole(path: Path) -> None:
         if not file.is_file():
             continue
         try:
-            content = file.read_bytes() if name in ("cameras.bin", "images.bin") else b""
-            with open(file, "rb") as opened:
+            content = read_limited(file, MAX_MODEL_BYTES) if name in ("cameras.bin", "images.bin") else b""
+            with open_regular(file) as opened:
                 (count,) = struct.unpack("<Q", opened.read(8))
             if 8 + 8 * count > file.stat().st_size:
                 raise ValueError

@@ -22,6 +22,7 @@ from fourd.capture.decoding import PICTURE_FORMATS
 from fourd.errors import UserError
 from fourd.importing.folders import list_entries, make_camera, parse_numbers, read_head
 from fourd.importing.imported import EncodedPictures, Imported, ImportedCamera
+from fourd.limits import require_regular
 
 SUFFIX = ".smc"
 ANNOTATIONS = "_annots.smc"
@@ -100,6 +101,7 @@ class _Smc:
         self.path = path
         self.h5py = h5py
         try:
+            require_regular(path)
             self.file = h5py.File(path, "r")
         except OSError as error:
             reason = str(error).partition("\n")[0]

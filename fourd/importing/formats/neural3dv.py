@@ -18,6 +18,7 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.importing.folders import Array, find_frames, make_camera, parse_numbers
 from fourd.importing.imported import Imported, ImportedCamera
+from fourd.limits import require_regular
 
 NAME = "poses_bounds.npy"
 COLUMNS = 17
@@ -58,6 +59,7 @@ def read(source: Path) -> Imported:
 def _rows(path: Path) -> Array:
     try:
         # With memory mapping, a header that declares a too large array raises an error before memory is allocated.
+        require_regular(path)
         array = np.load(path, mmap_mode="r", allow_pickle=False)
         if not isinstance(array, np.ndarray):
             raise ValueError("an archive of arrays")

@@ -17,6 +17,7 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.importing.folders import find_frames, match_names
 from fourd.importing.imported import Imported, ImportedCamera
+from fourd.limits import read_limited
 
 SUBPIXELS = 64
 METRES_PER_MM = 1e-3
@@ -67,7 +68,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 def read_cameras(path: Path) -> dict[str, Camera]:
     """Read a .qca.txt file. Returns cameras by serial number, in metres. Raises UserError as :func:`read` does."""
     try:
-        root = ElementTree.fromstring(path.read_bytes())
+        root = ElementTree.fromstring(read_limited(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise UserError(f"{path}: expected Qualisys' XML, got '{error}'; export it again") from error
     cameras: dict[str, Camera] = {}

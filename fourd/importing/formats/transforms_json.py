@@ -162,7 +162,7 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
     if not isinstance(value, str) or not value or "\0" in value:
         raise UserError(f"{where}: expected an image's path, got '{value!r}'; export it again")
     relative = PurePosixPath(value.replace("\\", "/"))
-    if relative.is_absolute() or ".." in relative.parts or ":" in relative.parts[0]:
+    if relative.is_absolute() or ".." in relative.parts or not relative.parts or ":" in relative.parts[0]:
         raise UserError(f"{where}: expected a path within {path.parent}, got '{value}'; write a relative path")
     target = path.parent / relative
     for suffix in ("", *PICTURE_SUFFIXES):

@@ -12,6 +12,7 @@ import numpy as np
 from fourd.capture import Capture, open_capture
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import read_json
 from fourd.mesh.files.glb import read_mesh
 from fourd.mesh.rendering import render_mesh, silhouette_iou
 from fourd.mesh.sequence import mesh_capture
@@ -124,7 +125,7 @@ def mean_score(scores: Sequence[MeshScore]) -> MeanScore:
 
 def read_scores(folder: Path) -> MeanScore:
     """Read the mean scores that :func:`run_mesh` wrote into the folder of the meshes."""
-    content = json.loads((folder / SCORES_NAME).read_text(encoding="utf-8"))
+    content = read_json(folder / SCORES_NAME)
     return MeanScore(**content["mean"])
 
 

@@ -17,6 +17,7 @@ from fourd.capture.calibration import EXTRINSICS_NAME, INTRINSICS_NAME, write_ca
 from fourd.capture.layout import DERIVED, MATTES, link_entries
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.limits import read_json
 from fourd.matting.contours import find_foreign_mattes
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
@@ -52,7 +53,7 @@ def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, NoSettings
 
 def repaired_capture(capture: Path, repaired: Path) -> Path:
     """The corrected capture if :func:`run_repair` wrote one, otherwise ``capture``."""
-    is_changed = json.loads((repaired / RESULT).read_text(encoding="utf-8"))["changed"]
+    is_changed = read_json(repaired / RESULT)["changed"]
     return repaired if is_changed else capture
 
 

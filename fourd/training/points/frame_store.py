@@ -7,9 +7,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from cachetools import LRUCache
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
+from torch import Tensor
 
+from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.limits import require_regular
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.scratch import Scratch
 
@@ -72,7 +76,7 @@ class FrameStore:
         file = self._newest_file(frame)
         if file is None:
             return self._make(frame)
-        named = load_file(file)
+        named = load_points(file)
         if "spacing" not in named:  # the file was written by an older version of fourd
             named["spacing"] = self._make(frame).spacing
         return FramePoints.from_tensors(named)
@@ -83,8 +87,29 @@ class FrameStore:
         return None if folder is None else folder / _file_name(frame)
 
     def _spill(self, frame: int, points: FramePoints) -> None:
-        save_file(points.tensors(), self._scratch.folder / _file_name(frame))
+        file = self._scratch.folder / _file_name(frame)
+        try:
+            save_file(points.tensors(), file)
+        except (OSError, SafetensorError) as error:
+            reason = " ".join(str(error).split())
+            raise UserError(
+                f"{file}: expected free disk space for the points that do not fit in memory, got '{reason}'; "
+                "free some space and add --resume"
+            ) from error
         self._spilled.add(frame)
+
+
+def load_points(file: Path) -> dict[str, Tensor]:
+    """Read the tensors of a file with points. Raises UserError if the file is missing or damaged."""
+    try:
+        require_regular(file)
+        return load_file(file)
+    except (OSError, SafetensorError) as error:
+        reason = " ".join(str(error).split())
+        raise UserError(
+            f"{file}: expected the points of a checkpoint, got a file that cannot be read ({reason}); "
+            "delete the checkpoint to use the previous one"
+        ) from error
 
 
 class _SpillingCache(LRUCache[int, FramePoints]):

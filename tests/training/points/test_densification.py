@@ -13,7 +13,7 @@ from fourd.training.background import outside_all_images
 from fourd.training.config import DensifyConfig
 from fourd.training.points.densification import accumulate_gradient_magnitudes, densify, unobserved_points
 from fourd.training.points.frame_points import FramePoints
-from fourd.training.run import points_folder
+from fourd.training.run_layout import points_folder
 from tests.captures import ring_cameras
 from tests.training.small import full_config, trained_run
 

@@ -1,0 +1,84 @@
+"""Verify that the files of a run, a scene or a capture are whole and unaltered."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from fourd.errors import UserError
+from fourd.progress import Terminal, Tracker
+from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """A run: compares every checkpoint with its digests (BLAKE2b). A scene: compares every member of the file with its
+    checksum (CRC-32) and decodes all frames. A capture: decodes every image, matte and video. No file is changed."""
+
+    path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
+    """A run folder, a .4dv file or a capture folder."""
+
+
+def run(arguments: Arguments) -> None:
+    """Verify the files and print what was verified. Raises UserError for the first damaged file."""
+    path = arguments.path
+    if not path.exists():
+        raise UserError(f"{path}: expected a run, a scene or a capture, got a path that does not exist; check the name")
+    console, track = Terminal(), Tracker(Terminal(stderr=True))
+    if path.is_file():
+        line = _verify_scene(path, track)
+    elif (path / CONFIG_NAME).is_file():
+        line = _verify_run(path, console, track)
+    else:
+        line = _verify_capture(path, track)
+    console.print(f"{path}: {line}", soft_wrap=True)
+
+
+def _verify_scene(path: Path, track: Tracker) -> str:
+    from fourd.baking.container import SceneReader
+    from fourd.baking.files.archive import find_damaged_member
+
+    member = find_damaged_member(path)
+    if member is not None:
+        raise UserError(f"{path}: expected unaltered members, got the altered member {member}; copy or export it again")
+    reader = SceneReader(path)
+    try:
+        count = reader.manifest.frame_count
+        for frame in track.track(range(count), count, "frames"):
+            reader.read(frame)
+    finally:
+        reader.close()
+    return f"whole; {count} frames"
+
+
+def _verify_run(path: Path, console: Terminal, track: Tracker) -> str:
+    from fourd.training.checkpoints import verify_checkpoint
+
+    found = checkpoint_files(path / CHECKPOINTS)
+    damaged: list[str] = []
+    for checkpoint in track.track(found, len(found), "checkpoints"):
+        try:
+            files = verify_checkpoint(checkpoint)
+        except UserError as error:
+            damaged.append(str(error))
+        else:
+            console.print(f"{checkpoint}: whole; {files} files", soft_wrap=True)
+    if damaged:
+        more = f" (and {len(damaged) - 1} more checkpoints)" if len(damaged) > 1 else ""
+        raise UserError(damaged[0] + more)
+    if not found:
+        raise UserError(f"{path}: expected checkpoints, got none; train the run first")
+    return f"whole; {len(found)} checkpoints"
+
+
+def _verify_capture(path: Path, track: Tracker) -> str:
+    from fourd.capture.check import check_capture
+
+    report = check_capture(path, deep=True, track=track.track)
+    if report.problems:
+        more = len(report.problems) - 1
+        raise UserError(report.problems[0] + (f" (and {more} more; see fourd check --deep)" if more else ""))
+    return f"whole; {report.frames} frames of {len(report.cameras)} cameras"

@@ -1,0 +1,133 @@
+"""Limits for files that strangers may have written: kinds of files, sizes and nesting, and safe text for the terminal.
+
+All readers of fourd open files through this module, or call :func:`require_regular` before a library opens the file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import stat
+from fractions import Fraction
+from io import BufferedReader
+from pathlib import Path
+from typing import Any
+
+from fourd.errors import UserError
+
+MAX_TEXT_BYTES = 64 << 20
+"""Maximum size in bytes of a file that is read whole and parsed, such as JSON, YAML, TOML and XML."""
+MAX_CALIBRATION_BYTES = 16 << 20
+"""Maximum size in bytes of intri.yml and extri.yml. 1,000 cameras need about 1 MB."""
+MAX_CONFIG_BYTES = 1 << 20
+"""Maximum size in bytes of a file with settings."""
+MAX_NUMBER = 64
+"""Maximum number of characters of a number that is read from a file as an exact fraction."""
+_MIN_READ = 1 << 16
+"""Number of bytes that are read if the size of a file is reported as smaller. Files in /proc report the size 0."""
+_KINDS = (
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def require_regular(path: Path | str) -> None:
+    """Raise UserError if ``path`` is a named pipe, a socket or a device, because reading it may never end.
+
+    Symbolic links are followed. Missing files and folders are not reported, so that the reader can report them.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError):
+        return
+    _require_regular_mode(path, mode)
+
+
+def open_regular(path: Path | str) -> BufferedReader:
+    """Open a regular file for reading. Opening never waits, and nothing is read from pipes and devices.
+
+    Raises:
+        UserError: if ``path`` is a named pipe, a socket or a device.
+        OSError: if ``path`` is missing, is a folder, or cannot be opened.
+    """
+    # The file is examined before and after it is opened. Opening a device can have effects, and another process may
+    # replace the file between the two calls.
+    _require_regular_mode(path, os.stat(path).st_mode)
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(path, flags)
+    try:
+        _require_regular_mode(path, os.fstat(descriptor).st_mode)
+        return os.fdopen(descriptor, "rb")  # raises IsADirectoryError for folders
+    except BaseException:
+        os.close(descriptor)
+        raise
+
+
+def read_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
+    """Read the content of a regular file of at most ``max_bytes`` bytes.
+
+    The errors are those of :func:`open_regular`. UserError is also raised for larger files.
+    """
+    with open_regular(path) as stream:
+        size = os.fstat(stream.fileno()).st_size
+        content = stream.read(max(size, _MIN_READ) + 1) if size <= max_bytes else b""
+    if max(size, len(content)) > max_bytes:
+        raise UserError(
+            f"{path}: expected at most {max_bytes / 2**20:g} MB, got {max(size, len(content)) / 2**20:.1f} MB; "
+            "check that the file is the right one"
+        )
+    return content
+
+
+def read_text_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> str:
+    """Read UTF-8 text like :func:`read_limited`. Raises UnicodeDecodeError, a ValueError, for other bytes."""
+    return read_limited(path, max_bytes).decode("utf-8")
+
+
+def read_json(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> Any:
+    """Parse a JSON file. The errors are those of :func:`read_text_limited`, and ValueError for invalid JSON.
+
+    JSON that is nested too deeply for the parser also raises ValueError.
+    """
+    try:
+        return json.loads(read_text_limited(path, max_bytes))
+    except RecursionError as error:
+        raise ValueError("expected JSON of moderate depth, got deeply nested lists") from error
+
+
+def read_fraction(value: object) -> Fraction:
+    """Convert a value from a file, such as 25, 29.97 or "30000/1001", to an exact fraction.
+
+    Raises TypeError, ValueError or ZeroDivisionError for other values, and for numbers with exponents or more than 64
+    characters. The text "1e99999999" would need gigabytes of memory as a fraction.
+    """
+    if isinstance(value, bool) or not isinstance(value, str | int | float):
+        raise TypeError("expected a number")
+    text = str(value)
+    if len(text) > MAX_NUMBER or (isinstance(value, str) and "e" in text.lower()):
+        raise ValueError(f"expected a number of at most {MAX_NUMBER} characters without an exponent")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"expected a finite number, got {value}")
+    return Fraction(value)
+
+
+def printable(text: str) -> str:
+    """Replace each character that does not print, such as ESC and newline, by its escape sequence, such as ``\\x1b``.
+
+    Names and texts from files can contain sequences that change the terminal or add lines to the output.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        character if character.isprintable() else character.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for character in text
+    )
+
+
+def _require_regular_mode(path: Path | str, mode: int) -> None:
+    kind = next((name for is_kind, name in _KINDS if is_kind(mode)), None)
+    if kind is not None:
+        raise UserError(f"{path}: expected a file, got {kind}; name a file")

@@ -1,0 +1,126 @@
+"""Locks on folders, and deferral of Ctrl-C.
+
+Two commands that change the same run, capture or work folder would delete each other's files.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+from types import FrameType, TracebackType
+
+from fourd.errors import UserError
+from fourd.limits import printable
+
+if sys.platform != "win32":
+    import fcntl
+
+MAX_COMMAND = 80
+"""Maximum number of characters of a command line in an error message."""
+IN_USE = (errno.EWOULDBLOCK, errno.EACCES)
+
+
+@contextmanager
+def locked_folder(folder: Path) -> Iterator[None]:
+    """Lock ``folder`` for this process while the ``with`` block runs. A missing folder is created.
+
+    The lock is an flock on the folder itself, so it needs no file, and the system releases it when the process ends,
+    even if the process is killed. If the block leaves a created folder empty, the folder is removed. On Windows, and on
+    file systems without flock, nothing is locked.
+
+    Raises:
+        UserError: if another process holds the lock. The message names the process and the time of its start.
+    """
+    if sys.platform == "win32":
+        yield
+        return
+    is_new = not folder.exists()
+    descriptor = _lock(folder)
+    try:
+        yield
+    finally:
+        if is_new:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+        os.close(descriptor)
+
+
+class DeferredInterrupt:
+    """A context manager in which the first Ctrl-C only sets :attr:`is_pending`. The second raises KeyboardInterrupt.
+
+    Signals are only deferred in the main thread, because Python handles signals only there. A process that ignores
+    Ctrl-C, or handles it in another way, is not changed.
+    """
+
+    def __init__(self) -> None:
+        self.is_pending = False
+        self._is_active = False
+
+    def __enter__(self) -> DeferredInterrupt:
+        is_main = threading.current_thread() is threading.main_thread()
+        if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self._handle)
+            self._is_active = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._is_active:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            self._is_active = False
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.is_pending:
+            raise KeyboardInterrupt
+        self.is_pending = True
+
+
+def _lock(folder: Path) -> int:
+    """Lock the folder and return its descriptor."""
+    while True:
+        if folder.exists() and not folder.is_dir():
+            raise UserError(f"{folder}: expected a folder, got a file; name another folder")
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            descriptor = os.open(folder, os.O_RDONLY)
+        except FileNotFoundError:
+            continue  # the process that held the lock has removed its empty folder
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            holder = _describe_holder(descriptor)
+            if error.errno in IN_USE:
+                os.close(descriptor)
+                raise UserError(
+                    f"{folder}: expected a folder that no other command changes, got one that is in use by {holder}; "
+                    "wait until that command has ended"
+                ) from error
+        with contextlib.suppress(FileNotFoundError):
+            if os.path.samestat(os.stat(folder), os.fstat(descriptor)):
+                return descriptor
+        os.close(descriptor)
+
+
+def _describe_holder(descriptor: int) -> str:
+    """Describe the process that holds the lock. /proc/locks, which Linux has, names it."""
+    try:
+        inode = os.fstat(descriptor).st_ino
+        lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]
+        process = next(
+            int(words[4]) for words in lines if words[1] == "FLOCK" and words[5].rpartition(":")[2] == str(inode)
+        )
+        since = datetime.fromtimestamp(os.stat(f"/proc/{process}").st_ctime).strftime("%Y-%m-%d %H:%M:%S")
+        words = Path(f"/proc/{process}/cmdline").read_bytes().split(b"\0")
+        command = printable(" ".join(os.fsdecode(word) for word in words[1:4]).strip())[:MAX_COMMAND]
+    except (OSError, ValueError, IndexError, StopIteration):
+        return "another process"
+    return f"process {process} ({command}), which started at {since}"
