@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import shutil
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,7 +172,7 @@ def test_interrupted_training_resumes_to_the_same_scene(
     def interrupted(self: Trainer, log: MetricsLog) -> None:
         if self.done == 4 and not interruptions:
             interruptions.append(self.done)
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
         steps.append(self.done)
         step(self, log)
 
