@@ -1,11 +1,11 @@
-"""Compare the web player with another viewer on one frame of a scene, in Chromium.
+"""Compare the web player with other viewers on one frame of a scene, in Chromium.
 
     python tools/web/compare_viewers.py scene.4dv --frame 12 -o build/viewers
 
-The program exports the frame as Gaussian splats (3DGS PLY). It shows the exported file in Spark (npm package
-@sparkjsdev/spark), and the scene in <fourd-player>, from the last camera of the scene. It writes both pictures and the
-images of `fourd.baking.player.Player` as PNG files. It prints a Markdown table with the PSNR of the pictures, and with
-the images per second while the camera moves.
+The program exports the frame as Gaussian splats (3DGS PLY). It shows the exported file in Spark and in
+supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer), and the scene in <fourd-player>,
+from the last camera of the scene. It writes the pictures and the images of `fourd.baking.player.Player` as PNG files.
+It prints a Markdown table with the PSNR of the pictures, and with the images per second while the camera moves.
 """
 
 from __future__ import annotations
@@ -34,7 +34,20 @@ from fourd.training.evaluation.metrics import psnr
 from fourd.viewer.publish.site import write_site
 
 HERE = Path(__file__).parent
-PACKAGES = ("three@0.187.0", "@sparkjsdev/spark@2.2.0")
+PACKAGES = (
+    "three@0.187.0",
+    "@sparkjsdev/spark@2.2.0",
+    "playcanvas@2.22.1",
+    "@playcanvas/supersplat-viewer@1.36.2",
+)
+PAGES = {
+    "Spark": ("spark", ("three/build", "@sparkjsdev/spark/dist", "three/examples/jsm")),
+    "supersplat-viewer": (
+        "supersplat",
+        ("playcanvas/build", "playcanvas/scripts", "@playcanvas/supersplat-viewer/dist"),
+    ),
+}
+"""Viewers of the exported file: the name of the page in this folder, and the folders of packages that it loads."""
 NEAR, FAR = 0.05, 50.0
 PATH_STEPS, STEP_DEGREES = 90, 0.5
 PLAYER = """
@@ -82,13 +95,13 @@ def main() -> None:
     drawn = Player().draw(scene.frame(arguments.frame), camera, scene.manifest)
     expected, subject = drawn[..., :3], drawn[..., 3] > 0
     write_pages(arguments, scene)
-    splats = SplatReader(arguments.out / "spark" / "frame.ply")
+    splats = SplatReader(arguments.out / "frame.ply")
     points = Player().draw(splats.read(0), camera, splats.manifest)[..., :3]
     pictures = {"Player": expected, "Player, exported file": points}
     speeds: dict[str, list[float]] = {}
     addresses = {
         "fourd-player": (arguments.out / "site", ""),
-        "Spark": (arguments.out / "spark", f"spark.html?size={arguments.size}"),
+        **{viewer: (arguments.out / name, f"{name}.html?size={arguments.size}") for viewer, (name, _) in PAGES.items()},
     }
     with open_pages(addresses, arguments.size) as pages:
         pages["fourd-player"].evaluate(PLAYER.replace("FRAME", str(arguments.frame)))
@@ -107,22 +120,22 @@ def main() -> None:
 
 
 def write_pages(arguments: Arguments, scene: Any) -> None:
-    """Write a site with <fourd-player>, and a page with Spark and the exported frame."""
+    """Write a site with <fourd-player>, and a page with the exported frame for each other viewer."""
     out = arguments.out
     npm = out / "npm"
     npm.mkdir(parents=True, exist_ok=True)
     subprocess.run(["npm", "install", "--prefix", npm, "--no-audit", "--no-fund", "--silent", *PACKAGES], check=True)
     write_site(arguments.scene, out / "site", "full")
-    page = out / "spark"
-    shutil.rmtree(page, ignore_errors=True)
-    page.mkdir()
-    for name in ("spark.html", "spark.js"):
-        shutil.copyfile(HERE / name, page / name)
-    for name in ("three/build", "@sparkjsdev/spark/dist", "three/examples/jsm"):
-        shutil.copytree(npm / "node_modules" / name, page / "npm" / name)
-    frames = (arguments.frame,)
-    settings = ExportSettings("ply-sequence", frames, degree=3, keep_axes=True)
-    export_scene(scene, page / "frame.ply", settings)
+    settings = ExportSettings("ply-sequence", (arguments.frame,), degree=3, keep_axes=True)
+    export_scene(scene, out / "frame.ply", settings)
+    for name, folders in PAGES.values():
+        page = out / name
+        shutil.rmtree(page, ignore_errors=True)
+        page.mkdir()
+        for source in (HERE / f"{name}.html", HERE / f"{name}.js", out / "frame.ply"):
+            shutil.copyfile(source, page / source.name)
+        for folder in folders:
+            shutil.copytree(npm / "node_modules" / folder, page / "npm" / folder)
 
 
 def path_of(camera: Camera, focus: NDArray[np.float64]) -> list[Camera]:
