@@ -20,7 +20,7 @@ class Buffer {
         prefer_huge_pages(data_.get(), size * sizeof(T));
     }
 
-    // Makes the array larger if it has fewer than `size` elements. A larger array does not keep the contents.
+    // Makes the array larger if it has fewer than `size` elements. The old contents are then lost.
     void require(std::size_t size) {
         if (size > size_) *this = Buffer(size + size / 2);
     }

@@ -11,8 +11,9 @@
 
 namespace fourd {
 
-// Call this function before the first write to fresh memory. With huge pages, writing 50 MB takes a third of the time,
-// and scattered accesses cause fewer TLB misses. The call is only a hint and does not change results.
+// Call this function before the first write to fresh memory. Huge pages reduce the time for writing 50 MB to a third of
+// the time with normal pages, and also reduce the TLB misses of scattered accesses. The call is only a hint and does
+// not change results.
 inline void prefer_huge_pages(void* memory, std::size_t bytes) {
 #if defined(__linux__) && defined(MADV_HUGEPAGE)
     constexpr std::uintptr_t kPage = std::uintptr_t{2} << 20;

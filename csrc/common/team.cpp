@@ -8,7 +8,7 @@ Team::Team(int threads) {
         try {
             workers_.emplace_back([this, worker] { work(worker); });
         } catch (const std::system_error&) {
-            break;  // The system allows no more threads. With fewer threads, results are the same.
+            break;  // The system allows no more threads. Results do not depend on the number of threads.
         }
     }
 }

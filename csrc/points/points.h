@@ -20,7 +20,7 @@ struct Cloud {
 
 struct Settings {
     Pinhole camera;
-    float near_depth;         // Positive. Points with a smaller camera depth are culled.
+    float near_depth;         // Positive. Points with a camera depth below this are culled.
     int layers;               // Number K of depth layers, at least 1.
     float transmittance_min;  // Pixels are complete at or below this transmittance. A value of 0 gives exact images.
     int threads;              // At least 1. The result is the same for any number of threads.

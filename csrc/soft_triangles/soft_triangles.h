@@ -24,7 +24,7 @@ struct Mesh {
 struct Settings {
     tiles::Pinhole camera;
     Softness softness;
-    float near_depth;  // Positive. Triangles with a vertex of a smaller camera depth are culled.
+    float near_depth;  // Positive. Triangles with a vertex at a camera depth below this value are culled.
     int layers;        // Largest number of triangles per pixel, from 1 to 2^20.
     int threads;       // At least 1. The result is the same for any number of threads.
     Simd simd;         // An instruction set that this machine supports.

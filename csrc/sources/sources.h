@@ -71,7 +71,7 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
     return static_cast<int>(std::rint(place < last ? place : last));
 }
 
-constexpr float kMinSoftness = 1e-12f;  // Replaces a softness that is smaller or NaN.
+constexpr float kMinSoftness = 1e-12f;  // Replaces a softness that is NaN or below this value.
 
 // The visibility weight of a view at a point: the squared matte times a decay factor. If the point is at most twice the
 // softness behind the visible surface, the factor is 1. Farther behind the surface, the factor decays exponentially.

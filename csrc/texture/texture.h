@@ -68,8 +68,8 @@ void sample(const Query& query, float* out);
 // computed from level 0, so their gradients are added to the gradient of level 0.
 void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out);
 
-// Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels, or of 2 if an axis has one texel.
-// mips[k] is level k + 1.
+// Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels, or of 2 texels if an axis has only one
+// texel. mips[k] is level k + 1.
 void build_mips(const Shape& shape, const float* base, float* const* mips, int threads, Simd simd);
 
 }  // namespace fourd::texture

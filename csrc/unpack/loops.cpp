@@ -117,7 +117,8 @@ void view_of_all(const Views& from, std::size_t number, std::size_t first, std::
 }
 
 // Writes one view of `count` points. Returns the number of colours that were read. Points without a colour also read a
-// level, which is then masked. A branch would be slower, because the processor cannot predict it.
+// level, which is then masked. A branch would be slower than this read, because the processor cannot predict the
+// branch.
 std::size_t view_of_some(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
                          std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];

@@ -24,7 +24,8 @@ RIM_FACTOR = 0.985
 """Factor that multiplies the inverse distances of the shell's rim. The rim consists of known cells beside unknown
 cells. The factor places the rim slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
-"""Angle in degrees. Only one in sixteen of the cells whose angle from the nearest known cell is larger gets a point."""
+"""Angle in degrees from an unknown cell to the nearest known cell. Of the unknown cells beyond this angle, only one in
+sixteen gets a point."""
 OCCLUSION_RATIO = 0.9
 """A shell point occludes a known point if the shell point's depth is less than this share of the known point's
 depth."""
@@ -35,8 +36,8 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
     """Build points in the directions in which there are no background points.
 
     Inverse distance and colour are interpolated harmonically between the known directions. Horizontal neighbours have a
-    larger weight. The up direction is the mean up direction of the cameras. Points that would occlude known points in a
-    camera are dropped.
+    larger weight than vertical neighbours. The up direction is the mean up direction of the cameras. Points that would
+    occlude known points in a camera are dropped.
 
     Args:
         points: background points that were computed from the plates.
@@ -88,7 +89,7 @@ def viewing_centre(cameras: Sequence[Camera]) -> Array:
 def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Select the cells that get a shell point: unknown cells and a rim of known cells.
 
-    The density of selected cells is uniform over the sphere, but lower far from known cells.
+    Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, it is lower.
     """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")

@@ -36,7 +36,7 @@ from fourd.progress import Track
 
 MAX_FRAMES = 2
 MIN_FEATURES = 20
-"""Minimum number of features per camera. A camera with fewer features keeps its given calibration."""
+"""Minimum number of features per camera. A camera with fewer features than this minimum keeps its given calibration."""
 INLIER_SCALES = 4.0
 """A feature is an outlier if its reprojection error exceeds this multiple of the scale of the Cauchy loss."""
 FINAL_BAND_PX = 3.0

@@ -119,7 +119,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
 
     Returns:
         world points (P, 3), and (P,) bool, true for points whose rays span an angle of at least about 2 degrees. If the
-        rays span a smaller angle, the position of the point is undefined.
+        rays span an angle below this value, the position of the point is undefined.
     """
     origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
     rays = _ray_directions(tracks, cameras)

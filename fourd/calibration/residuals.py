@@ -162,7 +162,8 @@ def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX
     """Find the cameras whose pairs have large residuals, although the other cameras agree with each other.
 
     ``pairs`` contains the median residual of each camera pair. A pair disagrees if its median residual exceeds both
-    ``max_px`` and 4 times a typical residual. The typical residual is the median over the better half of the pairs.
+    ``max_px`` and 4 times a typical residual. The typical residual is the median over the half of the pairs with the
+    smallest residuals.
 
     A camera is bad if it meets all of these conditions:
     - the camera belongs to at least 2 pairs;

@@ -30,8 +30,8 @@ MAX_FEATURES = 4096
 SIFT_PEAK_THRESHOLD = 0.003
 """Minimum peak value of SIFT features; COLMAP's default is 0.0067.
 
-The lower value keeps weak features. In a recorded ring of 20 cameras, matching neighbouring cameras failed without weak
-features.
+The value used here is lower than COLMAP's default, so that weak features are kept. In a recorded ring of 20 cameras,
+matching neighbouring cameras failed without weak features.
 """
 FIX = (
     "give the cameras more overlap (at most 30 degrees between neighbours), add texture to the scene, or provide a "

@@ -67,8 +67,8 @@ def carve_frame(
             and of at least 3 views. If there are only 2 views, a hull point must project into both images.
         trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still
             covers all silhouettes.
-        inset: distance by which points are moved into the hull, as a multiple of ``spacing``. Points in thin parts of
-            the hull are moved less.
+        inset: distance by which points are moved into the hull, as a multiple of ``spacing``. In thin parts of the
+            hull, points are moved by less than this distance.
         seed: seed of the random order of the points. Equal inputs and seeds give bitwise equal results.
         names: names of the cameras for error messages.
         label: name of the masks for error messages.

@@ -64,8 +64,8 @@ def frame_coherence(
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # The candidate cells must include the cells of all hulls without one view. Therefore, one more view may reject a
-    # candidate.
+    # The candidate cells must include the cells of all hulls without one view. Therefore, the number of views that may
+    # reject a candidate is one more than the number of tolerated outliers.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)

@@ -34,8 +34,8 @@ CELLS_PER_THICKNESS = 6
 area. If the points are too sparse for cells of this size, the cells are as large as the distance between points."""
 
 MAX_GRID_CELLS = 1 << 24
-"""Maximum number of cells of the grid that encloses the hull. If the grid would have more cells, the cells are made
-larger."""
+"""Maximum number of cells of the grid that encloses the hull. If the grid would exceed this number, the size of its
+cells is increased."""
 
 SMOOTHING_CELLS = 3.0
 """Standard deviation, in cells, of the Gaussian that measures how full the neighbourhood of a cell is."""
@@ -47,8 +47,8 @@ neighbourhood is half full."""
 MAX_ROUNDS = 12
 
 RAY_CELLS = 0.7
-"""Distance between neighbouring rays through a silhouette, in cells. If this distance were larger, the contours would
-shrink."""
+"""Distance between neighbouring rays through a silhouette, in cells. With a distance above this value, the contours
+would shrink."""
 
 CRUMB_FULLNESS = 0.5
 """For each ray, the cell with the fullest neighbourhood is kept only if it is not much emptier than the cells on the

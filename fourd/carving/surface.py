@@ -13,8 +13,8 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, sample
 
 CANDIDATES = 1.3
-"""Number of candidate cells for each requested point. With more candidates, the density of the points is more even, but
-the computation takes more time."""
+"""Number of candidate cells for each requested point. A higher number makes the density of the points more even, but
+increases the computation time."""
 MIN_DEPTH = 0.7
 """After a point was moved into the hull, its distance from the surface must be at least this share of the length of the
 move. At creases of the surface, this distance is shorter than the move."""

@@ -19,11 +19,12 @@ from fourd.progress import Track, untracked
 
 FRAMES = 5
 SHIFT = 0.01
-"""Length of the shifts, as a share of the longer image side. The errors of correct mattes are smaller."""
+"""Length of the shifts, as a share of the longer image side. The errors of correct mattes are smaller than these
+shifts."""
 MIN_SHIFT_PX = 3
 MIN_CONTOUR_PX = 40
 MAX_FITTING = 0.25
-"""A camera is reported if a smaller share of its mattes follows the edges of the images."""
+"""A camera is reported if less than this share of its mattes follows the edges of the images."""
 MIN_MATTES = 2
 
 

@@ -38,8 +38,8 @@ CHROMA_VARIANCE = np.float32(0.1)
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
 NORMALISER_WEIGHT = np.float32(0.3)
 """Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The variance of the subject's
-colours is a rough, large estimate. With weight 1, the smaller variance of the background's colours therefore moves the
-edge into the subject."""
+colours is a rough, large estimate. With weight 1, the edge would therefore move into the subject, because the variance
+of the background's colours is smaller than this estimate."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
 """Standard deviation of alpha around the blurred mask in each pass of the estimation of alpha. The first passes correct
 the position of the mask. The following passes estimate the colours of both sides from the corrected mask. The last pass

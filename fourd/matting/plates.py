@@ -41,7 +41,7 @@ The band covers the matte's soft edge and shadows next to the subject.
 OUTLIER_STDS = 3.0
 MIN_OUTLIER_DISTANCE = 6.0
 MIN_WEIGHT = 1.0
-"""Minimum background weight of a pixel, summed over all frames. Pixels with a lower weight are holes."""
+"""Minimum background weight of a pixel, summed over all frames. Pixels with a weight below this value are holes."""
 INPAINT_PX = 5
 
 

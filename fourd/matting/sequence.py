@@ -74,8 +74,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
     """Write the mattes of a capture's undistorted images as ``.fourd/mattes/CAM/FRAME.png``.
 
     The models are learned from the whole recording, even if only some frames are selected. Mattes from an earlier call
-    with the same inputs and settings are kept, also those of frames that are not selected. If the inputs or settings
-    differ, all mattes are computed again.
+    with the same inputs and settings are kept, including the mattes of frames that are not selected. If the inputs or
+    settings differ, all mattes are computed again.
 
     Args:
         selection: the capture. Evidence is combined over all selected cameras.

@@ -23,7 +23,7 @@ class KPlanes(nn.Module):
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
         """``sides`` are the side lengths of the bounds, in any unit. Along the longest side of the bounds, the planes
-        have the full resolution. Along other sides, the resolution is lower in proportion."""
+        have the full resolution. Along another side, the resolution is proportional to the length of the side."""
         super().__init__()
         self.config = config
         pairs = SPACE_PAIRS + (TIME_PAIRS if config.time else ())

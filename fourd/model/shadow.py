@@ -20,8 +20,8 @@ FADE = 0.25
 """Width of the zone at the field's border in which shadows fade out, as a share of the distance between the border and
 the centre. Without this zone, shadows would end in a sharp edge at the border."""
 GAIN = 3.0
-"""Factor that multiplies the MLP's output. With this factor, the field learns faster. Fast learning is needed because
-each frame is rendered in only a few training steps."""
+"""Factor that multiplies the MLP's output. With this factor, the field learns faster than without it. Fast learning is
+needed because each frame is rendered in only a few training steps."""
 STRENGTH = 127 / 128
 """Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store this range in units of 1/128."""
 

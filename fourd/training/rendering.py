@@ -1,4 +1,4 @@
-"""Compositing of evaluated points, and selection of the points that are visible in a view."""
+"""Compositing of points from the values that the model computes, and selection of the points visible in a view."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ struct Bands {
 };
 
 // An entry is a pixel of a task that reads texels of a band. The value of an entry is twice the index of the pixel in
-// its task. The value is larger by 1 if the texels belong to the second of the two levels that the pixel blends.
+// its task. To this value, 1 is added if the texels belong to the second of the two levels that the pixel blends.
 using Entry = std::uint16_t;
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;  // Per task: four texels in each of two levels.
 

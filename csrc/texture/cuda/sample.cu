@@ -118,8 +118,8 @@ struct SampleBackward {
     }
 };
 
-// The offsets of the floats of the finer level whose mean is one float of a coarser level. The rows of all images can
-// be numbered consecutively, because a side with an odd number of texels has exactly one texel.
+// A float of the coarser level is the mean of up to four floats of the finer level. Mean computes their offsets. The
+// rows of all images can be numbered consecutively, because a side with an odd number of texels has exactly one texel.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;

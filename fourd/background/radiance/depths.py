@@ -29,10 +29,10 @@ RAYS = 4096
 """Number of rays per batch."""
 MAX_QUARTILE_RATIO = 1.25
 """Maximum ratio of two distances along a ray. The cumulative rendering weight reaches 3/4 at the first distance and 1/4
-at the second. If the ratio is larger, the weights are too spread out along the ray to describe a surface."""
+at the second. If the ratio exceeds this maximum, the weights are too spread out along the ray to describe a surface."""
 MAX_MEDIAN = 0.99
-"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If the distance is larger, no
-surface is assumed on the ray."""
+"""Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If the distance exceeds this
+maximum, no surface is assumed on the ray."""
 
 
 def add_field_depths(

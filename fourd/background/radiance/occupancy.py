@@ -46,7 +46,8 @@ class OccupancyGrid:
             count: number of intervals per ray.
             jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, each edge
                 is at the centre of its stratum.
-            hint: (R,) normalised distances near which more samples are placed, or NaN for rays without a hint.
+            hint: (R,) normalised distances near which samples are denser than on the rest of the ray, or NaN for rays
+                without a hint.
 
         Returns:
             (R, count + 1) normalised distances of the intervals' edges.

@@ -40,7 +40,8 @@ class OptimizedField:
             rays: R rays.
             samples: number S of samples per ray.
             generator: random generator of the samples' jitter. If ``generator`` is None, the samples have no jitter.
-            hint: (R,) normalised distances near which more samples are placed, or NaN for rays without a hint.
+            hint: (R,) normalised distances near which samples are denser than on the rest of the ray, or NaN for rays
+                without a hint.
         """
         with torch.no_grad():
             jitter = None if generator is None else torch.rand(len(rays), samples + 1, generator=generator)

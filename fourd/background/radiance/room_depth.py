@@ -28,8 +28,8 @@ floor spans only a few degrees."""
 NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, as multiples of the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Minimum share of depth-map cells with known depth. With a smaller share, the room's shape is unreliable. The room is
-then enlarged until it contains a hall. The hall is a ball around the centre without the part below the floor."""
+"""Minimum share of depth-map cells with known depth. Below this share, the room's shape is unreliable. The room is then
+enlarged until it contains a hall. The hall is a ball around the centre without the part below the floor."""
 HALL_RADIUS = 1.5
 """Radius of the hall, as a multiple of the farthest camera's distance from the centre."""
 FLOOR_PERCENTILE = 2.0

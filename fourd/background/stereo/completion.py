@@ -25,14 +25,13 @@ MARGIN = 0.25
 """Width of a margin around an image, as a share of the image's longer side. The interpolation uses points of other
 images that project into this margin."""
 MIN_KNOWN = 0.25
-"""Minimum share of known cells in an image. With fewer known cells, extrapolated depths would not resemble the
-scene."""
+"""Minimum share of known cells in an image. Below this share, extrapolated depths would not resemble the scene."""
 MIN_BOUNDARY = 0.003
-"""Minimum share of cells with known values, counted over the image and its margin. With fewer known cells, inverse
-depth is not interpolated."""
+"""Minimum share of cells with known values, counted over the image and its margin. Below this share, inverse depth is
+not interpolated."""
 MIN_OFF_PLANE = 0.005
-"""Minimum share of known points that lie off the enclosing planes. With fewer such points, interpolated depths are used
-only for cells whose ray hits no plane."""
+"""Minimum share of known points that lie off the enclosing planes. Below this share, interpolated depths are used only
+for cells whose ray hits no plane."""
 MAX_DEPTH_FACTOR = 4.0
 """Maximum depth of an extended plane, as a multiple of the largest known depth in the image."""
 EDGE_SCALE = 0.1

@@ -17,7 +17,7 @@ Bools = NDArray[np.bool_]
 
 MAX_POINTS = 20_000
 MIN_INLIERS = 0.05
-"""Minimum share of all points that lie on a plane. Planes with a smaller share belong to small objects."""
+"""Minimum share of all points that lie on a plane. Planes below this share belong to small objects."""
 MAX_BEHIND = 0.01
 """Maximum share of all points that lie behind a plane."""
 TOLERANCE = 0.02

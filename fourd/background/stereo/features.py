@@ -34,8 +34,8 @@ RATIO_TEST_THRESHOLD = 0.8
 MAX_EXHAUSTIVE_CAMERAS = 8
 """Maximum number of cameras for which all pairs are matched."""
 MIN_COSINE = 0.4
-"""Minimum cosine of the angle between two cameras' viewing directions. Camera pairs with a smaller cosine are not
-matched."""
+"""Minimum cosine of the angle between two cameras' viewing directions. Camera pairs with a cosine below this minimum
+are not matched."""
 
 
 @dataclass(frozen=True, eq=False)

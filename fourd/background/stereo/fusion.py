@@ -35,8 +35,8 @@ ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
 """Minimum number of cells in a connected component; smaller components are outliers."""
 CONTINUITY_TOLERANCE = 0.03
-"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. With a larger error,
-the two cells are not connected."""
+"""Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. If the error exceeds
+this maximum, the two cells are not connected."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0)
 """Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to this cell."""
 SAME_DEPTH = 1e-3
 """Minimum relative difference between the inverse depths of a neighbour's plane and of the cell's current plane. If the
-difference is smaller, the neighbour's plane is not tried."""
+difference is below this minimum, the neighbour's plane is not tried."""
 
 
 @dataclass(frozen=True, eq=False)

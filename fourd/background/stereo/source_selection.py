@@ -21,8 +21,8 @@ ANGLE_SPREAD = 0.9
 between the rays from the point to the source camera and to the camera whose depth is computed. The score is 1 at 15
 degrees, 1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that is seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective per sampled point. A source camera that increases the objective less is not
-added."""
+"""Minimum increase of the objective per sampled point. A source camera that increases the objective by less than this
+value is not added."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:

@@ -51,11 +51,12 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     """Sample all surfaces, with at most ``points`` samples in total.
 
     Each image is tiled with squares. All squares have the same size, which is the smallest size that gives at most
-    ``points`` samples. Squares on surfaces at grazing angles are divided into parts. Otherwise, a camera that sees the
-    surface less obliquely would show gaps between the samples. The centre of each part is sampled if ``seen`` (H, W) is
-    true there. A centre is not sampled if an earlier sample, from any image, already lies on the surface within the
-    part. As a consequence, near objects get more points than far objects, but surfaces that are visible in many images
-    get no additional points. Cells that other images confirm are sampled first, and extrapolated cells afterwards.
+    ``points`` samples. Squares on surfaces at grazing angles are divided into parts. Without this division, a camera
+    that sees the surface less obliquely than the image's camera would show gaps between the samples. The centre of each
+    part is sampled if ``seen`` (H, W) is true there. A centre is not sampled if an earlier sample, from any image,
+    already lies on the surface within the part. As a consequence, near objects get more points than far objects, but
+    surfaces that are visible in many images get no additional points. Cells that other images confirm are sampled
+    first, and extrapolated cells afterwards.
 
     Returns:
         the samples of each image.
@@ -241,7 +242,7 @@ def _slopes(surface: Surface) -> Array:
 def _extrapolation_error(inverse: Array, change: Array, axis: int) -> Array:
     """Relative error (R, C) of the inverse depth that a cell's plane predicts at its neighbours along an axis.
 
-    Of the errors at the previous and at the next cell, the smaller one is returned.
+    The result is the smaller of the errors at the previous cell and at the next cell.
     """
     smallest = np.full_like(inverse, np.inf)
     for step in (-1, 1):

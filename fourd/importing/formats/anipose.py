@@ -24,8 +24,8 @@ HEAD_BYTES = 4096
 """Number of bytes at the start of a file that contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
-"""Largest plausible median distance between cameras in metres. If the median distance in the file is larger, the file's
-unit is assumed to be millimetres."""
+"""Largest plausible median distance between cameras in metres. If the median distance in the file exceeds this value,
+the file's unit is assumed to be millimetres."""
 
 
 def looks_like(source: Path) -> bool:

@@ -1,7 +1,7 @@
 """Multi-view consistency: a soft visual hull for each view, computed from the evidence of all other views.
 
-A voxel's score is the smallest log-odds among the views in which it is visible. With many views, the score is a higher
-order statistic, such as the second smallest log-odds, so that a few views may be wrong.
+A voxel's score is the smallest log-odds among the views in which it is visible. With many views, the score is not the
+smallest log-odds but, for example, the second smallest, so that a few views may be wrong.
 """
 
 from __future__ import annotations

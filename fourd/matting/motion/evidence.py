@@ -1,4 +1,5 @@
-"""Log-odds that a pixel shows the subject, from its own camera and the visual hull of the other views."""
+"""Log-odds that a pixel shows the subject, from the image of the pixel's camera and the visual hull of the other
+views."""
 
 from __future__ import annotations
 
@@ -34,7 +35,8 @@ CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
 """Upper limit of the evidence of the hull."""
 RELIABLE_SCORE = np.float32(4.0)
-"""Voxels with a larger score are reliable voxels: even the view with the lowest probability shows the subject there."""
+"""Voxels with a score above this value are reliable voxels: even the view with the lowest probability shows the subject
+there."""
 RELIABLE_RANGE = np.float32(2.0)
 MAX_RELIABLE_LOG_ODDS = 6.0
 """Upper limit of the evidence of reliable voxels.

@@ -45,7 +45,8 @@ of the subject that the hull misses.
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
 TRUST_SLOPE = np.float32(5.0)
-"""Inverse of the probability of the subject below which a pixel counts as background without further evidence."""
+"""If the probability of the subject at a pixel is below 1 / TRUST_SLOPE, the pixel counts as background without further
+evidence."""
 
 
 @dataclass(eq=False)

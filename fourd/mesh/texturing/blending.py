@@ -16,14 +16,16 @@ Floats = NDArray[np.float32]
 
 ANGLE_POWER = 6
 """Power p of the cosine between normal and direction to the camera in the weight of a view. With a high power, textures
-are sharp, because few views are mixed. With a low power, differences between the views are less visible."""
+are sharp, because few views are mixed. With a low power, differences between the views are less visible than with a
+high power."""
 
 MIN_COSINE = 0.1
-"""Minimum cosine at which a view colours a point. With a smaller cosine, the point is seen at a grazing angle."""
+"""Minimum cosine at which a view colours a point. Below this minimum, the point is seen at a grazing angle."""
 
 DEPTH_TOLERANCE_PX = 2.0
 """A point is visible if it is at most this distance, in pixels, behind the rasterized depth. For this test, the size of
-a pixel at the point's depth is divided by the cosine, because depth changes faster on slanted surfaces."""
+a pixel at the point's depth is divided by the cosine, because depth changes faster along slanted surfaces than along
+surfaces that face the camera."""
 
 CHUNK = 1 << 19
 """Number of points that are coloured in one block. The block size limits the memory for large textures."""

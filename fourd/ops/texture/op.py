@@ -21,8 +21,9 @@ def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]
 def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
     """Compute levels 1 to ``level_count`` - 1 of a float32 texture (B, H, W, C) or (B, 6, H, H, C).
 
-    A texel is the mean of 2 x 2 texels of the finer level, or of 2 along an axis of one texel. Sides above 1 must be
-    even in all levels but the last. Not differentiable: the gradient of :func:`sample_texture` includes the chain.
+    A texel is the mean of 2 x 2 texels of the finer level, or of 2 texels if an axis has only one texel. Sides above 1
+    must be even in all levels but the last. Not differentiable: the gradient of :func:`sample_texture` includes the
+    chain.
     """
     mips = _empty_mips(tex, level_count)
     if uses_gpu_kernels(tex):

@@ -112,7 +112,7 @@ def texture_construct_mip(
     ``tex``.
 
     A texel of a level is the mean of 2 x 2 texels of the previous level. If the previous level has a side of one texel,
-    it is the mean of 2 texels. If tex changes, build the levels again.
+    the new texel is the mean of 2 texels. If tex changes, build the levels again.
 
     Args:
         tex: (B, H, W, C) float32, or (B, 6, N, N, C) with cube_mode. In every level except the last, a side longer than

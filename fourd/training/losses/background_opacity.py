@@ -19,7 +19,8 @@ from fourd.training.rendering import NEAR, visible_points
 LAYERS = 64
 """Maximum number of points that are composited at each pixel. This maximum is larger than the number of points that
 overlap at a pixel, even on a floor viewed at a grazing angle. With too few layers, the transmittance after the last
-layer would not be 0, and the gradient would enlarge the discs. With larger discs, even more discs would overlap."""
+layer would not be 0, and the gradient would enlarge the discs. As a result, the number of overlapping discs would
+increase further."""
 MAX_LATERAL_OFFSET = 0.15
 """Maximum distance of a viewpoint from the line between two cameras, as a share of the line's length."""
 RNG_STREAM = 4
