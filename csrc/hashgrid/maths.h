@@ -52,7 +52,7 @@ struct Interpolation {
     float slope;  // Vertices per unit of the coordinate, or 0 if the coordinate was clamped.
 };
 
-// NaN counts as 0.
+// A coordinate that is NaN counts as 0.
 FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, float coordinate) {
     const float size = static_cast<float>(level.resolution);
     const bool inside = coordinate >= 0.0f && coordinate <= 1.0f;

@@ -94,7 +94,7 @@ def make_plates(selection: Selection, key: str, workers: int, track: Track, fold
     Args:
         selection: the capture.
         key: hash of the inputs of the mattes.
-        workers: number of processes; each job is one camera.
+        workers: number of processes; each process computes one camera at a time.
         track: progress callback.
         folder: output folder, or None for ``.fourd/plates`` in the capture's folder.
 

@@ -27,7 +27,8 @@ returned to the system."""
 
 FULL_RESIDENT_BYTES = 2 * RESIDENT_BYTES
 """Target for the resident size of the process while a full scene is trained, in bytes. A step on a full scene uses more
-memory than a step on an object scene. With the target for object scenes, the heap would be trimmed in every step."""
+memory than a step on an object scene. With RESIDENT_BYTES, the target for object scenes, the heap would be trimmed in
+every step of a full scene."""
 
 MIN_GROWTH_BYTES = 128 * 2**20
 """Minimum growth of the resident size between two trims of the heap, in bytes. If the heap were trimmed more often,

@@ -79,7 +79,7 @@ class EntryTable {
     std::vector<List> lists_;
 };
 
-// The part of a band's entries that come from the tasks [first_task, last_task).
+// Those entries of a band that come from the tasks [first_task, last_task).
 struct Part {
     std::size_t item;
     int level;

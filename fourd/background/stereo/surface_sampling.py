@@ -169,7 +169,7 @@ class _Squares:
 
 @dataclass(frozen=True, eq=False)
 class _Tiling:
-    """Squares of an image, divided into parts where the image's surface is steep.
+    """Squares of an image, divided into parts where the surface is seen at a grazing angle.
 
     Attributes:
         squares: the tiling with N squares.

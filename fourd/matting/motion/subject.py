@@ -33,10 +33,10 @@ Flags = NDArray[np.bool_]
 
 ITERATIONS = 4
 LOCAL_ITERATIONS = 2
-"""Number of additional iterations at the end, whose E-step uses local colours. The M-step of these iterations also
-trusts the probabilities inside the other views' hull, so that background between the subject's limbs becomes known. The
-second of these iterations uses the better edges of the first one, so that background that is only visible next to the
-subject becomes known."""
+"""Number of additional iterations after the first ITERATIONS iterations. The E-step of the additional iterations uses
+local colours. The M-step of these iterations also trusts the probabilities inside the other views' hull, so that
+background between the subject's limbs becomes known. The second of these iterations uses the better edges of the first
+one, so that background that is only visible next to the subject becomes known."""
 MIN_REGION_PIXELS = 20
 """Minimum number of changing pixels in at least one camera. With fewer changing pixels in every camera, there is no
 moving subject."""

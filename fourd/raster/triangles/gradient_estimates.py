@@ -25,8 +25,9 @@ def estimate_gradient(
     For each sample, two images are rendered, with the parameters params + epsilon s and params - epsilon s. The number
     s is +1 or -1, and is chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel in these two
     images. The pixel adds (L_+ - L_-) s / (2 epsilon) to the gradients of all primitives that are visible at the pixel
-    in at least one of the two images. The expected value is approximately the gradient of the loss, smoothed over a
-    distance of epsilon. The noise of the estimate is inversely proportional to the square root of ``samples``.
+    in at least one of the two images. The expected value of this estimate is approximately the gradient of the loss,
+    smoothed over a distance of epsilon. The noise of the estimate is inversely proportional to the square root of
+    ``samples``.
 
     Args:
         render: function that maps parameters to an image. The function need not be differentiable, and is called twice
