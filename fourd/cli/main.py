@@ -99,8 +99,8 @@ A process that the signal SIGPIPE ends has the same exit code.
 SPIN_COUNT = "20000"
 """Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
 
-With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With the value SPIN_COUNT, a
-training step is 6 to 12% faster.
+With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With SPIN_COUNT instead of
+OpenMP's default, a training step is 6 to 12% faster.
 """
 
 
