@@ -28,8 +28,12 @@ class Compositor(Protocol):
     def discs(self) -> Discs:
         """The disc geometry. The caller must call :meth:`Discs.project` before :meth:`draw`."""
 
-    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
-        """Composite :attr:`discs` over the background colour of the request and write the result into ``target``."""
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
+        """Composite :attr:`discs` and write the result into ``target``, with the top of the image at the top.
+
+        A picture is composited over the background colour of the request, filtered with the pixel filter, and limited
+        to [0, 1]. Without ``is_picture``, the result is the weighted sum of what the discs are painted with, and alpha.
+        """
 
     def release(self) -> None:
         """Free all GL objects."""
@@ -43,12 +47,23 @@ class OverBackground:
         self._context = context
         self._pass = FullScreenPass(context, "over_background.frag")
 
-    def run(self, image: moderngl.Texture, request: RenderRequest, target: moderngl.Framebuffer) -> None:
-        """Draw ``image`` over the background colour into ``target``. The framebuffer ``target`` stays bound."""
+    def run(
+        self, image: moderngl.Texture, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool
+    ) -> None:
+        """Draw ``image`` into ``target`` as :meth:`Compositor.draw` does. The framebuffer ``target`` stays bound."""
+        if not is_picture:
+            self.copy(image, target)
+            return
         target.use()
         disable_blending(self._context)
         uniforms = {"background": request.settings.background, "pixel_filter": request.manifest.pixel_filter}
-        self._pass.run({"image": image}, **uniforms)
+        self._pass.run({"image": image}, is_picture=True, **uniforms)
+
+    def copy(self, image: moderngl.Texture, target: moderngl.Framebuffer) -> None:
+        """Draw the values of ``image`` into ``target``. The framebuffer ``target`` stays bound."""
+        target.use()
+        disable_blending(self._context)
+        self._pass.run({"image": image}, is_picture=False, background=(0.0, 0.0, 0.0), pixel_filter=0.0)
 
     def release(self) -> None:
         """Free all GL objects."""
@@ -67,10 +82,11 @@ class SortedBlending:
         self._targets = RenderTargets(context, {"image": (4, "f1")})
         self._over_background = OverBackground(context)
 
-    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
         """See :meth:`Compositor.draw`."""
-        if request.manifest.pixel_filter == 0:
-            target.clear(color=(*request.settings.background, 0.0))
+        if request.manifest.pixel_filter == 0 or not is_picture:
+            background = request.settings.background if is_picture else (0.0, 0.0, 0.0)
+            target.clear(color=(*background, 0.0))
             blend_over(self._context)
             self.discs.draw("blend", target, upright=True)
             return
@@ -78,7 +94,7 @@ class SortedBlending:
         self._targets.clear("image")
         blend_over(self._context)
         self.discs.draw("blend", self._targets.framebuffer(["image"]))
-        self._over_background.run(self._targets.texture("image"), request, target)
+        self._over_background.run(self._targets.texture("image"), request, target, is_picture)
 
     def release(self) -> None:
         """Free all GL objects."""
@@ -98,7 +114,7 @@ class DepthPeeling:
         self._copy = FullScreenPass(context, "copy.frag")
         self._over_background = OverBackground(context)
 
-    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
         """See :meth:`Compositor.draw`."""
         targets = self._targets
         targets.resize((request.camera.width, request.camera.height))
@@ -109,7 +125,7 @@ class DepthPeeling:
             targets.framebuffer(["sum"]).use()
             blend_under(self._context)
             self._copy.run({"image": targets.texture("layer")})
-        self._over_background.run(targets.texture("sum"), request, target)
+        self._over_background.run(targets.texture("sum"), request, target, is_picture)
 
     def _peel_layer(self, ranks: str, previous_ranks: str) -> None:
         targets = self._targets
@@ -149,7 +165,7 @@ class DualDepthPeeling:
         self._over_background = OverBackground(context)
         self._counter = SampleCounter()
 
-    def draw(self, request: RenderRequest, target: moderngl.Framebuffer) -> None:
+    def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
         """See :meth:`Compositor.draw`."""
         targets = self._targets
         targets.resize((request.camera.width, request.camera.height))
@@ -164,7 +180,7 @@ class DualDepthPeeling:
         targets.framebuffer([f"front {last % 2}"]).use()
         blend_under(self._context)
         self._copy.run({"image": targets.texture(f"back {last % 2}")})
-        self._over_background.run(targets.texture(f"front {last % 2}"), request, target)
+        self._over_background.run(targets.texture(f"front {last % 2}"), request, target, is_picture)
 
     def _peel(self, index: int, front_only: bool = False) -> None:
         """Run geometry pass ``index``, counted from 0.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Literal, get_args
 
 import moderngl
 import numpy as np
@@ -17,6 +18,10 @@ from fourd.viewer.gl.context import driver_info
 from fourd.viewer.gl.frame_textures import FrameTextures
 from fourd.viewer.gl.shaders import TEXELS_PER_ROW, compile_program, set_uniforms
 
+Paint = Literal["colour", "normal", "depth"]
+"""What the discs are painted with. Normals are in the frame of the camera."""
+
+PAINTS: tuple[Paint, ...] = get_args(Paint)
 _BYTES_PER_DISC = 32
 _MAX_BLENDED_VIEWS = 64  # the size of the arrays in viewer/shaders/shade.vert
 _DISCS_PER_ROW = TEXELS_PER_ROW // 2
@@ -64,10 +69,18 @@ class Discs:
         self._size = (1, 1)
         self._margin: int | None = None
 
-    def project(self, textures: FrameTextures, order: NDArray[np.uint32], request: RenderRequest) -> None:
+    def project(
+        self,
+        textures: FrameTextures,
+        order: NDArray[np.uint32],
+        request: RenderRequest,
+        paint: Paint = "colour",
+        depth_unit: float = 1.0,
+    ) -> None:
         """Project and shade points for the camera of ``request``.
 
-        ``order`` contains the indices of the points, nearest first. Raises UserError for 2^24 points or more.
+        ``order`` contains the indices of the points, nearest first. Normals can be painted only if the frame has them.
+        Depths are in multiples of ``depth_unit``, which is in world units. Raises UserError for 2^24 points or more.
         """
         if len(order) >= _MAX_RANKS:
             raise UserError(
@@ -82,6 +95,7 @@ class Discs:
         self._buffers["order"].write(np.ascontiguousarray(order[::-1]) if self._farthest_first else order)
         views = request.frame.view_count
         set_uniforms(self._shade_program, **textures.use(), views=views, **_camera_uniforms(request.camera))
+        set_uniforms(self._shade_program, painted=PAINTS.index(paint), depth_unit=depth_unit)
         set_uniforms(self._shade_program, **_shading_uniforms(request))
         if self._farthest_first and self._margin is not None:
             array, count = self._shade_arrays["sequence"], request.frame.point_count

@@ -7,12 +7,13 @@ from dataclasses import replace
 import moderngl
 
 from fourd.baking import BakedFrame
-from fourd.errors import UserError
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.compositors import Compositor
-from fourd.viewer.gl.depth_order import DepthOrders
+from fourd.viewer.gl.depth_order import DepthOrder, DepthOrders
+from fourd.viewer.gl.discs import Paint
 from fourd.viewer.gl.frame_textures import FrameTextures, Precision
+from fourd.viewer.gl.styled import StyledDrawing, depth_unit
 
 
 class GLRenderer:
@@ -32,6 +33,7 @@ class GLRenderer:
         self._orders = orders
         # There are two sets of textures, because the previous frame is drawn until the next frame has a depth order.
         self._textures = [FrameTextures(context, precision) for _ in range(2)]
+        self._styled: StyledDrawing | None = None
         self._stale_images = 0
         self.sort_seconds = 0.0
 
@@ -48,8 +50,6 @@ class GLRenderer:
 
         With ``wait``, the depth order is computed for ``request``.
         """
-        if request.settings.style is not None:
-            raise UserError(f"--renderer: expected cpu for a style, got {self.name}; add --renderer cpu")
         order = self._orders.order(request, wait)
         self._stale_images = 0 if order.matches(request) else self._stale_images + 1
         self.sort_seconds = order.seconds
@@ -58,13 +58,39 @@ class GLRenderer:
         # Transform feedback needs a bound framebuffer, and a context without a window has no default framebuffer.
         target = canvas.framebuffer(request.camera.width, request.camera.height)
         target.use()
+        if request.settings.style is not None:
+            self._draw_styled(ordered_request, order, target)
+            return
+        self._release_styled()
         self._compositor.discs.project(self._upload(order.frame), order.points, ordered_request)
         self._compositor.draw(ordered_request, target)
 
     def release(self) -> None:
         """Free all GL objects and stop the sorting thread."""
+        self._release_styled()
         self._orders.release()
         self._compositor.release()
+        for textures in self._textures:
+            textures.release()
+
+    def _draw_styled(self, request: RenderRequest, order: DepthOrder, target: moderngl.Framebuffer) -> None:
+        if self._styled is None:
+            self._styled = StyledDrawing(self._context)
+        textures = self._upload(self._styled.with_normals(order.frame, request.manifest))
+        unit = depth_unit(request.camera, request.manifest)
+
+        def project(paint: Paint) -> None:
+            self._compositor.discs.project(textures, order.points, request, paint, unit)
+
+        self._styled.draw(self._compositor, project, request, target)
+
+    def _release_styled(self) -> None:
+        """Free what only styles need. Textures with estimated normals are freed, too: the frames without normals, which
+        follow, would leave old normals of the background in them."""
+        if self._styled is None:
+            return
+        self._styled.release()
+        self._styled = None
         for textures in self._textures:
             textures.release()
 

@@ -20,7 +20,7 @@ In the bounds of a dual peeling pass, this value means that the pixel has no lay
 """
 
 _DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}
-_INCLUDE = re.compile(r'^#include "(\w+\.glsl)"$', re.MULTILINE)
+_INCLUDE = re.compile(r'^#include "([\w/]+\.glsl)"$', re.MULTILINE)
 
 
 def compile_program(

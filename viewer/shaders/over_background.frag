@@ -5,13 +5,15 @@
 uniform sampler2D image;
 uniform vec3 background;
 uniform float pixel_filter;  // Weight of a neighbouring pixel along rows and columns, or 0 for no filter.
+uniform bool is_picture;     // Whether the result is limited to [0, 1].
 
 out vec4 colour;
 
 // A pixel over the background. Pixels outside the image equal the nearest pixel of the image.
 vec4 over_background(ivec2 pixel) {
     vec4 source = texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0);
-    return vec4(clamp(source.rgb + (1.0 - source.a) * background, 0.0, 1.0), source.a);
+    vec3 sum = source.rgb + (1.0 - source.a) * background;
+    return vec4(is_picture ? clamp(sum, 0.0, 1.0) : sum, source.a);
 }
 
 vec4 filter_row(ivec2 pixel) {

@@ -27,10 +27,18 @@ uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;
 
+uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Used only by NORMALS.
+uniform int painted;        // What the discs are painted with: COLOURS, NORMALS or DEPTHS.
+uniform float depth_unit;   // Unit of painted depths, in world units.
+
+const int COLOURS = 0;
+const int NORMALS = 1;
+const int DEPTHS = 2;
+
 in uint point;
 
 out vec4 disc;   // Centre (u, v), 1 / rho^2 and the radius rho, with lengths in pixels.
-out vec4 paint;  // Red, green, blue and density.
+out vec4 paint;  // Red, green and blue, or what replaces them, and density.
 
 int slot;  // Index of the point in the textures.
 
@@ -74,6 +82,21 @@ vec3 blend_source_views() {
     return total > 0.0 ? sum / max(total, 1e-30) : plain_sum / max(plain_total, 1e-30);
 }
 
+// Returns the normal in the frame of the camera.
+vec3 camera_normal() {
+    vec2 plane = (texelFetch(normals, at(slot), 0).rg * 255.0 - 128.0) / 127.0;
+    float z = 1.0 - abs(plane.x) - abs(plane.y), folded = max(-z, 0.0);
+    plane -= folded * vec2(plane.x > 0.0 ? 1.0 : -1.0, plane.y > 0.0 ? 1.0 : -1.0);
+    vec3 n = vec3(plane, z) / max(length(vec3(plane, z)), 1e-12);
+    return vec3(dot(rotation_x, n), dot(rotation_y, n), dot(rotation_z, n));
+}
+
+vec3 colour_of(vec3 world) {
+    vec3 ray = world - camera_centre;
+    vec3 direction = ray / max(length(ray), 1e-12);
+    return blend_source_views() + sh_base + sh_range * tanh(spherical_harmonics(direction));
+}
+
 void main() {
     slot = int(point) < dynamic_count ? int(point) : int(point) + gap;
     vec3 world = texelFetch(xyz, at(slot), 0).xyz;
@@ -89,7 +112,10 @@ void main() {
     }
     disc = vec4((intrinsics_x.x * p.x + intrinsics_x.y * p.y) / p.z + intrinsics_x.z,
                 (intrinsics_y.x * p.x + intrinsics_y.y * p.y) / p.z + intrinsics_y.z, 1.0 / (rho * rho), rho);
-    vec3 ray = world - camera_centre;
-    vec3 direction = ray / max(length(ray), 1e-12);
-    paint = vec4(blend_source_views() + sh_base + sh_range * tanh(spherical_harmonics(direction)), clamped_density);
+    paint.a = clamped_density;
+    if (painted == NORMALS) {
+        paint.rgb = camera_normal();
+    } else {
+        paint.rgb = painted == DEPTHS ? vec3(p.z / depth_unit) : colour_of(world);
+    }
 }

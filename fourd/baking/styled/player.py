@@ -68,7 +68,7 @@ class StyledPlayer:
         if self._last is None or self._last.surface.size != size:
             self._last = _Picture(Surface.empty(*size), np.zeros(size, np.uint8))
         last = self._last
-        rests = last.camera is not None and _is_same(last.camera, camera)
+        rests = last.camera is not None and is_same_camera(last.camera, camera)
         if not rests:
             last.lines.fill(0)
         last.camera = camera
@@ -124,7 +124,8 @@ class StyledPlayer:
         return self._table[1]
 
 
-def _is_same(first: Camera, second: Camera) -> bool:
+def is_same_camera(first: Camera, second: Camera) -> bool:
+    """Whether two cameras of one image size show a scene from the same pose with the same intrinsics."""
     return first is second or (
         np.array_equal(first.intrinsics, second.intrinsics)
         and np.array_equal(first.rotation, second.rotation)

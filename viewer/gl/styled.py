@@ -1,0 +1,136 @@
+"""Drawing of frames in a style with OpenGL: the visible surface of the points, and then the stylizer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking import BakedFrame, SceneManifest
+from fourd.baking.styled.normals import FrameNormals
+from fourd.baking.styled.player import is_same_camera
+from fourd.cameras import Camera
+from fourd.stylize import Style, view_style
+from fourd.stylize.tables import make_table
+from fourd.viewer.display import RenderRequest
+from fourd.viewer.gl.compositors import Compositor, OverBackground
+from fourd.viewer.gl.discs import PAINTS, Paint
+from fourd.viewer.gl.passes import FullScreenPass, RenderTargets, disable_blending
+from fourd.viewer.gl.stylizer import GLStylizer, SurfaceTextures
+
+Project = Callable[[Paint], None]
+"""Projects the points of a request, and paints the discs with a quantity."""
+
+
+class SurfaceBuffer:
+    """The visible surface of points, drawn by any compositor.
+
+    The compositor runs three times: for colours, for normals and for depths. All quantities therefore have the weights
+    of the colours.
+    """
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        formats = {"colour": (4, "f2"), "normal": (4, "f4"), "depth": (4, "f4"), "albedo": (4, "f1")}
+        for index in range(2):
+            formats[f"inverse depth {index}"], formats[f"normal {index}"] = (1, "f4"), (4, "f1")
+        self._targets = RenderTargets(context, formats)
+        self._convert = FullScreenPass(context, "stylize/surface.frag")
+        self._last = 0
+
+    def draw(
+        self, compositor: Compositor, project: Project, request: RenderRequest, persistence: float
+    ) -> SurfaceTextures:
+        """Draw the surface. The second next call overwrites it.
+
+        Args:
+            persistence: weight of the previous surface, from 0 to below 1. 0 if its camera was another one.
+        """
+        targets, size = self._targets, (request.camera.width, request.camera.height)
+        if size != targets.size:
+            targets.resize(size)
+            persistence = 0.0
+        for paint in PAINTS:
+            framebuffer = targets.framebuffer([paint])
+            framebuffer.use()  # projecting uses transform feedback, which needs a framebuffer
+            project(paint)
+            compositor.draw(request, framebuffer, is_picture=False)
+        previous, self._last = self._last, 1 - self._last
+        names = ["albedo", f"inverse depth {self._last}", f"normal {self._last}"]
+        targets.framebuffer(names).use()
+        disable_blending(self._context)
+        self._convert.run(
+            {
+                "colours": targets.texture("colour"),
+                "normals": targets.texture("normal"),
+                "depths": targets.texture("depth"),
+                "old_inverse_depth": targets.texture(f"inverse depth {previous}"),
+                "old_normal": targets.texture(f"normal {previous}"),
+            },
+            depth_unit=depth_unit(request.camera, request.manifest),
+            persistence=persistence,
+        )
+        return SurfaceTextures(*(targets.texture(name) for name in names))
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        self._convert.release()
+        self._targets.release()
+
+
+class StyledDrawing:
+    """Draws requests in their style. Successive pictures from one camera have steady lines, as those of
+    :class:`fourd.baking.styled.player.StyledPlayer`."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._surface = SurfaceBuffer(context)
+        self._stylizer = GLStylizer(context)
+        self._copy = OverBackground(context)
+        self._normals = FrameNormals()
+        self._frames: list[tuple[BakedFrame, BakedFrame]] = []
+        self._camera: Camera | None = None
+        self._table: tuple[Style, NDArray[np.uint8]] | None = None
+
+    def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
+        """The frame with normals. The last two frames are kept, so that their textures are not uploaded again."""
+        if frame.normals is not None:
+            return frame
+        for source, complete in self._frames:
+            if source is frame:
+                return complete
+        complete = replace(frame, normals=self._normals.get(frame, manifest))
+        self._frames = [(frame, complete), *self._frames[:1]]
+        return complete
+
+    def draw(
+        self, compositor: Compositor, project: Project, request: RenderRequest, target: moderngl.Framebuffer
+    ) -> None:
+        """Draw a request that has a style. Raises UserError if the style's shade map cannot be read."""
+        settings, camera = request.settings, request.camera
+        assert settings.style is not None
+        if self._table is None or self._table[0] != settings.style:
+            self._table = (settings.style, make_table(settings.style))
+        rests = self._camera is not None and is_same_camera(self._camera, camera)
+        self._camera = camera
+        persistence = settings.style.persistence if rests else 0.0
+        surface = self._surface.draw(compositor, project, request, persistence)
+        self._stylizer.resize((camera.width, camera.height))
+        if not rests:
+            self._stylizer.forget_lines()
+        parameters = view_style(settings.style, self._table[1], camera, request.manifest.focus, settings.background)
+        picture = self._stylizer.draw(surface, parameters)
+        self._copy.copy(picture, target)
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        for item in (self._surface, self._stylizer, self._copy):
+            item.release()
+
+
+def depth_unit(camera: Camera, manifest: SceneManifest) -> float:
+    """Unit of composited depths: the distance from the camera to the centre of the scene, so that depths are near 1 and
+    fit in float16."""
+    return max(float(np.linalg.norm(np.asarray(manifest.focus) - camera.centre)), 1e-6)

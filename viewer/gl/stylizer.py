@@ -1,0 +1,96 @@
+"""The stylizer in OpenGL: fragment passes with the formulas of :mod:`fourd.ops.stylize.parameters`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, TONES, StyleParameters
+from fourd.viewer.gl.passes import FullScreenPass, RenderTargets, disable_blending
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceTextures:
+    """A visible surface in textures with the layout of :class:`fourd.ops.stylize.parameters.Surface`. Row 0 of a
+    texture is the top of the image."""
+
+    albedo: moderngl.Texture
+    inverse_depth: moderngl.Texture
+    normal: moderngl.Texture
+
+
+class GLStylizer:
+    """Draws surfaces in a style, and keeps the lines of the last picture."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        formats = {"depth": (1, "f4"), "normal": (4, "f1"), "picture": (4, "f1")}
+        self._targets = RenderTargets(context, {**formats, "lines 0": (1, "f1"), "lines 1": (1, "f1")})
+        self._close = FullScreenPass(context, "stylize/close.frag")
+        self._draw = FullScreenPass(context, "stylize/picture.frag")
+        self._table: moderngl.Texture | None = None
+        self._table_source: NDArray[np.uint8] | None = None
+        self._last = 0
+
+    @property
+    def lines(self) -> moderngl.Texture:
+        """Strength of the lines of the last picture. The texture has one byte per pixel."""
+        return self._targets.texture(f"lines {self._last}")
+
+    def resize(self, size: tuple[int, int]) -> None:
+        """Set the size (width, height) of the pictures. At another size, the last lines are dropped."""
+        if size != self._targets.size:
+            self._targets.resize(size)
+            self.forget_lines()
+
+    def forget_lines(self) -> None:
+        """Draw the next picture without the lines of the last one, as for another camera."""
+        self._targets.clear(f"lines {self._last}")
+
+    def draw(self, surface: SurfaceTextures, parameters: StyleParameters) -> moderngl.Texture:
+        """Draw a surface of the size of the last call of :meth:`resize`.
+
+        Returns the picture: RGB over the paper, and alpha. Row 0 is the top. The next call overwrites the picture.
+        """
+        targets, previous = self._targets, self._last
+        self._last = 1 - previous
+        disable_blending(self._context)
+        targets.framebuffer(["depth", "normal"]).use()
+        self._close.run({"inverse_depth": surface.inverse_depth, "normal": surface.normal})
+        targets.framebuffer(["picture", f"lines {self._last}"]).use()
+        numbers = {field.name: getattr(parameters.numbers, field.name) for field in fields(parameters.numbers)}
+        self._draw.run(
+            {
+                "closed_depth": targets.texture("depth"),
+                "closed_normal": targets.texture("normal"),
+                "albedo": surface.albedo,
+                "line_state": targets.texture(f"lines {previous}"),
+                "table": self._upload_table(parameters.table),
+            },
+            detail_axis=DETAILS.index(parameters.detail),
+            line_filter=LINE_FILTERS.index(parameters.lines),
+            thickness=parameters.thickness,
+            **numbers,
+        )
+        return targets.texture("picture")
+
+    def release(self) -> None:
+        """Free all GL objects."""
+        for item in (self._close, self._draw, self._targets):
+            item.release()
+        if self._table is not None:
+            self._table.release()
+            self._table = self._table_source = None
+
+    def _upload_table(self, table: NDArray[np.uint8]) -> moderngl.Texture:
+        if self._table is None or self._table_source is not table:
+            if self._table is not None:
+                self._table.release()
+            content = np.ascontiguousarray(table).tobytes()
+            self._table = self._context.texture((TONES, len(table)), 3, content, alignment=1)
+            self._table.filter = (moderngl.NEAREST, moderngl.NEAREST)
+            self._table_source = table
+        return self._table

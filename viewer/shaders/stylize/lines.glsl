@@ -1,0 +1,59 @@
+// Finds lines (find_lines of fourd/ops/stylize/reference.py). This text is also valid GLSL ES 3.00.
+
+uniform sampler2D closed_depth;
+uniform sampler2D closed_normal;
+uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.
+uniform int thickness;    // Pixels between the taps.
+uniform float depth_threshold;
+uniform float normal_threshold;
+
+vec4 unpack_normal(vec4 texel) { return vec4((floor(255.0 * texel.xyz + 0.5) - 128.0) / 127.0, texel.w); }
+
+// 0 up to the threshold, 1 from 1.5 times the threshold.
+float ramp(float value, float threshold) { return clamp(2.0 * (value / threshold - 1.0), 0.0, 1.0); }
+
+// Returns the inverse depth of a tap, and the cosine between its normal and `normal`, both weighted by coverage.
+vec2 tap(ivec2 pixel, ivec2 steps, vec3 normal) {
+    ivec2 at = clamp(pixel + thickness * steps, ivec2(0), textureSize(closed_depth, 0) - 1);
+    vec4 other = unpack_normal(texelFetch(closed_normal, at, 0));
+    return vec2(texelFetch(closed_depth, at, 0).r, dot(other.xyz * other.w, normal));
+}
+
+float sobel_lines(ivec2 pixel, vec3 normal, float scale) {
+    vec2 across = vec2(0.0), down = vec2(0.0);
+    float most = 1e-20;
+    for (int y = -1; y <= 1; ++y) {
+        for (int x = -1; x <= 1; ++x) {
+            vec2 value = tap(pixel, ivec2(x, y), normal);
+            across += float(x * (2 - abs(y))) * value;
+            down += float(y * (2 - abs(x))) * value;
+            most = max(most, value.x);
+        }
+    }
+    vec2 size = sqrt(across * across + down * down) / 4.0;
+    return max(ramp(size.x / most, depth_threshold * scale), ramp(size.y, normal_threshold * scale));
+}
+
+float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
+    float depth = texelFetch(closed_depth, pixel, 0).r, most = max(depth, 1e-20), bend = 0.0, flatness = 1.0;
+    ivec2 size = textureSize(closed_depth, 0);
+    for (int axis = 0; axis < 2; ++axis) {
+        ivec2 side = axis == 0 ? ivec2(0, 1) : ivec2(1, 0);
+        vec2 first = tap(pixel, -side, normal), second = tap(pixel, side, normal);
+        int at = axis == 0 ? pixel.y : pixel.x, count = axis == 0 ? size.y : size.x;
+        // A tap outside the image repeats the border, which would look like a bend of the surface.
+        if (at >= thickness && at < count - thickness) bend += abs(first.x + second.x - 2.0 * depth);
+        most = max(most, max(first.x, second.x));
+        flatness *= 1.0 - ramp(coverage - first.y, normal_threshold * scale);
+        flatness *= 1.0 - ramp(coverage - second.y, normal_threshold * scale);
+    }
+    return 1.0 - flatness * (1.0 - ramp(bend / (2.0 * most), depth_threshold * scale));
+}
+
+// Returns the strength of the line at a pixel in [0, 1]. `scale` multiplies the thresholds.
+float find_line(ivec2 pixel, float scale) {
+    vec4 own = unpack_normal(texelFetch(closed_normal, pixel, 0));
+    vec3 normal = own.xyz * own.w;
+    if (line_filter == 1) return sobel_lines(pixel, normal, scale);
+    return line_filter == 2 ? cross_lines(pixel, normal, own.w, scale) : 0.0;
+}

@@ -1,0 +1,39 @@
+#version 330 core
+// Converts composited colours, normals and depths to the visible surface (class Surface of
+// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image, row 0 of the inputs is the bottom.
+
+uniform sampler2D colours;  // Premultiplied by alpha, as the normals and depths.
+uniform sampler2D normals;
+uniform sampler2D depths;     // Depth in units of depth_unit, and alpha in the fourth component.
+uniform float depth_unit;     // In world units.
+uniform sampler2D old_inverse_depth;
+uniform sampler2D old_normal;
+uniform float persistence;  // Weight of the old surface. 0 ignores it.
+
+layout(location = 0) out vec4 albedo;
+layout(location = 1) out float inverse_depth;
+layout(location = 2) out vec4 normal;
+
+// Bounds of the differences between successive images of the same surface, as in csrc/points/cpu/surface.inc.
+const float SAME_DEPTH = 0.02;
+const float SAME_NORMAL = 0.8;
+
+vec3 bytes(vec3 texel) { return floor(255.0 * texel + 0.5); }
+
+void main() {
+    ivec2 pixel = ivec2(gl_FragCoord.xy);
+    ivec2 source = ivec2(pixel.x, textureSize(depths, 0).y - 1 - pixel.y);
+    vec4 depth = texelFetch(depths, source, 0);
+    vec3 sum = texelFetch(normals, source, 0).xyz;
+    float alpha = depth.a, coverage = clamp(3.0 * alpha - 0.5, 0.0, 1.0), square = dot(sum, sum);
+    albedo = clamp(vec4(texelFetch(colours, source, 0).rgb, alpha), 0.0, 1.0);
+    inverse_depth = depth.r > 0.0 ? coverage * alpha / (depth.r * depth_unit) : 0.0;
+    vec3 fresh = floor((square > 1e-12 ? sum * (127.0 / sqrt(square)) : vec3(0.0)) + 128.5);
+    vec3 old = bytes(texelFetch(old_normal, pixel, 0).xyz);
+    float old_depth = texelFetch(old_inverse_depth, pixel, 0).r;
+    bool is_same = abs(old_depth - inverse_depth) <= SAME_DEPTH * inverse_depth
+                   && dot(old - 128.0, fresh - 128.0) >= SAME_NORMAL * 127.0 * 127.0;
+    float share = is_same ? persistence : 0.0;
+    inverse_depth += share * (old_depth - inverse_depth);
+    normal = vec4((fresh + share * (old - fresh)) / 255.0, coverage);
+}
