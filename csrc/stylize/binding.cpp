@@ -41,6 +41,9 @@ stylize::Style style_of(const NumberArray& numbers, int detail, int lines, int t
     std::memcpy(&style.numbers, numbers.data(), sizeof style.numbers);
     require(style.numbers.depth_threshold > 0.0f && style.numbers.normal_threshold > 0.0f,
             "depth_threshold, normal_threshold: expected more than 0");
+    require(style.numbers.hysteresis >= 0.0f && style.numbers.hysteresis < 1.0f && style.numbers.persistence >= 0.0f &&
+                style.numbers.persistence < 1.0f,
+            "hysteresis, persistence: expected numbers from 0 to below 1");
     require(style.numbers.angle_softness > 0.0f, "angle_softness: expected more than 0");
     require(style.numbers.hatch_spacing >= 1.0f, "hatch_spacing: expected at least 1 pixel");
     return style;
@@ -48,7 +51,7 @@ stylize::Style style_of(const NumberArray& numbers, int detail, int lines, int t
 
 void run(const Picture<const std::uint8_t>& albedo, const Plane<const float>& inverse_depth,
          const Picture<const std::uint8_t>& normal, const NumberArray& numbers, int detail, int lines, int thickness,
-         const Table& table, int threads, const std::string& simd, const std::optional<Plane<std::uint8_t>>& line_state,
+         const Table& table, int threads, const std::string& simd, const std::optional<Plane<std::uint32_t>>& line_state,
          const Picture<std::uint8_t>& out) {
     for (int side = 0; side < 2; ++side) {
         const std::size_t size = albedo.shape(side);

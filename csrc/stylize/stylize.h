@@ -24,7 +24,7 @@ struct Numbers {
     float table_alone, table_times_albedo, albedo_alone;  // colour = table * (alone + times * albedo) + albedo_alone * albedo.
     float detail_offset, detail_per_depth;
     float angle_threshold, angle_softness, angle_strength, angle_colour[3];
-    float depth_threshold, normal_threshold, line_opacity, line_colour[3], hysteresis;
+    float depth_threshold, normal_threshold, line_opacity, line_colour[3], hysteresis, persistence;
     float hatch_spacing, hatch_levels[2], hatch_width, hatch_colour[3];
     float paper[3];
 };
@@ -46,9 +46,10 @@ struct Surface {
     int width, height;
 };
 
-// Writes the picture to `out` (height, width, 4). `line_state` (height, width) has the strength of the lines of the
-// previous image from the same camera, and receives those of this image. It may be null.
-void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint8_t* line_state,
+// Writes the picture to `out` (height, width, 4). `line_state` (height, width) has the lines of the previous image from
+// the same camera, and receives those of this image. It may be null. The lowest byte is the strength of the line. The upper
+// half is the upper half of a float, the sum of the inverse depths of the line filter's nine taps. 0 is no line.
+void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out);
 
 }  // namespace fourd::stylize

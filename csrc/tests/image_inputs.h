@@ -20,14 +20,16 @@ inline void run_stylize(unsigned seed, const char* simd) {
     const std::size_t pixels = static_cast<std::size_t>(width) * height;
     const auto depths = random_floats(random, pixels, -0.5f, 2.0f, seed % 2 ? 0.2f : 0.0f);
     const auto albedo = random_bytes(random, 4 * pixels), normal = random_bytes(random, 4 * pixels);
-    auto lines = random_bytes(random, pixels);
+    const auto states = random_bytes(random, 4 * pixels);
+    std::vector<std::uint32_t> lines(pixels);
+    if (pixels > 0) std::memcpy(lines.data(), states.data(), states.size());
     std::vector<std::uint8_t> out(4 * pixels);
     stylize::Style style{};
     const auto numbers = random_floats(random, sizeof style.numbers / sizeof(float), -2.0f, 2.0f, 0.0f);
     std::memcpy(&style.numbers, numbers.data(), sizeof style.numbers);
     style.numbers.depth_threshold = style.numbers.normal_threshold = style.numbers.angle_softness = 0.01f;
     style.numbers.hatch_spacing = 1.0f + static_cast<float>(random_int(random, 0, 9));
-    style.numbers.hysteresis = 0.5f;
+    style.numbers.hysteresis = style.numbers.persistence = 0.5f;
     style.detail = static_cast<stylize::Detail>(random_int(random, 0, 2));
     style.lines = static_cast<stylize::Lines>(random_int(random, 0, 2));
     style.thickness = random_int(random, 1, stylize::kMaxThickness);

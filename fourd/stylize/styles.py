@@ -188,7 +188,7 @@ class Style:
         albedo: share of the captured colours. The rest is white, or ``base`` without shading.
         base: colour of surfaces whose albedo is not used, for shading none.
         paper: colour behind the scene, or None for the background colour of the picture.
-        persistence: weight of the previous depth and normals while the camera rests, from 0 to 0.95.
+        persistence: weight of the previous depth, normals and fainter lines while the camera rests, from 0 to 0.95.
         hysteresis: share by which the thresholds of lines are lower where the previous picture has a line.
     """
 
@@ -204,7 +204,7 @@ class Style:
     hatching: Hatching = field(default_factory=Hatching)
     paper: Triple | None = None
     persistence: float = 0.7
-    hysteresis: float = 0.35
+    hysteresis: float = 0.2
 
     def __post_init__(self) -> None:
         _check_unit("albedo", self.albedo)

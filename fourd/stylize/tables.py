@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 
 import cv2
@@ -34,7 +35,11 @@ def make_table(style: Style) -> NDArray[np.uint8]:
 def read_map(path: Path, most_rows: int) -> NDArray[np.float64]:
     """Read a shade map: (rows, columns, 3) in [0, 1]. Raises UserError."""
     try:
-        if path.stat().st_size > _MAX_MAP_BYTES:
+        state = path.stat()
+        if not stat.S_ISREG(state.st_mode):
+            # A pipe or a device could be read for ever.
+            raise UserError(f"{path}: expected a PNG, got a folder, a pipe or a device; check the path of ramp.map")
+        if state.st_size > _MAX_MAP_BYTES:
             raise UserError(f"{path}: expected a shade map of at most 16 MiB, got a larger file; name another PNG")
         content = np.fromfile(path, np.uint8)
     except OSError as error:

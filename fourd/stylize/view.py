@@ -57,6 +57,7 @@ def view_style(
         line_opacity=lines.opacity,
         line_colour=lines.colour,
         hysteresis=style.hysteresis,
+        persistence=style.persistence,
         hatch_spacing=max(hatching.spacing * scale, 3.0),
         hatch_levels=hatching.levels,
         hatch_width=hatching.width,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,6 +93,21 @@ def test_shade_maps_of_another_shape_are_refused(shading: str, rows: int, column
     write_map(tmp_path / "map.png", rows, columns)
     (tmp_path / "mine.yaml").write_text(f"shading: {shading}\nramp: {{map: map.png}}")
     with pytest.raises(UserError, match=rf"map.png: expected a PNG of .* got {columns} x {rows} pixels"):
+        load_style(str(tmp_path / "mine.yaml"))
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_shade_maps_that_are_no_regular_files_are_refused(kind: str, tmp_path: Path) -> None:
+    """Catches a named pipe as a map, at which fourd would wait for ever, and a device that never ends."""
+    path = tmp_path / "map.png"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    (tmp_path / "mine.yaml").write_text("shading: toon\nramp: {map: map.png}")
+    with pytest.raises(UserError, match=r"map.png: expected a PNG, got a folder, a pipe or a device"):
         load_style(str(tmp_path / "mine.yaml"))
 
 

@@ -155,7 +155,7 @@ inline void fill_paper(const Numbers& n, int count, std::uint32_t* out) {
 
 // Draws a run of a row from the taps of three rows.
 void draw_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
-              std::uint8_t* state, std::uint32_t* picture) {
+              std::uint32_t* state, std::uint32_t* picture) {
     float lines[kRun];
     find_lines(surface, rows, style, row, first, count, state, lines);
     Shape shape;
@@ -167,7 +167,7 @@ void draw_run(const Surface& surface, const Style& style, const Taps* const* row
 }
 
 // Draws rows [begin, end) of a column of runs.
-void draw_column(const Surface& surface, const Style& style, int first, int begin, int end, std::uint8_t* line_state,
+void draw_column(const Surface& surface, const Style& style, int first, int begin, int end, std::uint32_t* line_state,
                  std::uint8_t* out) {
     Column column(surface, first, begin);
     const int count = surface.width - first < kRun ? surface.width - first : kRun, reach = style.thickness;
@@ -178,10 +178,10 @@ void draw_column(const Surface& surface, const Style& style, int first, int begi
             if (has_surface(surface, checked, first)) last_seen = checked;
         }
         const std::size_t pixel = static_cast<std::size_t>(row) * surface.width + first;
-        std::uint8_t* state = line_state == nullptr ? nullptr : line_state + pixel;
+        std::uint32_t* state = line_state == nullptr ? nullptr : line_state + pixel;
         std::uint32_t picture[kRun];
         if (last_seen < row - reach) {
-            if (state != nullptr) std::memset(state, 0, static_cast<std::size_t>(count));
+            if (state != nullptr) std::memset(state, 0, static_cast<std::size_t>(count) * sizeof(std::uint32_t));
             fill_paper(style.numbers, count, picture);
         } else {
             column.read(row - reach, row + reach);
@@ -192,7 +192,7 @@ void draw_column(const Surface& surface, const Style& style, int first, int begi
     }
 }
 
-void stylize_rows(const Surface& surface, const Style& style, int begin, int end, std::uint8_t* line_state,
+void stylize_rows(const Surface& surface, const Style& style, int begin, int end, std::uint32_t* line_state,
                   std::uint8_t* out) {
     for (int first = 0; first < surface.width; first += kRun) {
         draw_column(surface, style, first, begin, end, line_state, out);

@@ -7,7 +7,7 @@
 namespace fourd::stylize {
 
 struct Loops {
-    void (*rows)(const Surface& surface, const Style& style, int begin, int end, std::uint8_t* line_state,
+    void (*rows)(const Surface& surface, const Style& style, int begin, int end, std::uint32_t* line_state,
                  std::uint8_t* out);
 };
 

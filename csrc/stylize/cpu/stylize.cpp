@@ -12,7 +12,7 @@ constexpr std::size_t kRowsPerTask = 16;
 
 }  // namespace
 
-void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint8_t* line_state,
+void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out) {
     const Loops& loops = select_loops(simd);
     Team team(threads);

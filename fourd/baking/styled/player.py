@@ -25,16 +25,16 @@ class _Picture:
     """What is kept from one picture to the next."""
 
     surface: Surface
-    lines: NDArray[np.uint8]
+    lines: NDArray[np.uint32]
     camera: Camera | None = None
 
 
 class StyledPlayer:
     """Draws baked frames in a style. Only one thread may use an instance.
 
-    While the camera rests, depth and normals are averaged over successive pictures, and a line stays until it is
-    clearly below its threshold. The noise of the points then does not move the lines. Surfaces that move are not
-    averaged, because their depth or normal differs from that of the previous picture.
+    While the camera rests, depth and normals are averaged over successive pictures, lines fade in, and a line stays
+    until it is clearly below its threshold. The noise of the points then does not move the lines. Surfaces that move
+    are not averaged, because their depth or normal differs from that of the previous picture.
 
     Attributes:
         style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.
@@ -66,7 +66,7 @@ class StyledPlayer:
         """
         size = (camera.height, camera.width)
         if self._last is None or self._last.surface.size != size:
-            self._last = _Picture(Surface.empty(*size), np.zeros(size, np.uint8))
+            self._last = _Picture(Surface.empty(*size), np.zeros(size, np.uint32))
         last = self._last
         rests = last.camera is not None and is_same_camera(last.camera, camera)
         if not rests:
@@ -117,6 +117,13 @@ class StyledPlayer:
         picture = stylize_surface(surface, parameters, line_state=self._last.lines, threads=threads, out=out)
         self.style_seconds = time.perf_counter() - started
         return picture
+
+    @property
+    def line_strength(self) -> NDArray[np.uint8]:
+        """(H, W) strength of the lines in the last picture."""
+        if self._last is None:
+            raise RuntimeError("line_strength: expected a picture, got none; call draw first")
+        return (self._last.lines & 255).astype(np.uint8)
 
     def _table_of(self, style: Style) -> NDArray[np.uint8]:
         if self._table is None or self._table[0] != style:

@@ -13,7 +13,7 @@ def stylize_surface(
     surface: Surface,
     parameters: StyleParameters,
     *,
-    line_state: NDArray[np.uint8] | None = None,
+    line_state: NDArray[np.uint32] | None = None,
     threads: int = 0,
     out: NDArray[np.uint8] | None = None,
 ) -> NDArray[np.uint8]:
@@ -22,8 +22,9 @@ def stylize_surface(
     Args:
         surface: the visible surface, in C-contiguous arrays.
         parameters: the style for the surface's camera.
-        line_state: (H, W) uint8 strength of the lines of the previous picture from the same camera, or None. The array
-            receives the lines of this picture.
+        line_state: (H, W) uint32 lines of the previous picture from the same camera, or None. The array receives the
+            lines of this picture. The lowest byte is the strength of a line. The upper 16 bits are those of the float32
+            sum of the inverse depths of the line filter's nine taps. Start with zeros.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
         out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
 

@@ -11,7 +11,9 @@ towards the light and camera depth z, the stylizer computes
 - the mix of C with the angle colour where N.V is below a threshold,
 - hatching: two layers of parallel lines, whose lines widen where the square root of t times the grey value of F is low,
 - lines of strength e from a Sobel filter or a cross filter on 1 / z and on the cosines between normals (Saito and
-  Takahashi 1990),
+  Takahashi 1990). With the state of the previous picture: where the surface rests, a line that becomes stronger has the
+  strength e + p (e_before - e). The surface rests where the sum of the inverse depths of the filter's nine taps differs
+  by at most 3% from that of the previous picture,
 - the picture: C over the paper with opacity s, and then the line colour with opacity e.
 
 The inverse depth 1 / z of a plane is a linear function of the pixel, so that the cross filter draws nothing on planes.
@@ -33,6 +35,9 @@ GAP = 3
 """Largest distance from the surfaces on both sides at which a gap is filled, in pixels."""
 MAX_THICKNESS = 8
 """Most pixels between the taps of a line filter."""
+
+SAME_TAPS = 0.03
+"""Largest relative difference between the summed taps of a surface that rests."""
 
 Detail = Literal["facing", "depth", "focus"]
 LineFilter = Literal["none", "sobel", "cross"]
@@ -101,7 +106,9 @@ class Numbers:
         depth_threshold: relative jump of the inverse depth at which a line begins. Above 0.
         normal_threshold: change of the cosine at which a line begins. Above 0.
         line_opacity, line_colour: the strongest line.
-        hysteresis: share by which the thresholds are lower where the previous picture has a line.
+        hysteresis: share by which the thresholds are lower where the previous picture has a line, 0 to below 1.
+        persistence: weight of the previous strength of a line that becomes stronger, where the surface rests. 0 to
+            below 1.
         hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. The first layer starts where the light is
             below hatch_levels[0]. hatch_width is the largest share of ink in a layer, 0 for no hatching.
         paper: the colour behind the surface.
@@ -123,6 +130,7 @@ class Numbers:
     line_opacity: float = 1.0
     line_colour: Triple = (0.0, 0.0, 0.0)
     hysteresis: float = 0.0
+    persistence: float = 0.0
     hatch_spacing: float = 6.0
     hatch_levels: tuple[float, float] = (0.0, 0.0)
     hatch_width: float = 0.0

@@ -8,23 +8,31 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.ops.stylize.parameters import GAP, TONES, Numbers, StyleParameters, Surface
+from fourd.ops.stylize.parameters import GAP, SAME_TAPS, TONES, Numbers, StyleParameters, Surface
 
 Image = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Stylized:
-    """A stylized picture: rgba (H, W, 4) uint8, and the strength of its lines, (H, W) uint8."""
+    """A stylized picture: rgba (H, W, 4) uint8, and the line state (H, W) uint32 for the next picture."""
 
     rgba: NDArray[np.uint8]
-    lines: NDArray[np.uint8]
+    line_state: NDArray[np.uint32]
+
+    @property
+    def lines(self) -> NDArray[np.uint8]:
+        """(H, W) uint8 strength of the lines."""
+        return (self.line_state & 255).astype(np.uint8)
 
 
 def stylize_reference(
-    surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint8] | None = None
+    surface: Surface, parameters: StyleParameters, line_state: NDArray[np.unsignedinteger] | None = None
 ) -> Stylized:
-    """Compute the picture of :func:`fourd.ops.stylize.op.stylize_surface`. ``line_state`` is not changed."""
+    """Compute the picture of :func:`fourd.ops.stylize.op.stylize_surface`. ``line_state`` is not changed.
+
+    A uint8 state has only the strengths of lines, so that no line fades in.
+    """
     numbers = parameters.numbers
     closed = fill_gaps(surface)
     depth = closed.inverse_depth
@@ -49,7 +57,8 @@ def stylize_reference(
         np.asarray(numbers.paper, np.float32) + coverage * (colour - numbers.paper), numbers.line_colour, line
     )
     rgba = np.concatenate([colour, np.maximum(coverage, line[..., None])], 2)
-    return Stylized(_bytes(rgba), _bytes(lines))
+    state = _bytes(lines) | _seen_bits(closed, parameters.thickness)
+    return Stylized(_bytes(rgba), np.zeros_like(state) if parameters.lines == "none" else state)
 
 
 def fill_gaps(surface: Surface) -> Surface:
@@ -75,13 +84,35 @@ def fill_gaps(surface: Surface) -> Surface:
     return Surface(surface.albedo, filled_depth, filled_normal)
 
 
-def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint8] | None = None) -> Image:
+def find_lines(
+    surface: Surface, parameters: StyleParameters, line_state: NDArray[np.unsignedinteger] | None = None
+) -> Image:
     """Strength of the lines of a closed surface in [0, 1], (H, W)."""
+    scale = np.ones(surface.size, np.float32)
+    if line_state is None or parameters.lines == "none":
+        return _fresh_lines(surface, parameters, scale)
+    state = line_state.astype(np.uint32)
+    before = (state & 255).astype(np.float32) / 255
+    scale[state & 255 >= 128] = 1 - parameters.numbers.hysteresis
+    lines = _fresh_lines(surface, parameters, scale)
+    seen = _seen_bits(surface, parameters.thickness).view(np.float32)
+    old = (state & np.uint32(0xFFFF0000)).view(np.float32)
+    is_faint = (np.abs(seen - old) <= np.float32(SAME_TAPS) * seen) & (lines > before)
+    return np.where(is_faint, lines + np.float32(parameters.numbers.persistence) * (before - lines), lines)
+
+
+def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
+    """The upper 16 bits of the sums of the inverse depths of nine taps, (H, W)."""
+    depth, shift = surface.inverse_depth, _Shift(thickness)
+    corners = (shift(depth, -1, -1) + shift(depth, -1, 1)) + (shift(depth, 1, -1) + shift(depth, 1, 1))
+    arms = (shift(depth, -1, 0) + shift(depth, 1, 0)) + (shift(depth, 0, -1) + shift(depth, 0, 1))
+    return ((corners + arms) + depth).astype(np.float32).view(np.uint32) & np.uint32(0xFFFF0000)
+
+
+def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) -> Image:
+    """Strength of the lines without the state of the previous picture. ``scale`` is a factor on the thresholds."""
     numbers, depth, coverage = parameters.numbers, surface.inverse_depth, surface.coverage
     normal = surface.unit_normal * coverage[..., None]
-    scale = np.ones(depth.shape, np.float32)
-    if line_state is not None:
-        scale[line_state >= 128] = 1 - numbers.hysteresis
     if parameters.lines == "none":
         return np.zeros(depth.shape, np.float32)
     shift = _Shift(parameters.thickness)

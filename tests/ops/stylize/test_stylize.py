@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.ndimage
+from numpy.typing import NDArray
 
 from fourd.ops.stylize.op import stylize_surface
 from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, Numbers, StyleParameters, Surface
@@ -39,6 +40,7 @@ def random_parameters(rng: np.random.Generator, rows: int) -> StyleParameters:
         depth_threshold=0.2,
         normal_threshold=0.8,
         hysteresis=0.4,
+        persistence=0.6,
         hatch_levels=(0.7, 0.4),
         hatch_width=0.6,
         **unit,  # type: ignore[arg-type]
@@ -49,6 +51,19 @@ def random_parameters(rng: np.random.Generator, rows: int) -> StyleParameters:
     return StyleParameters(numbers, table, detail, lines, int(rng.integers(1, 9)))  # type: ignore[arg-type]
 
 
+def summed_taps(state: NDArray[np.uint32]) -> NDArray[np.float32]:
+    return (state & 0xFFFF0000).astype(np.uint32).view(np.float32)
+
+
+def random_state(rng: np.random.Generator, surface: Surface, parameters: StyleParameters) -> NDArray[np.uint32]:
+    """Random lines of a previous picture, in which the surface rests at about two thirds of the pixels."""
+    seen = summed_taps(stylize_reference(surface, parameters).line_state) * rng.choice(
+        [1, 1.5], surface.size, p=[0.7, 0.3]
+    )
+    bits = seen.astype(np.float32).view(np.uint32) & 0xFFFF0000
+    return (bits | rng.integers(0, 256, surface.size)).astype(np.uint32)
+
+
 @pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
 @pytest.mark.parametrize(("height", "width", "rows"), [(1, 1, 1), (5, 63, 2), (37, 131, 1), (20, 64, 64)])
 def test_pictures_equal_the_reference(
@@ -57,7 +72,7 @@ def test_pictures_equal_the_reference(
     """Catches a wrong border, a wrong tap, and runs at the end of rows that are left out."""
     monkeypatch.setenv("FOURD_SIMD", simd)
     surface, parameters = random_surface(rng, height, width), random_parameters(rng, rows)
-    state = rng.integers(0, 256, (height, width)).astype(np.uint8)
+    state = random_state(rng, surface, parameters)
     expected = stylize_reference(surface, parameters, state)
     try:
         found = stylize_surface(surface, parameters, line_state=state, threads=2)
@@ -66,7 +81,9 @@ def test_pictures_equal_the_reference(
     # Rounding may move a tone to the next column of the random table, which is another colour.
     differs = np.abs(found.astype(int) - expected.rgba) > 2
     assert differs.any(2).mean() < 0.02 + 2 / (height * width)
-    assert (np.abs(state.astype(int) - expected.lines) > 2).mean() < 0.02 + 1 / (height * width)
+    differs = np.abs((state & 255).astype(int) - expected.lines) > 2
+    assert differs.mean() < 0.02 + 1 / (height * width)
+    np.testing.assert_allclose(summed_taps(state), summed_taps(expected.line_state), rtol=0.01)
 
 
 def test_x_toon_with_one_row_equals_toon(rng: np.random.Generator) -> None:
@@ -95,7 +112,7 @@ def test_the_cross_filter_ignores_slopes() -> None:
     """Catches first differences in the cross filter: a steep plane exceeds them at any threshold."""
     surface = make_plane(96, (0.97, 0, -0.3))
     sensitive = line_parameters(96, depth_threshold=1e-4, lines="cross")
-    assert not stylize_surface(surface, sensitive, line_state=np.zeros((96, 96), np.uint8))[..., 0].min() < 150
+    assert not stylize_surface(surface, sensitive, line_state=np.zeros((96, 96), np.uint32))[..., 0].min() < 150
     assert find_lines(surface, replace(sensitive, lines="sobel")).mean() > 0.9
 
 
@@ -119,11 +136,12 @@ def test_sobel_lines_turn_with_the_picture(rng: np.random.Generator) -> None:
     parameters = line_parameters(48, depth_threshold=0.3, normal_threshold=0.9)
     turned = Surface(*(np.ascontiguousarray(np.rot90(item)) for item in vars(surface).values()))
     # The normals keep their axes, because lines depend only on the angles between normals.
-    states = [np.zeros((48, 48), np.uint8) for _ in range(2)]
+    states = [np.zeros((48, 48), np.uint32) for _ in range(2)]
     stylize_surface(surface, parameters, line_state=states[0])
     stylize_surface(turned, parameters, line_state=states[1])
     assert states[0].any()
-    np.testing.assert_allclose(np.rot90(states[0]).astype(int), states[1], atol=1)
+    strengths = [(state & 255).astype(int) for state in states]
+    np.testing.assert_allclose(np.rot90(strengths[0]), strengths[1], atol=1)
 
 
 @pytest.mark.parametrize(("jump", "is_drawn"), [(0.03, False), (0.08, True)])
@@ -164,9 +182,34 @@ def test_a_line_stays_until_it_is_clearly_below_the_threshold() -> None:
     """Catches lines that flicker when a jump moves around the threshold."""
     surface = make_sphere(160)
     parameters = line_parameters(160, depth_threshold=1.6, normal_threshold=1.6, hysteresis=0.7)
-    kept = find_lines(surface, parameters, np.full((160, 160), 255, np.uint8))
+    kept = find_lines(surface, parameters, np.full((160, 160), 255, np.uint32))
     assert kept.any()
-    assert not find_lines(surface, parameters, np.zeros((160, 160), np.uint8)).any()
+    assert not find_lines(surface, parameters, np.zeros((160, 160), np.uint32)).any()
+
+
+def test_lines_fade_in_where_the_surface_rests() -> None:
+    """Catches lines of single pictures at full strength, and lines that are late where the surface moves."""
+    surface, still = make_sphere(160), np.zeros((160, 160), np.uint32)
+    parameters = line_parameters(160, persistence=0.75)
+    stylize_surface(surface, parameters, line_state=still)
+    assert (still & 255).max() == 255  # the first picture from a camera has all its lines
+    still &= 0xFFFF0000
+    strengths = []
+    for _ in range(3):
+        stylize_surface(surface, parameters, line_state=still)
+        strengths.append(int((still & 255).max()))
+    np.testing.assert_allclose(strengths, [255 * (1 - 0.75**count) for count in (1, 2, 3)], atol=2)
+
+
+def test_lines_vanish_at_once() -> None:
+    """Catches lines that stay behind where a surface has left or has become flat."""
+    flat = make_surface(np.full((40, 40), 2.0), np.broadcast_to([0.0, 0, -1], (40, 40, 3)))
+    for surface in (flat, Surface.empty(40, 40)):
+        state = np.zeros((40, 40), np.uint32)
+        stylize_surface(surface, line_parameters(40), line_state=state)
+        state |= 255
+        stylize_surface(surface, line_parameters(40, persistence=0.9), line_state=state)
+        assert not (state & 255).any()
 
 
 def test_gaps_between_points_are_filled() -> None:
@@ -178,9 +221,9 @@ def test_gaps_between_points_are_filled() -> None:
 
 
 def find_lines_of_picture(surface: Surface) -> np.ndarray:
-    state = np.zeros(surface.size, np.uint8)
+    state = np.zeros(surface.size, np.uint32)
     stylize_surface(surface, line_parameters(surface.size[0]), line_state=state)
-    return state
+    return state & 255
 
 
 def test_shading_follows_the_light() -> None:
@@ -200,6 +243,7 @@ def test_invalid_parameters_are_refused() -> None:
     surface, good = make_sphere(16), line_parameters(16)
     for changes, message in (
         ({"depth_threshold": 0.0}, "depth_threshold, normal_threshold: expected more than 0"),
+        ({"persistence": 1.0}, "hysteresis, persistence: expected numbers from 0 to below 1"),
         ({"line_opacity": float("nan")}, "numbers: expected finite numbers"),
         ({"hatch_spacing": 0.5}, "hatch_spacing: expected at least 1 pixel"),
     ):

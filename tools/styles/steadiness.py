@@ -1,0 +1,177 @@
+"""Measure how many line pixels of styles flicker while the camera rests and the true surface does not change.
+
+    fourd mesh captures/fox_run -o meshes
+    python tools/styles/steadiness.py fox.4dv meshes
+
+The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if, at every
+pixel within ``--reach`` pixels of it, the true depth changes by at most 2% and the true normal by at most 15 degrees.
+An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. It flickers if its line is on,
+off and on, or off, on and off. Without meshes, the depth and normals that fourd draws without steadying take the place
+of the truth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+import cv2
+import numpy as np
+import torch
+import tyro
+from numpy.typing import NDArray
+from rich.progress import track
+
+from fourd.baking import BakedFrame, Scene, open_scene
+from fourd.baking.styled.normals import add_normals
+from fourd.baking.styled.player import StyledPlayer
+from fourd.cameras import Camera
+from fourd.mesh.files.glb import read_mesh
+from fourd.mesh.views import depth_image
+from fourd.stylize import Style, load_style
+from fourd.viewer.navigation.paths import fit_camera
+
+SAME_DEPTH = 0.02
+SAME_NORMAL = float(np.cos(np.radians(15)))
+VISIBLE = 128
+"""Strength from which a pixel counts as a line."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The scene, its true meshes, and the styles to measure."""
+
+    scene: tyro.conf.Positional[Path]
+    """A .4dv file."""
+    meshes: tyro.conf.Positional[Annotated[Path | None, tyro.conf.arg(metavar="DIR")]] = None
+    """Output folder of fourd mesh for the same capture."""
+    styles: tuple[str, ...] = ("toon", "xtoon", "gooch", "ink")
+    """Names of presets, or style files."""
+    views: tuple[str, ...] = ("00", "05", "10", "15")
+    """Names of the resting cameras."""
+    size: tuple[int, int] = (960, 540)
+    """Width and height of the pictures in pixels."""
+    reach: int = 2
+    """Distance in pixels up to which the true surface must not change."""
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """The true surface of a picture: inverse depth (H, W), 0 without a surface, and unit normals (H, W, 3)."""
+
+    inverse_depth: NDArray[np.float32]
+    normal: NDArray[np.float32]
+
+
+@dataclass
+class Count:
+    """Numbers of edge pixels and of flickering pixels among them."""
+
+    edges: int = 0
+    flickering: int = 0
+
+    @property
+    def percent(self) -> float:
+        return 100 * self.flickering / max(self.edges, 1)
+
+    def add(self, lines: list[NDArray[np.bool_]], is_still: NDArray[np.bool_]) -> None:
+        """Count the pixels of three successive frames."""
+        before, now, after = lines
+        self.edges += int((is_still & (before | now | after)).sum())
+        self.flickering += int((is_still & (now != before) & (now != after)).sum())
+
+
+def main(arguments: Arguments) -> None:
+    """Print the share of flickering edge pixels, with the steadying of each style and without it."""
+    scene = open_scene(arguments.scene)
+    manifest = scene.manifest
+    views = dict(zip(manifest.names, manifest.cameras, strict=True))
+    styles = {}
+    for name in arguments.styles:
+        style = load_style(name)
+        styles[name, "steady"] = style
+        styles[name, "off"] = replace(style, persistence=0.0, hysteresis=0.0)
+    counts = {key: Count() for key in styles}
+    for name in arguments.views:
+        camera = fit_camera(views[name], *arguments.size)
+        for count, found in zip(
+            counts.values(), measure_view(scene, arguments, camera, list(styles.values())), strict=True
+        ):
+            count.edges += found.edges
+            count.flickering += found.flickering
+    print("| style | edge pixels | flickering | edge pixels without steadying | flickering without steadying |")
+    print("|---|---|---|---|---|")
+    for name in arguments.styles:
+        steady, off = counts[name, "steady"], counts[name, "off"]
+        print(f"| {name} | {steady.edges:,} | {steady.percent:.2f}% | {off.edges:,} | {off.percent:.2f}% |")
+
+
+def measure_view(scene: Scene, arguments: Arguments, camera: Camera, styles: list[Style]) -> list[Count]:
+    """Count the edge pixels of each style in the pictures of one camera."""
+    players = [StyledPlayer() for _ in styles]
+    history: list[list[NDArray[np.bool_]]] = [[] for _ in styles]
+    counts = [Count() for _ in styles]
+    still: list[NDArray[np.bool_]] = []
+    last: Truth | None = None
+    for index, truth in enumerate(_truths(scene, arguments.meshes, camera)):
+        frame = _frame(scene, index)
+        for player, style, lines in zip(players, styles, history, strict=True):
+            player.draw(frame, camera, scene.manifest, style)
+            lines.append(player.line_strength >= VISIBLE)
+            del lines[:-3]
+        if last is not None:
+            still = [*still, _is_same(last, truth, arguments.reach)][-2:]
+        last = truth
+        if index >= 2:
+            for count, lines in zip(counts, history, strict=True):
+                count.add(lines, still[0] & still[1])
+    return counts
+
+
+@cache
+def _frame(scene: Scene, index: int) -> BakedFrame:
+    """A frame with normals."""
+    frame = scene.frame(index)
+    return frame if frame.normals is not None else add_normals(frame, scene.manifest)
+
+
+def _truths(scene: Scene, meshes: Path | None, camera: Camera) -> Iterator[Truth]:
+    player = StyledPlayer()
+    numbers = scene.manifest.frame_numbers
+    for index in track(range(len(numbers)), description="frames"):
+        if meshes is None:
+            surface = player.draw_surface(_frame(scene, index), camera, scene.manifest)
+            yield Truth(surface.inverse_depth.copy(), surface.unit_normal.copy())
+        else:
+            mesh = read_mesh(meshes / f"{numbers[index]:06d}.glb")
+            depth = depth_image(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles), camera)
+            yield Truth((1 / depth).astype(np.float32), _normals_of_depth(depth, camera))
+
+
+def _normals_of_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Unit normals of the surface through the depths, or 0 beside jumps to infinity."""
+    y, x = np.mgrid[: camera.height, : camera.width] + 0.5
+    rays = np.stack([x, y, np.ones_like(x)], 2) @ np.linalg.inv(camera.intrinsics).T
+    with np.errstate(invalid="ignore"):
+        points = rays * cv2.blur(depth, (3, 3))[..., None]
+        normal = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1))
+        normal /= np.linalg.norm(normal, axis=2, keepdims=True)
+    return np.nan_to_num(normal).astype(np.float32)
+
+
+def _is_same(first: Truth, second: Truth, reach: int) -> NDArray[np.bool_]:
+    """Whether the true surface is the same at all pixels within ``reach`` pixels."""
+    a, b = first.inverse_depth, second.inverse_depth
+    has_depth = np.abs(a - b) <= SAME_DEPTH * np.maximum(a, b)
+    cosine = (first.normal * second.normal).sum(2)
+    is_unknown = (np.abs(first.normal).sum(2) == 0) | (np.abs(second.normal).sum(2) == 0)
+    same = has_depth & ((cosine >= SAME_NORMAL) | is_unknown)
+    side = 2 * reach + 1
+    return cv2.erode(same.astype(np.uint8), np.ones((side, side), np.uint8)) > 0
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Arguments, description=__doc__))
