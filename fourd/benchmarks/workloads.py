@@ -9,7 +9,7 @@ from torch import Tensor
 
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera, look_at
-from fourd.morton import morton_order
+from fourd.ops.morton import morton_order
 
 SEED = 4
 RADIUS_IN_SPACINGS = 1.3

@@ -15,7 +15,7 @@ from fourd.cameras import Camera
 from fourd.formats.ply import ColouredPoints
 from fourd.model import PointModel
 from fourd.model.sources import SourceViews
-from fourd.morton import morton_order
+from fourd.ops.morton import morton_order
 from fourd.training.cameras.rig import Rig
 from fourd.training.config import TrainConfig
 from fourd.training.occlusion import SizedPoints, occlusion_depth

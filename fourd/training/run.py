@@ -25,7 +25,7 @@ from fourd.files import remove_unfinished
 from fourd.formats.ply import read_ply
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
-from fourd.morton import morton_order
+from fourd.ops.morton import morton_order
 from fourd.progress import Log
 from fourd.training.background import StaticBackground, create_background
 from fourd.training.cameras.refinement import Refinement

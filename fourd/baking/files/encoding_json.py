@@ -15,7 +15,7 @@ from fourd.baking.files.encoding import (
     SceneEncoding,
 )
 from fourd.baking.files.json_node import JsonNode
-from fourd.morton import MAX_BITS
+from fourd.ops.morton import MAX_BITS
 
 MAX_STEPS = 1 << 16
 """Maximum number of codes per factor of 2, for radii and for weights."""

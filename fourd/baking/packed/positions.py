@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.files.encoding import CloudEncoding
-from fourd.morton import morton_codes
+from fourd.ops.morton import morton_codes
 
 
 def encode_positions(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArray[np.uint64]:

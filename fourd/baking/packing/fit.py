@@ -12,7 +12,7 @@ from fourd.baking.files.encoding import SH_NUMBERS, CloudEncoding
 from fourd.baking.packed.colours import has_own_unseen_colours
 from fourd.baking.packing.precision import Precision
 from fourd.baking.scene import BakedFrame
-from fourd.morton import MAX_BITS
+from fourd.ops.morton import MAX_BITS
 
 SAMPLES, SAMPLES_PER_FRAME = 200_000, 2000
 """Maximum number of points, in total and per frame, from which the basis of the spherical-harmonics coefficients is

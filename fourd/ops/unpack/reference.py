@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.morton import gather_bits
+from fourd.ops.morton import gather_bits
 
 
 def unpack_positions_reference(

@@ -22,7 +22,7 @@ from fourd.baking.packing.pack import pack_scene
 from fourd.baking.packing.precision import LEVELS
 from fourd.baking.scene import make_frame
 from fourd.errors import UserError
-from fourd.morton import gather_bits, spread_bits
+from fourd.ops.morton import gather_bits, spread_bits
 from tests.baking.damage import damage
 from tests.baking.scenes import manifest, random_frame, write_full_scene, write_scene
 from tests.baking.test_container import rewritten, with_manifest
