@@ -2,6 +2,7 @@
 
     fourd mesh captures/fox_run -o meshes
     python tools/styles/steadiness.py fox.4dv meshes
+    python tools/styles/steadiness.py fox.4dv --renderer sorted
 
 The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if, at every
 pixel within ``--reach`` pixels of it, the true depth changes by at most 2% and the true normal by at most 15 degrees.
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Annotated
 
 import cv2
+import moderngl
 import numpy as np
 import torch
 import tyro
@@ -32,7 +34,12 @@ from fourd.cameras import Camera
 from fourd.mesh.files.glb import read_mesh
 from fourd.mesh.views import depth_image
 from fourd.stylize import Style, load_style
+from fourd.viewer.display import DisplaySettings, RenderRequest
+from fourd.viewer.gl.canvas import Canvas
+from fourd.viewer.gl.context import offscreen_context
 from fourd.viewer.navigation.paths import fit_camera
+from fourd.viewer.rendering.cpu import CPURenderer
+from fourd.viewer.rendering.renderers import Renderer, RendererName, make_renderer
 
 SAME_DEPTH = 0.02
 SAME_NORMAL = float(np.cos(np.radians(15)))
@@ -52,6 +59,8 @@ class Arguments:
     """Names of presets, or style files."""
     views: tuple[str, ...] = ("00", "05", "10", "15")
     """Names of the resting cameras."""
+    renderer: RendererName = "cpu"
+    """The renderer that draws the lines."""
     size: tuple[int, int] = (960, 540)
     """Width and height of the pictures in pixels."""
     reach: int = 2
@@ -95,10 +104,11 @@ def main(arguments: Arguments) -> None:
         styles[name, "steady"] = style
         styles[name, "off"] = replace(style, persistence=0.0, hysteresis=0.0)
     counts = {key: Count() for key in styles}
+    context = None if arguments.renderer == "cpu" else offscreen_context()
     for name in arguments.views:
         camera = fit_camera(views[name], *arguments.size)
         for count, found in zip(
-            counts.values(), measure_view(scene, arguments, camera, list(styles.values())), strict=True
+            counts.values(), measure_view(scene, arguments, camera, list(styles.values()), context), strict=True
         ):
             count.edges += found.edges
             count.flickering += found.flickering
@@ -109,18 +119,21 @@ def main(arguments: Arguments) -> None:
         print(f"| {name} | {steady.edges:,} | {steady.percent:.2f}% | {off.edges:,} | {off.percent:.2f}% |")
 
 
-def measure_view(scene: Scene, arguments: Arguments, camera: Camera, styles: list[Style]) -> list[Count]:
-    """Count the edge pixels of each style in the pictures of one camera."""
-    players = [StyledPlayer() for _ in styles]
+def measure_view(
+    scene: Scene, arguments: Arguments, camera: Camera, styles: list[Style], context: moderngl.Context | None
+) -> list[Count]:
+    """Count the edge pixels of each style in the pictures of one camera. ``context`` is None for the cpu renderer."""
+    renderers = [make_renderer(arguments.renderer, context) for _ in styles]
+    canvas = None if context is None else Canvas(context)
     history: list[list[NDArray[np.bool_]]] = [[] for _ in styles]
     counts = [Count() for _ in styles]
     still: list[NDArray[np.bool_]] = []
     last: Truth | None = None
     for index, truth in enumerate(_truths(scene, arguments.meshes, camera)):
-        frame = _frame(scene, index)
-        for player, style, lines in zip(players, styles, history, strict=True):
-            player.draw(frame, camera, scene.manifest, style)
-            lines.append(player.line_strength >= VISIBLE)
+        for renderer, style, lines in zip(renderers, styles, history, strict=True):
+            settings = DisplaySettings(scene.manifest.layers, style=style)
+            _draw(renderer, RenderRequest(_frame(scene, index), camera, scene.manifest, settings), canvas)
+            lines.append(renderer.line_strength >= VISIBLE)
             del lines[:-3]
         if last is not None:
             still = [*still, _is_same(last, truth, arguments.reach)][-2:]
@@ -128,7 +141,16 @@ def measure_view(scene: Scene, arguments: Arguments, camera: Camera, styles: lis
         if index >= 2:
             for count, lines in zip(counts, history, strict=True):
                 count.add(lines, still[0] & still[1])
+    for item in (*renderers, *(() if canvas is None else (canvas,))):
+        item.release()
     return counts
+
+
+def _draw(renderer: Renderer, request: RenderRequest, canvas: Canvas | None) -> None:
+    if isinstance(renderer, CPURenderer):
+        renderer.render(request)
+    elif canvas is not None:
+        renderer.draw(request, canvas, wait=True)
 
 
 @cache

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import moderngl
+import numpy as np
+from numpy.typing import NDArray
 
 from fourd.baking import BakedFrame
 from fourd.viewer.display import RenderRequest
@@ -44,6 +46,18 @@ class GLRenderer:
         The number is 0 if the depth order is current.
         """
         return self._stale_images
+
+    @property
+    def style_seconds(self) -> float:
+        """Time of the stylizer on the GPU in the last image whose time is known, in seconds. 0 without a style."""
+        return 0.0 if self._styled is None else self._styled.style_seconds
+
+    @property
+    def line_strength(self) -> NDArray[np.uint8]:
+        """(H, W) strength of the lines in the last image. Raises RuntimeError if the image has no style."""
+        if self._styled is None:
+            raise RuntimeError("line_strength: expected an image in a style, got none; draw one first")
+        return self._styled.line_strength
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.

@@ -20,6 +20,7 @@ from fourd.viewer.gl.compositors import Compositor, OverBackground
 from fourd.viewer.gl.discs import PAINTS, Paint
 from fourd.viewer.gl.passes import FullScreenPass, RenderTargets, disable_blending
 from fourd.viewer.gl.stylizer import GLStylizer, SurfaceTextures
+from fourd.viewer.gl.timer import GPUTimer
 
 Project = Callable[[Paint], None]
 """Projects the points of a request, and paints the discs with a quantity."""
@@ -89,10 +90,24 @@ class StyledDrawing:
         self._surface = SurfaceBuffer(context)
         self._stylizer = GLStylizer(context)
         self._copy = OverBackground(context)
+        self._timer = GPUTimer()
         self._normals = FrameNormals()
         self._frames: list[tuple[BakedFrame, BakedFrame]] = []
         self._camera: Camera | None = None
         self._table: tuple[Style, NDArray[np.uint8]] | None = None
+
+    @property
+    def style_seconds(self) -> float:
+        """Time of the stylizer on the GPU in the last picture whose time is known, in seconds. The drawing of the
+        surface is not included."""
+        return self._timer.seconds
+
+    @property
+    def line_strength(self) -> NDArray[np.uint8]:
+        """(H, W) strength of the lines in the last picture."""
+        state = self._stylizer.line_state
+        content = np.frombuffer(state.read(alignment=1), np.uint32)
+        return (content.reshape(state.height, state.width) & 255).astype(np.uint8)
 
     def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
         """The frame with normals. The last two frames are kept, so that their textures are not uploaded again."""
@@ -111,22 +126,24 @@ class StyledDrawing:
         """Draw a request that has a style. Raises UserError if the style's shade map cannot be read."""
         settings, camera = request.settings, request.camera
         assert settings.style is not None
-        if self._table is None or self._table[0] != settings.style:
+        is_same_style = self._table is not None and self._table[0] == settings.style
+        if self._table is None or not is_same_style:
             self._table = (settings.style, make_table(settings.style))
         rests = self._camera is not None and is_same_camera(self._camera, camera)
         self._camera = camera
         persistence = settings.style.persistence if rests else 0.0
         surface = self._surface.draw(compositor, project, request, persistence)
         self._stylizer.resize((camera.width, camera.height))
-        if not rests:
+        if not (rests and is_same_style):
             self._stylizer.forget_lines()
         parameters = view_style(settings.style, self._table[1], camera, request.manifest.focus, settings.background)
-        picture = self._stylizer.draw(surface, parameters)
+        with self._timer:
+            picture = self._stylizer.draw(surface, parameters)
         self._copy.copy(picture, target)
 
     def release(self) -> None:
         """Free all GL objects."""
-        for item in (self._surface, self._stylizer, self._copy):
+        for item in (self._surface, self._stylizer, self._copy, self._timer):
             item.release()
 
 

@@ -28,16 +28,18 @@ class GLStylizer:
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
         formats = {"depth": (1, "f4"), "normal": (4, "f1"), "picture": (4, "f1")}
-        self._targets = RenderTargets(context, {**formats, "lines 0": (1, "f1"), "lines 1": (1, "f1")})
+        self._targets = RenderTargets(context, {**formats, "lines 0": (1, "u4"), "lines 1": (1, "u4")})
         self._close = FullScreenPass(context, "stylize/close.frag")
         self._draw = FullScreenPass(context, "stylize/picture.frag")
         self._table: moderngl.Texture | None = None
         self._table_source: NDArray[np.uint8] | None = None
         self._last = 0
+        self._has_state = False
 
     @property
-    def lines(self) -> moderngl.Texture:
-        """Strength of the lines of the last picture. The texture has one byte per pixel."""
+    def line_state(self) -> moderngl.Texture:
+        """Lines of the last picture, one uint32 per pixel. :func:`fourd.ops.stylize.op.stylize_surface` has the
+        layout."""
         return self._targets.texture(f"lines {self._last}")
 
     def resize(self, size: tuple[int, int]) -> None:
@@ -47,8 +49,8 @@ class GLStylizer:
             self.forget_lines()
 
     def forget_lines(self) -> None:
-        """Draw the next picture without the lines of the last one, as for another camera."""
-        self._targets.clear(f"lines {self._last}")
+        """Draw the next picture without the lines of the last picture, as for another camera."""
+        self._has_state = False
 
     def draw(self, surface: SurfaceTextures, parameters: StyleParameters) -> moderngl.Texture:
         """Draw a surface of the size of the last call of :meth:`resize`.
@@ -70,11 +72,13 @@ class GLStylizer:
                 "line_state": targets.texture(f"lines {previous}"),
                 "table": self._upload_table(parameters.table),
             },
+            has_state=self._has_state,
             detail_axis=DETAILS.index(parameters.detail),
             line_filter=LINE_FILTERS.index(parameters.lines),
             thickness=parameters.thickness,
             **numbers,
         )
+        self._has_state = True
         return targets.texture("picture")
 
     def release(self) -> None:

@@ -29,6 +29,11 @@ class CPURenderer:
         self._styled: StyledPlayer | None = None
         self._pixels: NDArray[np.uint8] | None = None
 
+    @property
+    def line_strength(self) -> NDArray[np.uint8]:
+        """(H, W) strength of the lines in the last image in a style. Raises RuntimeError if there is none."""
+        return (self._styled or StyledPlayer()).line_strength
+
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:
         """The rendered image, (H, W, 4) uint8. The next call of :meth:`render` overwrites the image."""
         shape = (request.camera.height, request.camera.width, 4)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
+import numpy as np
+from numpy.typing import NDArray
+
 from fourd.errors import UserError
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.rendering.cpu import CPURenderer
@@ -47,6 +50,17 @@ class Renderer(Protocol):
     @property
     def sort_seconds(self) -> float:
         """Duration of the last depth sort in seconds, or 0 for renderers that do not sort."""
+
+    @property
+    def style_seconds(self) -> float:
+        """Time of the stylizer in the last image whose time is known, in seconds. 0 without a style.
+
+        The drawing of depths and normals is not included. OpenGL renderers measure the time on the GPU.
+        """
+
+    @property
+    def line_strength(self) -> NDArray[np.uint8]:
+        """(H, W) strength of the lines in the last image. Raises RuntimeError if the image has no style."""
 
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.

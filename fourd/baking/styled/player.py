@@ -34,7 +34,8 @@ class StyledPlayer:
 
     While the camera rests, depth and normals are averaged over successive pictures, lines fade in, and a line stays
     until it is clearly below its threshold. The noise of the points then does not move the lines. Surfaces that move
-    are not averaged, because their depth or normal differs from that of the previous picture.
+    are not averaged, because their depth or normal differs from that of the previous picture. The first picture in a
+    style has all its lines at full strength.
 
     Attributes:
         style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.
@@ -107,11 +108,14 @@ class StyledPlayer:
         The arguments are those of :meth:`fourd.baking.player.Player.draw`. ``background`` is the paper of styles that
         have none. Raises UserError if the style's shade map cannot be read.
         """
+        is_same_style = self._table is not None and self._table[0] == style
         table = self._table_of(style)
         surface = self.draw_surface(
             frame, camera, manifest, layers=layers, persistence=style.persistence, threads=threads
         )
         assert self._last is not None
+        if not is_same_style:
+            self._last.lines.fill(0)
         started = time.perf_counter()
         parameters = view_style(style, table, camera, manifest.focus, background)
         picture = stylize_surface(surface, parameters, line_state=self._last.lines, threads=threads, out=out)

@@ -27,12 +27,9 @@ class Stylized:
 
 
 def stylize_reference(
-    surface: Surface, parameters: StyleParameters, line_state: NDArray[np.unsignedinteger] | None = None
+    surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint32] | None = None
 ) -> Stylized:
-    """Compute the picture of :func:`fourd.ops.stylize.op.stylize_surface`. ``line_state`` is not changed.
-
-    A uint8 state has only the strengths of lines, so that no line fades in.
-    """
+    """Compute the picture of :func:`fourd.ops.stylize.op.stylize_surface`. ``line_state`` is not changed."""
     numbers = parameters.numbers
     closed = fill_gaps(surface)
     depth = closed.inverse_depth
@@ -84,19 +81,16 @@ def fill_gaps(surface: Surface) -> Surface:
     return Surface(surface.albedo, filled_depth, filled_normal)
 
 
-def find_lines(
-    surface: Surface, parameters: StyleParameters, line_state: NDArray[np.unsignedinteger] | None = None
-) -> Image:
+def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint32] | None = None) -> Image:
     """Strength of the lines of a closed surface in [0, 1], (H, W)."""
     scale = np.ones(surface.size, np.float32)
     if line_state is None or parameters.lines == "none":
         return _fresh_lines(surface, parameters, scale)
-    state = line_state.astype(np.uint32)
-    before = (state & 255).astype(np.float32) / 255
-    scale[state & 255 >= 128] = 1 - parameters.numbers.hysteresis
+    before = (line_state & 255).astype(np.float32) / 255
+    scale[line_state & 255 >= 128] = 1 - parameters.numbers.hysteresis
     lines = _fresh_lines(surface, parameters, scale)
     seen = _seen_bits(surface, parameters.thickness).view(np.float32)
-    old = (state & np.uint32(0xFFFF0000)).view(np.float32)
+    old = (line_state & np.uint32(0xFFFF0000)).view(np.float32)
     is_faint = (np.abs(seen - old) <= np.float32(SAME_TAPS) * seen) & (lines > before)
     return np.where(is_faint, lines + np.float32(parameters.numbers.persistence) * (before - lines), lines)
 

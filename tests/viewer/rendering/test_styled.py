@@ -15,7 +15,7 @@ from fourd.baking.styled.normals import add_normals
 from fourd.baking.styled.player import StyledPlayer
 from fourd.ops.stylize.parameters import StyleParameters, Surface
 from fourd.ops.stylize.reference import stylize_reference
-from fourd.stylize import PRESETS, Style, load_style, view_style
+from fourd.stylize import PRESETS, Style, decode_octahedral, encode_octahedral, load_style, view_style
 from fourd.stylize.tables import make_table
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
@@ -26,7 +26,7 @@ from fourd.viewer.gl.styled import SurfaceBuffer, depth_unit
 from fourd.viewer.gl.stylizer import GLStylizer, SurfaceTextures
 from fourd.viewer.rendering.renderers import RendererName, make_renderer
 from tests.baking.scenes import full_manifest, manifest, room_frame
-from tests.ops.stylize.test_stylize import random_parameters
+from tests.ops.stylize.test_stylize import random_parameters, random_state, summed_taps
 from tests.stylize.surfaces import FOCAL, make_sphere, random_surface
 from tests.viewer.gl import contexts
 from tests.viewer.rendering.test_renderers import small_camera
@@ -55,21 +55,26 @@ def read(texture: moderngl.Texture, dtype: type = np.uint8) -> NDArray[np.generi
     return values.reshape(texture.height, texture.width, texture.components)
 
 
-def require_equal_pictures(context: moderngl.Context, surface: Surface, parameters: StyleParameters) -> None:
-    """Assert that two pictures from one camera equal those of the reference, with the lines of the first kept."""
+def require_equal_pictures(
+    context: moderngl.Context, surface: Surface, parameters: StyleParameters, rng: np.random.Generator
+) -> None:
+    """Assert that pictures equal those of the reference: a first picture, and a picture after random lines."""
     height, width = surface.size
     textures, stylizer = upload(context, surface), GLStylizer(context)
     stylizer.resize((width, height))
-    state = np.zeros((height, width), np.uint8)
+    state = np.zeros((height, width), np.uint32)
     for _ in range(2):
         expected = stylize_reference(surface, parameters, state)
         found = read(stylizer.draw(surface=textures, parameters=parameters))
-        lines = read(stylizer.lines)[..., 0]
+        found_state = np.ascontiguousarray(read(stylizer.line_state, np.uint32)[..., 0])
         # Rounding may move a tone to the next column of the table, which is another colour.
         differs = (np.abs(found.astype(int) - expected.rgba) > 2).any(2)
         assert differs.mean() < 0.02 + 2 / (height * width)
-        assert (np.abs(lines.astype(int) - expected.lines) > 2).mean() < 0.02 + 1 / (height * width)
-        state = lines
+        differs = np.abs((found_state & 255).astype(int) - expected.lines) > 2
+        assert differs.mean() < 0.02 + 1 / (height * width)
+        np.testing.assert_allclose(summed_taps(found_state), summed_taps(expected.line_state), rtol=0.01)
+        state = random_state(rng, surface, parameters)
+        stylizer.line_state.write(state.tobytes(), alignment=1)
     stylizer.release()
     for texture in (textures.albedo, textures.inverse_depth, textures.normal):
         texture.release()
@@ -79,8 +84,9 @@ def require_equal_pictures(context: moderngl.Context, surface: Surface, paramete
 def test_shaders_equal_the_reference(
     height: int, width: int, rows: int, rng: np.random.Generator, context: moderngl.Context
 ) -> None:
-    """Catches a wrong border or tap in the shaders, a uniform that is not set, and lines of the wrong image."""
-    require_equal_pictures(context, random_surface(rng, height, width), random_parameters(rng, rows))
+    """Catches a wrong border or tap in the shaders, a uniform that is not set, lines of the wrong image, and lines that
+    fade in where the surface moves."""
+    require_equal_pictures(context, random_surface(rng, height, width), random_parameters(rng, rows), rng)
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -92,7 +98,7 @@ def test_presets_equal_the_reference(name: str, rng: np.random.Generator, contex
     camera = small_camera(0, 96, 96)
     camera = replace(camera, intrinsics=np.array([[FOCAL, 0, 48], [0, FOCAL, 48], [0, 0, 1]]))
     parameters = view_style(style, make_table(style), camera, MANIFEST.focus, (0.1, 0.2, 0.3))
-    require_equal_pictures(context, surface, parameters)
+    require_equal_pictures(context, surface, parameters, rng)
 
 
 @pytest.mark.parametrize("kind", [SortedBlending, DepthPeeling, DualDepthPeeling])
@@ -166,3 +172,30 @@ def test_style_can_be_switched_off_and_on(name: RendererName, context: moderngl.
     fresh = draw(context, name, requests_of(frames[2:], scene, [style]))
     np.testing.assert_array_equal(pictures[2], fresh[0])
     assert (pictures[1] != pictures[2]).any()
+
+
+@pytest.mark.parametrize("name", GL_RENDERERS)
+def test_lines_fade_in_as_with_the_cpu(name: RendererName, context: moderngl.Context) -> None:
+    """Catches lines of single images at full strength, faint lines after a change of the style or of the camera, and a
+    stylizer without a time."""
+    still = add_normals(shell_frame(3000, 1), MANIFEST)
+    signs = np.where(np.floor(12 * still.xyz[:, 2:]) % 2, 1, -1)
+    striped = replace(still, normals=encode_octahedral(signs * decode_octahedral(still.normals)))
+    style = load_style("ink")
+    other = replace(style, persistence=0.6)
+    requests = requests_of([still, striped, striped], MANIFEST, [style, style, other])
+    moved = replace(requests[2], camera=small_camera(3, 160, 120))
+    canvas, renderers = Canvas(context), [make_renderer(kind, context) for kind in ("cpu", name)]
+    strengths = []
+    for renderer in renderers:
+        for request in (*requests, moved):
+            renderer.draw(request, canvas, wait=True)
+            strengths.append(renderer.line_strength.astype(int))
+        canvas.read_rgb8()
+        assert renderer.style_seconds > 0
+        renderer.release()
+    canvas.release()
+    for expected, found in zip(strengths[:4], strengths[4:], strict=True):
+        assert (np.abs(found - expected) > 24).mean() < 0.03
+    for _, faint, full, _ in (strengths[:4], strengths[4:]):
+        assert (full > faint + 100).mean() > 0.005

@@ -6,15 +6,30 @@ uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.
 uniform int thickness;    // Pixels between the taps.
 uniform float depth_threshold;
 uniform float normal_threshold;
+uniform highp usampler2D line_state;  // The state of the previous image, in the layout of csrc/stylize/stylize.h.
+uniform bool has_state;               // Whether the previous image has the same camera, size and style.
+uniform float hysteresis;
+uniform float persistence;
+
+// The largest relative difference between the summed taps of a surface that rests, as in csrc/stylize/cpu/lines.inc.
+const float SAME_TAPS = 0.03;
 
 vec4 unpack_normal(vec4 texel) { return vec4((floor(255.0 * texel.xyz + 0.5) - 128.0) / 127.0, texel.w); }
 
 // 0 up to the threshold, 1 from 1.5 times the threshold.
 float ramp(float value, float threshold) { return clamp(2.0 * (value / threshold - 1.0), 0.0, 1.0); }
 
+ivec2 tap_pixel(ivec2 pixel, ivec2 steps) {
+    return clamp(pixel + thickness * steps, ivec2(0), textureSize(closed_depth, 0) - 1);
+}
+
+float tap_depth(ivec2 pixel, int right, int down) {
+    return texelFetch(closed_depth, tap_pixel(pixel, ivec2(right, down)), 0).r;
+}
+
 // Returns the inverse depth of a tap, and the cosine between its normal and `normal`, both weighted by coverage.
 vec2 tap(ivec2 pixel, ivec2 steps, vec3 normal) {
-    ivec2 at = clamp(pixel + thickness * steps, ivec2(0), textureSize(closed_depth, 0) - 1);
+    ivec2 at = tap_pixel(pixel, steps);
     vec4 other = unpack_normal(texelFetch(closed_normal, at, 0));
     return vec2(texelFetch(closed_depth, at, 0).r, dot(other.xyz * other.w, normal));
 }
@@ -50,10 +65,33 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
     return 1.0 - flatness * (1.0 - ramp(bend / (2.0 * most), depth_threshold * scale));
 }
 
-// Returns the strength of the line at a pixel in [0, 1]. `scale` multiplies the thresholds.
-float find_line(ivec2 pixel, float scale) {
+// Returns the strength of the line at a pixel in [0, 1], as if there were no previous image. `scale` multiplies the
+// thresholds.
+float fresh_line(ivec2 pixel, float scale) {
     vec4 own = unpack_normal(texelFetch(closed_normal, pixel, 0));
     vec3 normal = own.xyz * own.w;
-    if (line_filter == 1) return sobel_lines(pixel, normal, scale);
-    return line_filter == 2 ? cross_lines(pixel, normal, own.w, scale) : 0.0;
+    return line_filter == 1 ? sobel_lines(pixel, normal, scale) : cross_lines(pixel, normal, own.w, scale);
+}
+
+// Returns the upper 16 bits of the sum of the inverse depths of nine taps.
+uint summed_taps(ivec2 pixel) {
+    float corners = (tap_depth(pixel, -1, -1) + tap_depth(pixel, 1, -1))
+                    + (tap_depth(pixel, -1, 1) + tap_depth(pixel, 1, 1));
+    float arms = (tap_depth(pixel, 0, -1) + tap_depth(pixel, 0, 1)) + (tap_depth(pixel, -1, 0) + tap_depth(pixel, 1, 0));
+    return floatBitsToUint((corners + arms) + tap_depth(pixel, 0, 0)) & 0xffff0000u;
+}
+
+// Returns the strength of the line at a pixel in [0, 1], and the state for the next image. Where the previous image has a
+// line, the thresholds are lower. Where the surface rests, lines gain strength slowly.
+float find_line(ivec2 pixel, out uint state) {
+    state = 0u;
+    if (line_filter == 0) return 0.0;
+    uint old = has_state ? texelFetch(line_state, pixel, 0).r : 0u;
+    float before = float(old & 255u) / 255.0;
+    float line = fresh_line(pixel, (old & 255u) >= 128u ? 1.0 - hysteresis : 1.0);
+    uint bits = summed_taps(pixel);
+    float seen = uintBitsToFloat(bits), old_seen = uintBitsToFloat(old & 0xffff0000u);
+    if (abs(seen - old_seen) <= SAME_TAPS * seen && line > before) line += persistence * (before - line);
+    state = bits | uint(line * 255.0 + 0.5);
+    return line;
 }

@@ -1,0 +1,107 @@
+"""Measure what styles cost on the CPU, on top of playing.
+
+    python tools/styles/cost.py                      # 262,144 points at 1920 x 1080
+    python tools/styles/cost.py scene.4dv --frame 3
+
+Each round draws one image without a style and one image in each style, from a resting camera. The program prints the
+median time of an image without a style, and for each style
+
+- the median of the time that the style adds, over the rounds,
+- the median of the ratio of both times, over the rounds,
+- the part of the time that the stylizer takes. The rest is for the depths and normals of the points.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from fourd.baking import BakedFrame, SceneManifest, open_scene
+from fourd.baking.player import Player
+from fourd.baking.styled.normals import add_normals
+from fourd.baking.styled.player import StyledPlayer
+from fourd.benchmarks.workloads import make_baked_frame, make_camera
+from fourd.cameras import Camera
+from fourd.stylize import PRESETS, load_style
+from fourd.viewer.navigation.paths import fit_camera
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The scene, the styles, and the number of rounds."""
+
+    scene: tyro.conf.Positional[Path | None] = None
+    """A .4dv file. The default is the synthetic benchmark scene."""
+    frame: int = 0
+    """Index of the frame in the scene, from 0."""
+    points: int = 262_144
+    """Number of points of the synthetic benchmark scene."""
+    size: tuple[int, int] = (1920, 1080)
+    """Width and height of the images in pixels."""
+    styles: tuple[str, ...] = PRESETS
+    """Names of presets, or style files."""
+    threads: int = 2
+    """Number of threads."""
+    rounds: int = 40
+    """Number of images of each kind."""
+
+
+@dataclass
+class Times:
+    """Seconds per image in a style, and the part of the stylizer."""
+
+    styled: list[float] = field(default_factory=list)
+    stylizer: list[float] = field(default_factory=list)
+
+
+def main(arguments: Arguments) -> int:
+    frame, manifest, camera = _subject(arguments)
+    frame = frame if frame.normals is not None else add_normals(frame, manifest)
+    plain = Player()
+    styles = {name: (load_style(name), StyledPlayer()) for name in arguments.styles}
+    plain_times: list[float] = []
+    times = {name: Times() for name in styles}
+    for index in range(arguments.rounds + 1):
+        seconds = _seconds(lambda: plain.draw(frame, camera, manifest, threads=arguments.threads))
+        if index > 0:  # the first round fills caches
+            plain_times.append(seconds)
+        for name, (style, player) in styles.items():
+            seconds = _seconds(lambda s=style, p=player: p.draw(frame, camera, manifest, s, threads=arguments.threads))
+            if index > 0:
+                times[name].styled.append(seconds)
+                times[name].stylizer.append(player.style_seconds)
+    print(f"{frame.point_count:,} points, {camera.width} x {camera.height}, {arguments.threads} threads")
+    print(f"without a style: {1e3 * statistics.median(plain_times):.1f} ms\n")
+    print("| style | added ms | ratio to playing without a style | stylizer ms |")
+    print("|---|---|---|---|")
+    for name, found in times.items():
+        pairs = list(zip(found.styled, plain_times, strict=True))
+        added = 1e3 * statistics.median(styled - plain for styled, plain in pairs)
+        ratio = statistics.median(styled / plain for styled, plain in pairs)
+        print(f"| {name} | {added:.1f} | {ratio:.2f} | {1e3 * statistics.median(found.stylizer):.1f} |")
+    return 0
+
+
+def _subject(arguments: Arguments) -> tuple[BakedFrame, SceneManifest, Camera]:
+    if arguments.scene is None:
+        frame, manifest = make_baked_frame(arguments.points, ordered=True)
+        return frame, manifest, make_camera(*arguments.size, angle=0.3)
+    with open_scene(arguments.scene) as scene:
+        camera = fit_camera(scene.manifest.cameras[0], *arguments.size)
+        return scene.frame(arguments.frame), scene.manifest, camera
+
+
+def _seconds(work: Callable[[], object]) -> float:
+    started = time.perf_counter()
+    work()
+    return time.perf_counter() - started
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Arguments, description=__doc__)))
