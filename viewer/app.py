@@ -9,6 +9,7 @@ from typing import Literal
 from rich.console import Console
 
 from fourd.errors import UserError
+from fourd.stylize.tables import ShadeMapError
 from fourd.viewer import controls
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene
@@ -41,12 +42,15 @@ def run_viewer(
     size: tuple[int, int],
     settings: DisplaySettings,
     console: Console,
+    style_name: str | None = None,
 ) -> None:
     """Open a window that shows ``source``, and run the viewer until the user closes the window.
 
+    ``style_name`` is the preset or the style file of the style in ``settings``.
+
     Raises UserError when the source cannot be opened, when there is no display, or when OpenGL is not available.
     """
-    session = Session(settings)
+    session = Session(settings, style_name)
     try:
         scene = None if source is None else _open_scene(session, source)
         with Window(size, "fourd") as window:
@@ -88,7 +92,7 @@ class App:
             now = time.monotonic()
             elapsed, last = min(now - last, _MAX_STEP_SECONDS), now
             for path in window.take_dropped_paths():
-                self._state.session.open(path)
+                self._state.open(path)
             if window.take_input_flag():
                 self._images_left = _IMAGES_AFTER_INPUT
             if not window.is_hidden:
@@ -106,7 +110,8 @@ class App:
         if state.recorder is not None and session.pose is not None:
             state.recorder.advance(elapsed, session.pose, session.playback.frame)
         request = session.render_request(window.framebuffer_size)
-        if request is not None and state.renderer.needs_draw(request):
+        is_drawn = request is not None and (state.renderer.needs_draw(request) or self._is_settling)
+        if request is not None and is_drawn:
             self._draw(request)
         with state.timings.measure("panel"):
             state.renderer.present(shows_image=request is not None)
@@ -119,17 +124,27 @@ class App:
             window.end_ui()
         with state.timings.measure("present"):
             window.swap_buffers()
+        if is_drawn:
+            # The cpu renderer stylizes while it draws. The window waits for the GPU when it presents the image.
+            source = "draw" if state.renderer.choice.name == "cpu" else "present"
+            state.timings.move(source, "style", state.renderer.renderer.style_seconds)
         state.timings.finish_image()
         if state.run_deferred():
             self._images_left = _IMAGES_AFTER_INPUT
         window.set_title(self._title())
 
     def _draw(self, request: RenderRequest) -> None:
-        """Draw the scene. When the renderer fails, switch to the cpu renderer."""
+        """Draw the scene. When the renderer fails, switch to the cpu renderer.
+
+        When the shade map of the style cannot be read, switch the style off.
+        """
         state = self._state
         try:
             with state.timings.measure("draw"):
                 state.renderer.draw(request)
+        except ShadeMapError as error:
+            state.session.choose_style(None)
+            state.session.message = str(error)
         except UserError as error:
             state.session.message = str(error)
             name = state.renderer.choice.name
@@ -143,7 +158,8 @@ class App:
             return _IDLE_SECONDS
         if session.is_opening or session.is_waiting:
             return _SPINNER_SECONDS
-        if session.is_moving or state.recorder is not None or state.renderer.is_stale or self._images_left > 0:
+        is_moving = session.is_moving or state.recorder is not None
+        if is_moving or state.renderer.is_stale or self._is_settling or self._images_left > 0:
             return 0.0
         return min(session.playback.seconds_to_next_frame(), _IDLE_SECONDS)
 
@@ -151,7 +167,13 @@ class App:
         """Whether the next image would be equal to the current one."""
         state, session = self._state, self._state.session
         is_active = session.is_opening or session.is_waiting or session.is_moving or session.playback.is_playing
-        return not (is_active or state.recorder is not None or state.renderer.is_stale or self._images_left > 0)
+        is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling
+        return not (is_active or is_changing or self._images_left > 0)
+
+    @property
+    def _is_settling(self) -> bool:
+        """Whether playback is paused and the lines of a style still fade in."""
+        return self._state.renderer.is_settling and not self._state.session.playback.is_playing
 
     def _title(self) -> str:
         scene, playback = self._state.session.scene, self._state.session.playback

@@ -25,6 +25,7 @@ HELP = (
     ("N, P", "next camera, previous camera"),
     ("0", "initial view"),
     ("R", "next renderer"),
+    ("T", "next style"),
     ("F9", "start or stop recording the camera path"),
     ("F10", "render the recorded path to MP4"),
     ("F12", "screenshot"),
@@ -76,6 +77,9 @@ def handle_shortcuts(state: ViewerState) -> None:
     if imgui.is_key_pressed(imgui.Key.r, False):
         next_renderer = RENDERERS[(RENDERERS.index(state.renderer.choice.name) + 1) % len(RENDERERS)]
         state.defer(lambda: state.switch_renderer(next_renderer))
+    if imgui.is_key_pressed(imgui.Key.t, False):
+        names = state.session.style_names
+        state.session.choose_style(names[(names.index(state.session.style_name) + 1) % len(names)])
     if imgui.is_key_pressed(imgui.Key.f9, False):
         state.defer(state.toggle_recording)
     if imgui.is_key_pressed(imgui.Key.f10, False):

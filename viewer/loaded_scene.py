@@ -24,6 +24,7 @@ class LoadedScene:
         manifest: the manifest of the scene.
         frames: supplies the frames and prefetches them.
         up: up direction of the world, (3,).
+        has_normals: whether the frames have normals, which styles need.
         checkpoint: file name of the displayed checkpoint of a run; empty for a `.4dv` file.
     """
 
@@ -35,6 +36,7 @@ class LoadedScene:
         # Frames of a run are baked on demand. The buffer of frames is minimal, which leaves more CPU time for training.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
+        self.has_normals = "normals" in self.manifest.optional_attributes
         self.checkpoint = self._run.checkpoint if self._run else ""
         self._last_poll = time.monotonic()
 

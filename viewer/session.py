@@ -9,6 +9,8 @@ from pathlib import Path
 from fourd.baking import BakedFrame
 from fourd.cameras import Camera
 from fourd.errors import UserError
+from fourd.stylize import PRESETS, Style, load_style
+from fourd.stylize.tables import make_table
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.loaded_scene import LoadedScene
 from fourd.viewer.navigation.pose import Pose, interpolate_poses
@@ -31,11 +33,17 @@ class Session:
         message: the last error or notice for the user, or an empty string.
         error: the error of the last scene that could not be opened, or None.
         is_waiting: whether the current frame is still being read.
+        style_name: the preset or the path of the style file that was chosen, or None for the captured colours. The
+            style in ``settings`` may have been changed since.
+        style_file: path of the last style file, or None.
     """
 
-    def __init__(self, settings: DisplaySettings) -> None:
-        """If ``settings.layers`` is 0, the K of each scene is used."""
+    def __init__(self, settings: DisplaySettings, style_name: str | None = None) -> None:
+        """If ``settings.layers`` is 0, the K of each scene is used. ``style_name`` is the name of the style in
+        ``settings``."""
         self.settings = settings
+        self.style_name = style_name
+        self.style_file = None if style_name in PRESETS else style_name
         self.scene: LoadedScene | None = None
         self.playback = Playback(1, 30.0)
         self.pose: Pose | None = None
@@ -54,6 +62,11 @@ class Session:
     def is_opening(self) -> bool:
         """Whether a scene is being opened."""
         return self._opener is not None
+
+    @property
+    def style_names(self) -> tuple[str | None, ...]:
+        """The styles that the user can choose: None, the presets, and the last style file."""
+        return (None, *PRESETS, *(() if self.style_file is None else (self.style_file,)))
 
     @property
     def is_moving(self) -> bool:
@@ -93,11 +106,59 @@ class Session:
             self.settings = replace(self.settings, layers=manifest.layers)
         self._transition, self._scaled, self._last_frame = None, None, None
         self.message = ""
+        self._announce_estimates()
 
     def set_layers(self, layers: int) -> None:
         """Set the number of layers K for this scene and for scenes that are opened later."""
         self._has_user_layers = True
         self.settings = replace(self.settings, layers=layers)
+
+    def choose_style(self, name: str | None) -> None:
+        """Draw the scene in a preset or in a style file, or in the captured colours if ``name`` is None.
+
+        If the style cannot be loaded, the current style stays and ``message`` contains the reason.
+        """
+        try:
+            style = None if name is None else load_style(name)
+        except UserError as error:
+            self.message = str(error)
+            return
+        is_first = self.settings.style is None
+        self.settings = replace(self.settings, style=style)
+        self.style_name, self.message = name, ""
+        if name is not None and name not in PRESETS:
+            self.style_file = name
+        if is_first:
+            self._announce_estimates()
+
+    def choose_shade_map(self, path: Path) -> None:
+        """Use a PNG as the shade map of the current style.
+
+        If the style has no shade map, or the PNG has another shape than the style needs, the current style stays and
+        ``message`` contains the reason.
+        """
+        style = self.settings.style
+        if style is None or style.shading not in ("toon", "xtoon"):
+            got = "no style" if style is None else f"the shading {style.shading}"
+            self.message = f"{path}: expected a style with a shade map, got {got}; choose toon or xtoon first"
+            return
+        self.message = ""
+        self.set_style(replace(style, ramp=replace(style.ramp, map=path)))
+
+    def set_style(self, style: Style) -> None:
+        """Draw the scene in a changed style.
+
+        If the shade map of the style has another shape than the style needs, the current style stays and ``message``
+        contains the reason.
+        """
+        before = self.settings.style
+        if before is None or (before.shading, before.ramp.map) != (style.shading, style.ramp.map):
+            try:
+                make_table(style)
+            except UserError as error:
+                self.message = str(error)
+                return
+        self.settings = replace(self.settings, style=style)
 
     def move_to(self, pose: Pose) -> None:
         """Start a transition to ``pose``."""
@@ -185,6 +246,15 @@ class Session:
         result = self.settings.scale_points(frame)
         self._scaled = (frame, self.settings, result)
         return result
+
+    def _announce_estimates(self) -> None:
+        """Tell the user why a styled scene without normals stutters at first."""
+        scene = self.scene
+        if scene is not None and self.settings.style is not None and not scene.has_normals:
+            self.message = (
+                f"{scene.path.name}: expected normals for styles, got none; "
+                "the normals of each frame are estimated when the frame is first drawn"
+            )
 
     def _open(self, path: Path) -> None:
         try:

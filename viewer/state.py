@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.configs import save_config
 from fourd.errors import UserError
+from fourd.stylize.presets import STYLE_SUFFIXES
 from fourd.viewer.display import RenderRequest
 from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.loaded_scene import LoadedScene
@@ -74,6 +76,22 @@ class ViewerState:
         self.session.show(scene, self._saved_views.load(scene.path) or scene.initial_pose(size))
         self.renderer.reset()
         self.recorded_path = self.recorder = None
+
+    def open(self, path: Path) -> None:
+        """Open a file that the user has dropped on the window: a style file, a shade map, a scene or a run."""
+        if path.suffix in STYLE_SUFFIXES:
+            self.session.choose_style(str(path))
+        elif path.suffix.lower() == ".png":
+            self.session.choose_shade_map(path)
+        else:
+            self.session.open(path)
+
+    def save_style(self) -> None:
+        """Write the style to a YAML file in the working directory."""
+        style, name = self.session.settings.style, self.session.style_name
+        if style is not None and name is not None:
+            path = unused_path(Path(name).stem, ".yaml")
+            self._write(path, lambda: save_config(style, path))
 
     def save_view(self) -> None:
         """Save the pose, so that the viewer starts from this pose when the scene is opened again."""

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 from numpy.typing import NDArray
 
-PARTS = ("draw", "panel", "present")
+PARTS = ("draw", "style", "panel", "present")
 HISTORY = 120
 """Number of images whose times are kept."""
 
@@ -29,6 +29,12 @@ class Timings:
             yield
         finally:
             self._current[part] += 1e3 * (time.perf_counter() - started)
+
+    def move(self, source: str, target: str, seconds: float) -> None:
+        """Count up to ``seconds`` of the current image's time of the part ``source`` as time of ``target``."""
+        moved = min(1e3 * seconds, self._current[source])
+        self._current[source] -= moved
+        self._current[target] += moved
 
     def finish_image(self) -> None:
         """Append the times of the current image to the history."""

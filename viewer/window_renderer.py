@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import moderngl
@@ -13,6 +14,9 @@ from fourd.viewer.gl.canvas import Canvas
 from fourd.viewer.gl.context import REQUIRED_VERSION, driver_name
 from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererName, choose_renderer, make_renderer
 from fourd.viewer.window import Window
+
+_FAINT = 0.01
+"""Share of the strength of a line that may be missing in a settled image."""
 
 
 class WindowRenderer:
@@ -27,6 +31,13 @@ class WindowRenderer:
         self._canvas = Canvas(self.context)
         self._screen: moderngl.Framebuffer | None = None
         self._drawn: RenderRequest | None = None
+        self._unsettled_images = 0
+
+    @property
+    def is_settling(self) -> bool:
+        """Whether lines of the last image gain strength if the image is drawn again, because its frame is new and its
+        camera is not."""
+        return self._unsettled_images > 0
 
     @property
     def is_stale(self) -> bool:
@@ -53,18 +64,18 @@ class WindowRenderer:
 
     def needs_draw(self, request: RenderRequest) -> bool:
         """Whether the canvas differs from the exact image of ``request``."""
-        last = self._drawn
-        is_same = (
-            last is not None
-            and request.frame is last.frame
-            and request.camera is last.camera
-            and request.settings == last.settings
-        )
-        return self.is_stale or not is_same
+        return self.is_stale or not self._is_last(request)
 
     def draw(self, request: RenderRequest) -> None:
         """Draw into the canvas. Raises UserError."""
         self.renderer.draw(request, self._canvas)
+        last, style = self._drawn, request.settings.style
+        if self._is_last(request):
+            self._unsettled_images = max(0, self._unsettled_images - 1)
+        elif style is None or last is None or last.camera is not request.camera or last.settings.style != style:
+            self._unsettled_images = 0
+        else:
+            self._unsettled_images = _images_to_settle(style.persistence)
         self._drawn = request
 
     def draw_exact(self) -> NDArray[np.uint8] | None:
@@ -86,7 +97,22 @@ class WindowRenderer:
         else:
             self._screen.clear()
 
+    def _is_last(self, request: RenderRequest) -> bool:
+        """Whether a request is equal to the last request."""
+        last = self._drawn
+        return (
+            last is not None
+            and request.frame is last.frame
+            and request.camera is last.camera
+            and request.settings == last.settings
+        )
+
     def release(self) -> None:
         """Free all GL objects and stop threads."""
         self.renderer.release()
         self._canvas.release()
+
+
+def _images_to_settle(persistence: float) -> int:
+    """Number of further images of a frame until its lines have their strength."""
+    return math.ceil(math.log(_FAINT) / math.log(persistence)) if persistence > 0 else 0

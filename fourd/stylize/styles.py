@@ -10,6 +10,7 @@ from typing import Literal
 from fourd.ops.stylize.parameters import MAX_THICKNESS, Detail, LineFilter, Triple
 
 ShadingKind = Literal["none", "toon", "xtoon", "gooch"]
+LightFrame = Literal["camera", "world"]
 Stop = tuple[float, float, float, float]
 MAX_LIGHT = 1e6
 """Largest coordinate of a light direction."""
@@ -26,7 +27,7 @@ class Light:
     """
 
     direction: Triple = (-0.5, -0.7, -0.5)
-    frame: Literal["camera", "world"] = "camera"
+    frame: LightFrame = "camera"
 
     def __post_init__(self) -> None:
         length = math.hypot(*self.direction)

@@ -18,8 +18,12 @@ _MAX_MAP_BYTES = 16 << 20
 _DETAIL_ROWS = 32
 
 
+class ShadeMapError(UserError):
+    """The shade map of a style cannot be read, or has another shape than the style needs."""
+
+
 def make_table(style: Style) -> NDArray[np.uint8]:
-    """The shade table of a style. Raises UserError if the map of the style is not a PNG of the right shape."""
+    """The shade table of a style. Raises ShadeMapError if the map of the style is not a PNG of the right shape."""
     if style.shading == "gooch":
         tones = np.linspace(0, 1, TONES)[:, None]
         return _bytes((1 - tones) * np.array(style.gooch.cool) + tones * np.array(style.gooch.warm))[None]
@@ -33,26 +37,28 @@ def make_table(style: Style) -> NDArray[np.uint8]:
 
 
 def read_map(path: Path, most_rows: int) -> NDArray[np.float64]:
-    """Read a shade map: (rows, columns, 3) in [0, 1]. Raises UserError."""
+    """Read a shade map: (rows, columns, 3) in [0, 1]. Raises ShadeMapError."""
     try:
         state = path.stat()
         if not stat.S_ISREG(state.st_mode):
             # A pipe or a device could be read for ever.
-            raise UserError(f"{path}: expected a PNG, got a folder, a pipe or a device; check the path of ramp.map")
+            raise ShadeMapError(f"{path}: expected a PNG, got a folder, a pipe or a device; check the path of ramp.map")
         if state.st_size > _MAX_MAP_BYTES:
-            raise UserError(f"{path}: expected a shade map of at most 16 MiB, got a larger file; name another PNG")
+            raise ShadeMapError(f"{path}: expected a shade map of at most 16 MiB, got a larger file; name another PNG")
         content = np.fromfile(path, np.uint8)
     except OSError as error:
-        raise UserError(f"{path}: expected a PNG, got '{error.strerror}'; check the path of ramp.map") from error
+        raise ShadeMapError(f"{path}: expected a PNG, got '{error.strerror}'; check the path of ramp.map") from error
     is_png = content[:8].tobytes() == b"\x89PNG\r\n\x1a\n"
     shape = tuple(int(side) for side in content[16:24].view(">u4")[::-1]) if is_png and content.size >= 24 else (0, 0)
     if not (1 <= shape[0] <= most_rows and 2 <= shape[1] <= MAX_COLUMNS):
         got = f"{shape[1]} x {shape[0]} pixels" if is_png else "another file"
         rows = "1 row" if most_rows == 1 else f"1 to {most_rows} rows"
-        raise UserError(f"{path}: expected a PNG of {rows} and 2 to {MAX_COLUMNS} columns, got {got}; scale the map")
+        raise ShadeMapError(
+            f"{path}: expected a PNG of {rows} and 2 to {MAX_COLUMNS} columns, got {got}; scale the map"
+        )
     image = cv2.imdecode(content, cv2.IMREAD_COLOR)
     if image is None:
-        raise UserError(f"{path}: expected a PNG, got a damaged file; write the map again")
+        raise ShadeMapError(f"{path}: expected a PNG, got a damaged file; write the map again")
     return image[..., ::-1] / 255
 
 

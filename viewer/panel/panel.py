@@ -12,10 +12,11 @@ from fourd.viewer.panel.playback import PLAYBACK
 from fourd.viewer.panel.renderer import RENDERER
 from fourd.viewer.panel.scene import SCENE
 from fourd.viewer.panel.section import PANEL_WIDTH, Section, text_scale
+from fourd.viewer.panel.style import STYLE
 from fourd.viewer.panel.viewpoint import VIEWPOINT
 from fourd.viewer.state import ViewerState
 
-SECTIONS: tuple[Section, ...] = (SCENE, PLAYBACK, VIEWPOINT, DISPLAY, OUTPUT, RENDERER, HELP)
+SECTIONS: tuple[Section, ...] = (SCENE, PLAYBACK, VIEWPOINT, DISPLAY, STYLE, OUTPUT, RENDERER, HELP)
 """From top to bottom."""
 
 _LABEL_WIDTH = 110.0

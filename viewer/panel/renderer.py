@@ -23,12 +23,14 @@ def _draw(state: ViewerState) -> None:
         age = renderer.stale_images
         imgui.text_disabled(f"sorted in {1e3 * renderer.sort_seconds:.1f} ms, {age} image{'' if age == 1 else 's'} old")
     medians = state.timings.medians()
-    imgui.text(", ".join(f"{part} {medians[part]:.1f}" for part in PARTS) + " ms")
-    _draw_plot(state)
+    has_style = state.session.settings.style is not None
+    parts = [part for part in PARTS if has_style or part != "style"]
+    imgui.text_wrapped(", ".join(f"{part} {medians[part]:.1f}" for part in parts) + " ms")
+    _draw_plot(state, parts)
 
 
-def _draw_plot(state: ViewerState) -> None:
-    """Draw a stacked plot of the time that each part of an image takes."""
+def _draw_plot(state: ViewerState, parts: list[str]) -> None:
+    """Draw a stacked plot of the time that each of the parts of an image takes."""
     tops = state.timings.cumulative()
     scale = text_scale(state)
     size = imgui.ImVec2(scale * (PANEL_WIDTH - 20), scale * _PLOT_HEIGHT)
@@ -40,8 +42,8 @@ def _draw_plot(state: ViewerState) -> None:
     implot.setup_axis_limits(implot.ImAxis_.x1, 0, len(tops), imgui.Cond_.always)
     bottom = np.zeros(len(tops))
     positions = np.arange(len(tops), dtype=np.float64)
-    for column, part in enumerate(PARTS):
-        top = np.ascontiguousarray(tops[:, column])
+    for part in parts:
+        top = np.ascontiguousarray(tops[:, PARTS.index(part)])
         implot.plot_shaded(part, positions, bottom, top)
         bottom = top
     implot.end_plot()

@@ -64,7 +64,8 @@ def run(arguments: Arguments) -> None:
     if arguments.headless is None and arguments.screenshot is None:
         from fourd.viewer.app import run_viewer
 
-        run_viewer(arguments.source, arguments.renderer, arguments.size or (1280, 720), settings, console)
+        size = arguments.size or (1280, 720)
+        run_viewer(arguments.source, arguments.renderer, size, settings, console, arguments.style)
         return
     from fourd.viewer.headless import Headless
 

@@ -14,6 +14,8 @@ from fourd.stylize.tables import make_table
 
 PRESETS = ("toon", "xtoon", "gooch", "ink")
 """Names of the styles that come with fourd, one YAML file each."""
+STYLE_SUFFIXES = (".yaml", ".yml")
+"""Suffixes of style files."""
 
 
 def load_style(name: str) -> Style:
@@ -27,7 +29,7 @@ def load_style(name: str) -> Style:
         with as_file(files("fourd.stylize.presets") / f"{name}.yaml") as path:
             return load_overlay(Style(), path)
     path = Path(name)
-    if path.suffix not in (".yaml", ".yml"):
+    if path.suffix not in STYLE_SUFFIXES:
         near = get_close_matches(name, PRESETS, n=1)
         hint = f"did you mean {near[0]}?" if near else "write one of the names or the path of a .yaml file"
         raise UserError(f"--style: expected {', '.join(PRESETS)} or FILE.yaml, got '{name}'; {hint}")
