@@ -1,4 +1,4 @@
-# One call per kernel. docs/guides/adding_a_kernel.md explains how to add a kernel.
+# Each call adds a kernel. docs/guides/adding_a_kernel.md explains how to add one.
 fourd_kernel(antialias
   CPU cpu/antialias.cpp
   DISPATCH cpu/loops.cpp WIDEST avx2 EXACT

@@ -123,7 +123,7 @@ class CalibrationBoard:
 
 
 def dictionary_names() -> list[str]:
-    """Names of the marker dictionaries of OpenCV, smaller dictionaries of a family first."""
+    """Names of the marker dictionaries of OpenCV. The dictionaries of a family are in ascending order of size."""
     return [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
 
 
@@ -197,8 +197,8 @@ def write_board(path: Path, board: CalibrationBoard) -> None:
 def ink_rectangles(board: CalibrationBoard) -> Array:
     """Rectangles (N, 4) to print in board coordinates, as x0, y0, x1, y1 in metres.
 
-    The rectangles do not overlap. They are dark on a bright background or, if the board is inverted, bright on a dark
-    background.
+    The rectangles do not overlap. The rectangles are dark on a bright background. If the board is inverted, they are
+    bright on a dark background.
     """
     column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     squares = np.stack([column, row], axis=-1).reshape(-1, 2).astype(np.float64)

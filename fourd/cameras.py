@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""The limit angle of :func:`fading_weights` is the largest angle of the chosen cameras times this factor, if all other
-cameras have smaller angles.
+"""The limit angle of :func:`fading_weights` is the largest angle of the chosen cameras times this factor, unless
+another camera has at least this largest angle.
 """
 
 
@@ -209,8 +209,9 @@ def fading_weights(
 def nearest_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    The angle of a source camera is measured at ``focus``, a (3,) world point, between the rays to the centre of
-    ``camera`` and to the centre of the source camera. Selecting source views by angle follows 4K4D (sec. 3.2).
+    The angle of a source camera is measured at the world point ``focus`` (3,). It is the angle between the ray to the
+    centre of ``camera`` and the ray to the centre of the source camera. Selecting source views by angle follows 4K4D
+    (sec. 3.2).
     Cameras with equal angles are ordered by index.
     """
     direction = _normalize(camera.centre - focus)

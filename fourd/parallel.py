@@ -20,8 +20,8 @@ Result = TypeVar("Result")
 Item = TypeVar("Item")
 
 MAX_BLOCK = 16
-"""Maximum number of items per job. Small jobs let all cores finish at about the same time. Large jobs open files less
-often."""
+"""Maximum number of items per job. With small jobs, all cores finish at about the same time. With large jobs, files are
+opened less often than with small jobs."""
 POLL_SECONDS = 0.2
 """Interval in seconds at which the queue of results is read."""
 

@@ -22,7 +22,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)  # A background job of 
 run_forever({folder!r})
 """
 TIMEOUT_S = 60
-"""Time limit of each wait in seconds. It is long, because some test machines are slow."""
+"""Time limit of each wait in seconds. The limit is long, because some test machines are slow."""
 
 
 def squares(job: tuple[int, ...]) -> Iterator[int]:

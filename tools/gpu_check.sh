@@ -45,7 +45,7 @@ if [ "${1:-}" = sanitize ]; then
 fi
 "$python" -m pytest -q -k "cuda" "${tests[@]}"
 "$python" "$OLDPWD/tools/gpu_table.py"
-# OpenGL through EGL on the same GPU, if the Python packages are installed.
+# Test and measure the viewer's OpenGL renderers through EGL on the same GPU, if their Python packages are installed.
 if "$python" -c "import moderngl, tyro, OpenGL, scipy" 2>/dev/null; then
   "$python" -m pytest -q tests/viewer/rendering/test_renderers.py
   for size in "1920 1080" "3840 2160"; do "$python" "$OLDPWD/tools/viewer_table.py" --size $size; done

@@ -38,7 +38,7 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Arguments:
-    """The runs, and what to measure in addition to the scores."""
+    """The runs, and the quantities to measure in addition to the scores."""
 
     runs: tyro.conf.Positional[list[Path]]
     """Run folders, trained with --test-views."""

@@ -23,7 +23,7 @@ from fourd.viewer.window_renderer import WindowRenderer
 _MAX_STEP_SECONDS = 0.1
 """Longest time step of playback, in seconds.
 
-After a longer stall of the event loop, playback continues near the frame where it stopped.
+After a stall of the event loop that exceeds this time, playback continues near the frame where it stopped.
 """
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""

@@ -25,8 +25,8 @@ struct Settings {
     Simd simd;    // An instruction set that this machine supports.
 };
 
-// Writes the blended colours to `out`. For every pixel, writes the crossings of its two pairs (right and lower
-// neighbour) to `codes`, as a Code of maths.h.
+// Writes the blended colours to `out`. A pixel forms a pair with its right neighbour, and a pair with its lower
+// neighbour. For every pixel, the function writes the crossings of these two pairs to `codes`, as a Code of maths.h.
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
 
 // The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to `out`. The

@@ -1,4 +1,4 @@
-// Finds silhouette edges, and where they cross the segment between the centres of two neighbouring pixels.
+// Finds silhouette edges, and the points where these edges cross the segment between two neighbouring pixel centres.
 //
 // Relative to the centre f of a pixel, a vertex (x, y, z, w) in clip space has the coordinates (a, b, w) with
 // a = x - f_x w and b = y - f_y w. The edge from vertex j to vertex k goes through the point f where
@@ -18,15 +18,16 @@ namespace fourd::antialias {
 // The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to this number of pixels
 // away from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
-constexpr float kMaxSlope = 1.0e18f;  // In pixels per unit of clip space. Edges with larger slopes have no gradient.
+constexpr float kMaxSlope = 1.0e18f;  // In pixels per unit of clip space. Edges above this slope have no gradient.
 
 struct Mesh {
     const float* positions;  // (instances, vertices, 4) in clip space.
     const int* triangles;    // (triangle_count, 3) vertex indices.
-    const int* opposite;     // (triangle_count, 3): element i belongs to the edge opposite to vertex i, and is the third
-                             // vertex of the neighbour across this edge. -1 marks an edge that is always a silhouette.
+    // (triangle_count, 3): element i belongs to the edge opposite to vertex i. The element is the third vertex of the
+    // neighbouring triangle across this edge. The value -1 marks an edge that is always a silhouette.
+    const int* opposite;
     std::size_t vertices, triangle_count;
-    bool instanced;  // Whether every image has its own positions. Otherwise all images share them.
+    bool instanced;  // Whether every image has its own positions. If false, all images share the same positions.
 
     FOURD_HD FOURD_INLINE std::size_t first_vertex(std::size_t image) const { return instanced ? image * vertices : 0; }
     FOURD_HD FOURD_INLINE bool has(int vertex) const { return static_cast<std::size_t>(vertex) < vertices && vertex >= 0; }
@@ -41,15 +42,16 @@ FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vert
     return {at[0], at[1], at[3]};
 }
 
-// The determinant of p, q and r. Its sign states on which side of the plane through p, q and the camera the vertex r
-// lies. The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
+// The determinant of p, q and r. The plane through p, q and the camera has two sides. The sign of the determinant is
+// the side of the vertex r. The determinant is computed from differences, so that it is exactly 0 if two vertices are
+// equal.
 FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
     const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
 }
 
-// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. A silhouette has no neighbour, or its
-// neighbour does not lie on the other side of the edge.
+// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette if there is no
+// neighbouring triangle across the edge, or if this neighbour does not lie on the other side of the edge.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
@@ -93,7 +95,8 @@ FOURD_HD static inline Code code_of(int edge_number, bool neighbour, int axis) {
 // nearer. The axis `along` points to the other pixel of the pair, and the axis `across` is perpendicular to it.
 struct Sight {
     float along, across;            // The centre of the owner in normalised device coordinates.
-    float step_along, step_across;  // Between pixel centres. step_along is signed: it leads to the other pixel.
+    // Distances between pixel centres. step_along is negative if the owner is the second pixel.
+    float step_along, step_across;
     int axis;
 
     FOURD_HD FOURD_INLINE Sight(const Pair& pair, bool neighbour, int height, int width) : axis(pair.axis) {
@@ -118,8 +121,8 @@ FOURD_HD static inline Seen see(const Sight& sight, const Vertex& v) {
     return {a - sight.along * v.w, b - sight.across * v.w, v.w};
 }
 
-// The line through p and q, as the linear function N (see above): its value at the owner, and how much N decreases per
-// step along and across.
+// The line through p and q, as the linear function N (see above). `value` is N at the owner. fall_along and fall_across
+// are the decreases of N per step along and across.
 struct Line {
     float value, fall_along, fall_across;
 
@@ -180,7 +183,8 @@ FOURD_HD static inline bool second_is_nearer(const float* first, int one, const 
     return second[2] < first[2] || (second[2] == first[2] && two < one);
 }
 
-// The crossing of a pair: which pixel changes, by how much, and the derivatives of the position of the crossing.
+// The crossing of a pair: the pixel that changes, the weight of the change, and the derivatives of the position of the
+// crossing.
 struct Crossing {
     int vertex[2];        // Indices of the ends of the edge.
     Vertex slope[2];      // Derivatives of the position of the crossing with respect to x, y and w of the ends.

@@ -1,4 +1,4 @@
-// The pairs of neighbouring pixels of an image, and what blending changes in them.
+// The pairs of neighbouring pixels of an image, and the changes of their colours by blending.
 #pragma once
 
 #include "antialias/antialias.h"
@@ -45,7 +45,7 @@ struct View {
     FOURD_HD FOURD_INLINE const float* rast(std::size_t pixel) const { return plan.images.rast + 4 * pixel; }
 };
 
-// The code of a pair of pixels with different ids.
+// The Code (maths.h) of a pair of pixels that show different triangles.
 FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
     const Mesh& mesh = view.plan.mesh;

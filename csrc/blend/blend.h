@@ -35,7 +35,7 @@ struct Gradients {
     float* samples;
     float* weight;  // The shape is that of Mlp::weight.
     float* out;
-    float* bias;  // a single number
+    float* bias;  // (1,).
 };
 
 // Writes the logits to `logits` (views, count).

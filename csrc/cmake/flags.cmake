@@ -1,10 +1,11 @@
-# Compiler flags: warnings, instruction sets and rounding. The target fourd_options carries what every source needs.
+# Compiler flags. The target fourd_options has the include directories, definitions and libraries of every source.
 #
-#   FOURD_WARNINGS     warnings, as errors where FOURD_WERROR is on
-#   FOURD_FLAGS_<set>  an instruction set: baseline, avx2 or avx512
-#   FOURD_EXACT        products and sums are rounded one by one: the same bits for every instruction set
-#   FOURD_TOLERANT     products and sums may be fused
-#   FOURD_VECTORIZE    floating-point exceptions are ignored, so that selections need no branches; same bits
+#   FOURD_WARNINGS     Warnings. They are errors if FOURD_WERROR is on.
+#   FOURD_FLAGS_<set>  Flags of an instruction set: baseline, avx2 or avx512.
+#   FOURD_EXACT        No fused multiply-add. Results have the same bits with every instruction set.
+#   FOURD_TOLERANT     The compiler may use fused multiply-add.
+#   FOURD_VECTORIZE    Conditional expressions compile without branches, because floating-point exceptions are ignored.
+#                      Results are unchanged.
 
 add_library(fourd_options INTERFACE)
 target_include_directories(fourd_options INTERFACE ${FOURD_CSRC})
@@ -55,7 +56,7 @@ if(FOURD_SANITIZE)
   target_link_options(fourd_options INTERFACE ${sanitizers})
 endif()
 
-# Lists the instruction sets from the baseline up to `widest`. An empty `widest` gives the baseline alone.
+# Sets `out` to the instruction sets from the baseline up to `widest`. If `widest` is empty, `out` is the baseline alone.
 function(fourd_instruction_sets out widest)
   set(sets baseline)
   if(FOURD_X86 AND widest MATCHES "^avx(2|512)$")

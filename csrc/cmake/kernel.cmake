@@ -25,11 +25,12 @@ set_target_properties(fourd_kernels PROPERTIES POSITION_INDEPENDENT_CODE ON)
 #              [CUDA file...] [BINDING file] [CUDA_BINDING file] [FOLDER folder])
 # CPU           sources compiled once.
 # DISPATCH      sources compiled once per instruction set, from the baseline to WIDEST (common/dispatch.h).
-# EXACT         no fused multiply-add in dispatched sources: the same bits for every instruction set (the default).
-# TOLERANT      fused multiply-add is allowed in dispatched sources: bits can differ between instruction sets.
+# EXACT         dispatched sources have no fused multiply-add, so instruction sets give the same bits (the default).
+# TOLERANT      dispatched sources may use fused multiply-add, so bits can differ between instruction sets.
 # CUDA          .cu files, for the GPU and for the emulation.
-# BINDING       defines fourd::bind_NAME(nanobind::module_&); CUDA_BINDING defines fourd::cuda::bind_NAME.
-# FOLDER        where the files are; by default csrc/NAME.
+# BINDING       the file that defines fourd::bind_NAME(nanobind::module_&).
+# CUDA_BINDING  the file that defines fourd::cuda::bind_NAME(nanobind::module_&).
+# FOLDER        the folder of the files; csrc/NAME by default.
 function(fourd_kernel name)
   cmake_parse_arguments(PARSE_ARGV 1 arg "EXACT;TOLERANT" "WIDEST;BINDING;CUDA_BINDING;FOLDER" "CPU;DISPATCH;CUDA")
   if(arg_UNPARSED_ARGUMENTS OR (arg_EXACT AND arg_TOLERANT))
@@ -68,7 +69,7 @@ function(fourd_kernel name)
   endforeach()
 endfunction()
 
-# Writes fourd::bind_kernels, or fourd::cuda::bind_kernels, which calls the kernels' binding functions.
+# Writes the function bind_kernels of `namespace` (fourd or fourd::cuda). It calls the binding functions of all kernels.
 function(fourd_generate_bindings kind namespace out)
   get_property(names GLOBAL PROPERTY FOURD_${kind}_NAMES)
   get_property(files GLOBAL PROPERTY FOURD_${kind}_FILES)
@@ -84,7 +85,7 @@ function(fourd_generate_bindings kind namespace out)
   set(${out} ${files} ${generated} PARENT_SCOPE)
 endfunction()
 
-# The CUDA sources compiled for the CPU, for tests.
+# Adds the CUDA sources to a target and compiles them for the CPU. Tests use this to emulate a GPU.
 function(fourd_emulate target)
   get_property(sources GLOBAL PROPERTY FOURD_CUDA_SOURCES)
   target_sources(${target} PRIVATE ${FOURD_CSRC}/device/emulated.cpp)
@@ -99,7 +100,7 @@ function(fourd_emulate target)
   target_compile_definitions(${target} PRIVATE FOURD_EMULATED)
 endfunction()
 
-# A module NAME whose entry point is in the given sources, which call fourd::bind_kernels.
+# Adds the Python module `target`. The given sources contain its entry point, which calls fourd::bind_kernels.
 function(fourd_add_module target)
   fourd_generate_bindings(BINDING fourd bindings)
   nanobind_add_module(${target} NB_STATIC NOMINSIZE ${ARGN} ${bindings})
@@ -107,7 +108,8 @@ function(fourd_add_module target)
   target_compile_options(${target} PRIVATE ${FOURD_WARNINGS})
 endfunction()
 
-# The same for the CUDA sources compiled for the CPU; the entry point calls fourd::cuda::bind_kernels.
+# Adds the Python module `target` with the CUDA sources, compiled for the CPU. The given sources contain its entry
+# point, which calls fourd::cuda::bind_kernels.
 function(fourd_add_emulated_module target)
   fourd_generate_bindings(CUDA_BINDING fourd::cuda bindings)
   nanobind_add_module(${target} NB_STATIC NOMINSIZE NB_DOMAIN ${target} ${ARGN} ${bindings})
@@ -116,7 +118,8 @@ function(fourd_add_emulated_module target)
   fourd_emulate(${target})
 endfunction()
 
-# The same for the CUDA sources compiled for the GPU. The project must have enabled the language CUDA.
+# Adds the Python module `target` with the CUDA sources, compiled for the GPU. The given sources contain its entry
+# point, which calls fourd::cuda::bind_kernels. The language CUDA must be enabled.
 function(fourd_add_cuda_module target)
   get_property(sources GLOBAL PROPERTY FOURD_CUDA_SOURCES)
   add_library(${target}_kernels STATIC ${sources} ${FOURD_CSRC}/device/mapped_counter.cu)

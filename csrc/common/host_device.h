@@ -2,8 +2,8 @@
 #pragma once
 
 #ifdef __CUDACC__
-#define FOURD_HD __host__ __device__  // For maths that CPU and GPU share.
-#define FOURD_DEVICE __device__       // For kernels on the GPU, or emulated on the CPU.
+#define FOURD_HD __host__ __device__  // Marks functions that the CPU and the GPU share.
+#define FOURD_DEVICE __device__       // Marks functions that run on the GPU, or are emulated on the CPU.
 #else
 #define FOURD_HD
 #define FOURD_DEVICE

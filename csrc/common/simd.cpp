@@ -51,9 +51,9 @@ std::uint32_t saved_registers() {
 bool has_bits(std::uint32_t value, std::uint32_t bits) { return (value & bits) == bits; }
 
 Simd widest() {
-    constexpr std::uint32_t kFma = 1u << 12, kOsxsave = 1u << 27, kAvx = 1u << 28, kF16c = 1u << 29;  // Leaf 1, ECX.
-    constexpr std::uint32_t kAvx2 = 1u << 5, kAvx512 = 1u << 16 | 1u << 17 | 1u << 31;                // Leaf 7, EBX.
-    constexpr std::uint32_t kYmm = 0x6, kZmm = 0xe6;                                                  // XCR0.
+    constexpr std::uint32_t kFma = 1u << 12, kOsxsave = 1u << 27, kAvx = 1u << 28, kF16c = 1u << 29;  // CPUID leaf 1, ECX.
+    constexpr std::uint32_t kAvx2 = 1u << 5, kAvx512 = 1u << 16 | 1u << 17 | 1u << 31;                // CPUID leaf 7, EBX.
+    constexpr std::uint32_t kYmm = 0x6, kZmm = 0xe6;                                                  // Bits of XCR0.
     if (!has_bits(cpuid(1).ecx, kFma | kOsxsave | kAvx | kF16c)) return Simd::baseline;
     const std::uint32_t features = cpuid(7).ebx, saved = saved_registers();
     if (!has_bits(features, kAvx2) || !has_bits(saved, kYmm)) return Simd::baseline;

@@ -1,7 +1,7 @@
-// Triangle ids as values of a float32 image, which the kernels for triangles share. The value 0 is the
-// background. Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. float32 cannot represent
-// every larger integer, so a larger number n is stored as the float with the bits 0x4a800000 + n. These floats are also
-// in ascending order.
+// Triangle ids as values of a float32 image, which the kernels for triangles share. The value 0 is the background.
+// Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. Above 2^24, float32 cannot represent
+// every integer, so the number n is stored as the float with the bits 0x4a800000 + n. These floats are also in
+// ascending order.
 #pragma once
 
 #include <cstdint>
@@ -14,7 +14,7 @@ namespace fourd {
 constexpr int kNoTriangle = -1;
 constexpr std::uint32_t kExactIds = 1u << 24;
 constexpr std::uint32_t kIdBits = 0x4a800000u;
-constexpr std::uint32_t kMaxTriangles = 0x7f800000u - kIdBits - 1;  // Larger ids would be infinite or NaN.
+constexpr std::uint32_t kMaxTriangles = 0x7f800000u - kIdBits - 1;  // Ids above kMaxTriangles would be infinite or NaN.
 
 // The pixel value of a triangle, or of kNoTriangle.
 FOURD_HD static inline float value_of_triangle(int triangle) {

@@ -49,7 +49,7 @@ class Warp {
         }
     }
 
-    // Called by a lane. Waits for the other lanes and returns the combined value of all lanes.
+    // The lanes call this function. It waits for the other lanes and returns the combined value of all lanes.
     double meet(int number, Call call, double value) {
         calls_[number] = call;
         values_[number] = value;

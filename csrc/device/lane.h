@@ -9,7 +9,7 @@
 
 namespace fourd::device {
 
-constexpr int kWarpSize = 32;  // threads in lockstep
+constexpr int kWarpSize = 32;  // Number of threads that run in lockstep.
 
 #ifdef __CUDACC__
 

@@ -1,5 +1,6 @@
-// The part of the gradient with respect to vertex positions that comes from moving visibility edges, for an image that
-// is not antialiased. Callers check shapes. Indices of vertices and triangles that are out of range are ignored.
+// Visibility edges move with the vertices. This file computes the part of the gradient with respect to vertex positions
+// that is due to this motion, for an image that is not antialiased. Callers check shapes. Indices of vertices and
+// triangles that are out of range are ignored.
 #pragma once
 
 #include "antialias/antialias.h"

@@ -1,5 +1,6 @@
-// Intersections of two triangles: finds the point where the intersection line crosses the segment between the centres
-// of two neighbouring pixels, and the derivatives of this point with respect to the vertices.
+// The maths of edges at which two triangles intersect. The functions find the point where the intersection line crosses
+// the segment between the centres of two neighbouring pixels. They also compute the derivatives of this point with
+// respect to the vertices.
 //
 // N_i are the linear functions of the edges (antialias/maths.h). z/w of a triangle at a pixel is the sum of b_i z_i
 // with b_i = N_i / V. V is the sum of N_i w_i, and does not depend on the pixel. z/w is therefore a linear function of
@@ -23,8 +24,8 @@ struct Position {
     float x, y, z, w;
 };
 
-// The derivatives of the distance between the owner of a pair and the crossing: the indices of the vertices, and the
-// derivatives with respect to their positions. If one derivative is not finite or above kMaxSlope, all are 0.
+// The derivatives of the distance between the owner of a pair and the crossing, with respect to the positions of up to
+// kMaxVertices vertices. If one derivative is not finite or is above kMaxSlope, all derivatives are 0.
 struct Motion {
     int count = 0;
     int vertex[kMaxVertices];
@@ -36,7 +37,7 @@ FOURD_HD static inline bool is_valid(const Mesh& mesh, int triangle) {
     return mesh.has(of[0]) && mesh.has(of[1]) && mesh.has(of[2]);
 }
 
-// Two triangles that share an edge intersect only along this edge, so they need no test.
+// Whether two triangles share an edge. Such triangles intersect only along this edge, so no intersection is searched.
 FOURD_HD static inline bool share_an_edge(const Mesh& mesh, int one, int two) {
     const int* p = mesh.triangles + 3 * static_cast<std::size_t>(one);
     const int* q = mesh.triangles + 3 * static_cast<std::size_t>(two);
@@ -49,7 +50,7 @@ FOURD_HD static inline bool share_an_edge(const Mesh& mesh, int one, int two) {
 struct Outline {
     antialias::Seen seen[3];
     float z[3];
-    float value[3], fall[3], fall_across[3];  // See Line.
+    float value[3], fall[3], fall_across[3];  // The members of antialias::Line for each edge.
 
     FOURD_HD FOURD_INLINE Outline(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle) {
         const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
@@ -112,7 +113,7 @@ FOURD_HD static inline bool is_moderate(const Position& slope) {
            magnitude(slope.z) <= antialias::kMaxSlope && magnitude(slope.w) <= antialias::kMaxSlope;
 }
 
-// The motion of a crossing for which intersect() is true.
+// The derivatives of the position of a crossing between two triangles for which intersect() is true.
 FOURD_HD static inline Motion motion_of_intersection(const Mesh& mesh, std::size_t first_vertex, const Sight& sight,
                                                      int of_owner, int of_other) {
     const Outline outlines[2] = {Outline(mesh, first_vertex, sight, of_owner),

@@ -56,7 +56,8 @@ FOURD_HD static inline Code find_edge(const View& view, const Pair& pair, const 
     return found ? intersection_code(pair.axis) : 0;
 }
 
-// Calls add(vertex, x, y, z, w) for each vertex that moves the edge of a pair, whose code is not 0.
+// Calls add(vertex, x, y, z, w) for each vertex that moves the edge of a pair. (x, y, z, w) is the gradient with
+// respect to the position of the vertex. The code of the pair must not be 0.
 template <typename Add>
 FOURD_HD FOURD_INLINE void for_motion(const View& view, const Pair& pair, Code code, const float* gradient,
                                       const Add& add) {

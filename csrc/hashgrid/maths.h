@@ -101,7 +101,8 @@ FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* co
                                              float* out) {
     const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),
                         z = interpolate_axis(level, coordinates[2]);
-    float rise[4], mean[4];  // For each edge along x, difference of the values at its ends, and interpolated value.
+    // For each edge along x: the difference of the values at the ends of the edge, and the interpolated value.
+    float rise[4], mean[4];
     for (int edge = 0; edge < 4; ++edge) {
         rise[edge] = value[2 * edge + 1] - value[2 * edge];
         mean[edge] = value[2 * edge] + x.fraction * rise[edge];

@@ -23,7 +23,7 @@ struct InterpolateArguments {
 
     interpolate::Query query;
 
-    // `diff` has channels below the number of channels, which op.py checks.
+    // `diff` has indices of channels. op.py checks that these indices are below the number of channels.
     InterpolateArguments(const Attributes<const float>& attr, const Image<const float>& rast, const Triangles& tri,
                          const std::optional<Image<const float>>& rast_db, const Channels& diff, int threads,
                          Simd simd) {

@@ -17,11 +17,11 @@ constexpr int kTilePixels = kTile * kTile;
 // Number of rows to prefetch. The rows of a tile are far apart in memory, so the processor does not prefetch them.
 constexpr int kRowsAhead = 4;
 
-// An image of encoded ids (common/triangle_id.h), in the fourth of four channels.
+// An image whose fourth channel has encoded triangle ids (common/triangle_id.h).
 struct IdImage {
     const float* rast;  // (height, width, 4).
     int width, height;
-    std::size_t triangles;  // Ids of other triangles count as background.
+    std::size_t triangles;  // Number of triangles. Ids beyond this number count as background.
 
     int columns() const { return (width + kTile - 1) / kTile; }
     int tiles() const { return columns() * ((height + kTile - 1) / kTile); }
@@ -34,7 +34,7 @@ class TileSlots {
 
     int count() const { return count_; }
     const std::int32_t* triangles() const { return triangles_; }  // Indexed by slot.
-    const std::int16_t* slot_of() const { return slot_of_; }      // (kTile, kTile): -1 without a triangle.
+    const std::int16_t* slot_of() const { return slot_of_; }      // (kTile, kTile): -1 at pixels without a triangle.
 
   private:
     static constexpr int kBuckets = 2 * kTilePixels;

@@ -11,7 +11,8 @@ namespace fourd {
 template <typename Number, typename Where>
 using PixelArray = nanobind::ndarray<Number, nanobind::shape<-1, -1, 4>, nanobind::c_contig, Where>;
 
-// The input image. Raises an exception if the weight or the shape or memory of `out` is invalid.
+// Returns the input image. Throws std::invalid_argument if `side`, the size of an array, or the memory of `out` is
+// invalid.
 template <typename Where>
 pixel_filter::Image filter_image(const PixelArray<const std::uint8_t, Where>& image, float side,
                                  const PixelArray<std::uint8_t, Where>& out) {

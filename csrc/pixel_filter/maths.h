@@ -13,7 +13,7 @@ FOURD_HD FOURD_INLINE float mean_of(float before, float centre, float after, flo
     return centre + side * ((before - centre) + (after - centre));
 }
 
-// Rounds a number from 0 to 255.
+// Rounds a number in [0, 255] to the nearest integer.
 FOURD_HD FOURD_INLINE std::uint8_t to_byte(float value) { return static_cast<std::uint8_t>(value + 0.5f); }
 
 }  // namespace fourd::pixel_filter

@@ -26,7 +26,8 @@ class Player {
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas);
 
-    // Draws the same colours and the visible surface. frame.normals is not null. `surface.normals` is ignored.
+    // Draws the same colours as draw(), and the visible surface. frame.normals must not be null. surface.normals is
+    // ignored.
     void draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                       points::Surface surface);
 
@@ -34,7 +35,7 @@ class Player {
     // Projects and shades the points of the frame.
     points::Cloud prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                           Team& team);
-    // Calls work(begin, end) for each stretch of points that has visible points.
+    // Splits the points [begin, end) into short ranges, and calls work(first, last) for each range with visible points.
     template <typename Work>
     void for_visible(std::size_t begin, std::size_t end, const Work& work) const;
 

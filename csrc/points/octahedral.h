@@ -23,8 +23,8 @@ FOURD_INLINE void from_octahedral(const std::uint8_t* bytes, float* normal) {
     for (int axis = 0; axis < 3; ++axis) normal[axis] = scale * folded[axis];
 }
 
-// Decodes the octahedral normals of points [begin, end), and turns them from the axes of the world into those of the
-// camera. `octahedral` (count, 2) and `out` (count, 3) are indexed by point.
+// Decodes the octahedral normals of points [begin, end), and rotates the normals from world axes to camera axes.
+// `octahedral` (count, 2) and `out` (count, 3) are indexed by point.
 FOURD_INLINE void turn_octahedral(const Pinhole& camera, const std::uint8_t* octahedral, std::size_t begin,
                                   std::size_t end, float* out) {
     float r[9];

@@ -20,7 +20,7 @@ struct Cloud {
 
 struct Settings {
     Pinhole camera;
-    float near_depth;         // Positive. Points with a camera depth below this are culled.
+    float near_depth;         // Positive. Points with a camera depth below near_depth are culled.
     int layers;               // Number K of depth layers, at least 1.
     float transmittance_min;  // Pixels are complete at or below this transmittance. A value of 0 gives exact images.
     int threads;              // At least 1. The result is the same for any number of threads.
@@ -46,14 +46,14 @@ struct Surface {
     float* inverse_depth;  // (height, width): coverage / mean depth, with coverage = clamp(3 alpha - 1/2, 0, 1).
     std::uint8_t* normal;  // (height, width, 4): unit normal n as bytes 127 n + 128, then 255 * coverage. Without
                            // points, the normal is 0.
-    float persistence;     // From 0 to 1: weight of the values that inverse_depth and normal have before the call, at
-                           // pixels that show the same surface. 0 ignores the old values.
+    float persistence;     // From 0 to 1. inverse_depth and normal hold the previous image before the call. At pixels
+                           // that show the same surface in both images, this is the weight of the previous values.
 };
 
 struct ImageGradient {
     const float* features;
     const float* alpha;
-    const float* depth;  // May be null.
+    const float* depth;  // Null if the loss does not depend on the depth.
 };
 
 struct CloudGradient {

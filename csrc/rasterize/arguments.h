@@ -24,7 +24,7 @@ struct RasterizeArguments {
 
     rasterize::Query query;
 
-    // pos has one image, which all images share, if there are ranges. Otherwise, pos has the images of `rast`.
+    // If there are ranges, all images share one set of positions. Otherwise, pos has one set for each image of `rast`.
     RasterizeArguments(const Positions<const float>& pos, const Triangles& tri, const std::optional<Ranges>& ranges,
                        std::size_t images, std::size_t height, std::size_t width, int threads, Simd simd) {
         require(height >= 1 && height <= rasterize::kLongestSide && width >= 1 && width <= rasterize::kLongestSide,

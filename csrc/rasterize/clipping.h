@@ -14,14 +14,15 @@ struct Corner {
     double x, y, w;
 };
 
-// Positive inside. The four planes together imply w >= 0.
+// The distance of a corner from a clipping plane, positive inside the frustum. If a corner is inside all four planes,
+// its w is at least 0.
 FOURD_HD static inline double clip_distance(const Screen& screen, int plane, const Corner& corner) {
     const double guard = plane < 2 ? screen.guard_x : screen.guard_y;
     const double coordinate = plane < 2 ? corner.x : corner.y;
     return guard * corner.w + (plane % 2 == 0 ? coordinate : -coordinate);
 }
 
-// The intersection of the plane with the edge from a corner inside to a corner outside.
+// The intersection of a plane with the edge between a corner inside and a corner outside of this plane.
 FOURD_HD static inline Corner intersection(const Corner& inside, double d_inside, const Corner& outside,
                                            double d_outside) {
     const double t = d_inside / (d_inside - d_outside);
@@ -73,8 +74,8 @@ FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped,
     piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);
 }
 
-// Calls take(piece, bounds) for each piece of a triangle that may cover pixels. The arguments a, b and c are the snapped
-// vertices. Triangles with an invalid vertex have no pieces.
+// Calls take(piece, bounds) for each piece of a triangle that may cover pixels. The arguments a, b and c are the
+// snapped vertices. Triangles with an invalid vertex have no pieces.
 template <typename Take>
 FOURD_HD static inline void for_pieces(const Screen& screen, const Snapped& a, const Snapped& b, const Snapped& c,
                                        const float* p0, const float* p1, const float* p2, int triangle,

@@ -4,8 +4,8 @@
 // with respect to b, the gradient of p_k is therefore -b_k M^-T g. M is constant over a triangle, so only the products
 // b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend on M in the same way. Below, g0
 // and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k.
-// The planes store b multiplied by their scale. The gradients g0, g1 and gs are divided by the scale, so that the
-// products are the same as without it.
+// Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this scale, so that the products of
+// gradients and elements of b do not depend on the scale.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -13,7 +13,7 @@
 namespace fourd::rasterize {
 
 constexpr int kSums = 15;
-constexpr double kLargestGradient = 1e30;  // Larger gradients, of degenerate triangles, are clamped.
+constexpr double kLargestGradient = 1e30;  // The gradients of degenerate triangles are clamped to this magnitude.
 
 FOURD_HD static inline float bounded(double gradient) {
     gradient = gradient > -kLargestGradient ? gradient : -kLargestGradient;
@@ -21,9 +21,9 @@ FOURD_HD static inline float bounded(double gradient) {
 }
 
 // Computes the values that are summed over the pixels of a triangle. These values are 9 products of (g0, g1, gs) and
-// (b_0, b_1, s), and the gradients with respect to b_x and b_y. b has the values of the first three planes at the
-// pixel, and x and y have the slopes of these planes. u, v and the elements of db are the gradients with respect to
-// rast and rast_db.
+// (b_0, b_1, s), and the gradients with respect to b_x and b_y. `b` has the values of the first three planes at the
+// pixel. `x` and `y` have the slopes of these planes. grad_u, grad_v and `db` are the gradients with respect
+// to rast and rast_db.
 template <bool kDerivatives>
 FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,
                                            const float* db, float* out) {
@@ -57,8 +57,9 @@ FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const
     }
 }
 
-// Converts the sums over the pixels of a triangle to the gradients of x, y, z and w of its vertices (3, 4). c, x and y
-// are the first three planes, `scale` is their scale, and (column, row) is their reference pixel.
+// Converts the sums over the pixels of a triangle to the gradients of x, y, z and w of its vertices (3, 4). `c`, `x`
+// and `y` are the values and slopes of the first three planes. `scale` is the scale of these planes, and (column, row)
+// is their reference pixel.
 FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, int row, const float* c, const float* x,
                                              const float* y, double scale, const float* sums, float* out) {
     // Planes over normalised device coordinates: slopes along x and y, and the value at the centre of the image.

@@ -24,7 +24,7 @@ namespace fourd::rasterize {
 constexpr int kSubpixelBits = 8;
 constexpr int kSubpixels = 1 << kSubpixelBits;
 constexpr int kHalfPixel = kSubpixels / 2;
-constexpr float kLargestCoefficient = 1e10f;  // Triangles with larger coefficients are degenerate, and are culled.
+constexpr float kLargestCoefficient = 1e10f;  // A triangle with a coefficient above this is degenerate, and is culled.
 constexpr float kSmallestInverseW = 1e-6f;    // Lower limit of scale / w (see Planes), which is at least 1 in a triangle.
 constexpr float kLargestFloat = 3.402823466e38f;
 constexpr int kPlanes = 4;  // (Weight of vertex 0) / w, (weight of vertex 1) / w, 1/w, and z/w.
@@ -81,7 +81,7 @@ FOURD_HD static inline Snapped snap(const Screen& screen, const float* pos) {
     return snap_inside(screen, x, y, w);
 }
 
-// A triangle, or a part of a clipped triangle, in units of 1/256 pixel. Its area is positive.
+// A triangle or a part of a clipped triangle, with positive area. Coordinates are in units of 1/256 pixel.
 struct Piece {
     std::int32_t x[3], y[3];
     std::int32_t triangle;
@@ -143,7 +143,8 @@ FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int r
     return {value >> kSubpixelBits, slope_x, slope_y};
 }
 
-// The largest value of an edge over `columns` x `rows` pixels from the pixel of the edge's value.
+// The largest value of an edge function over `columns` x `rows` pixels. The first of these pixels is the pixel at which
+// the edge function has the value edge.value.
 FOURD_HD static inline std::int64_t largest_value(const Edge& edge, int columns, int rows) {
     return edge.value + std::int64_t{larger(edge.x, 0)} * (columns - 1) + std::int64_t{larger(edge.y, 0)} * (rows - 1);
 }

@@ -1,12 +1,13 @@
 // The maths of soft rasterization (SoftRas, Liu et al. 2019), shared by every backend.
 // fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
-// The coverage of the pixel p by a triangle is D = sigmoid(x) with x = d^2 / sigma inside the triangle and
-// x = -d^2 / sigma outside. d is the distance of p from the nearest edge, or the smallest barycentric coordinate of p.
-// The depth z of the triangle at p interpolates 1 / z linearly in
-// the image, with barycentric coordinates that are clamped to at least 0 and normalised to the sum 1. The weight of the
-// triangle is D exp(-z per_depth). Up to a constant factor, this is the weight of the paper, D exp((far - z) / ((far -
-// near) gamma)).
+// The coverage of the pixel p by a triangle is D = sigmoid(x). Inside the triangle, x = d^2 / sigma. Outside the
+// triangle, x = -d^2 / sigma. d is the distance of p from the nearest edge, or the smallest barycentric coordinate of
+// p.
+// The inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The barycentric coordinates of
+// this interpolation are clamped to at least 0 and normalised to the sum 1. The weight of the triangle is
+// D exp(-z per_depth). Up to a constant factor, this is the weight of the paper,
+// D exp((far - z) / ((far - near) gamma)).
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -44,9 +45,9 @@ struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
     float sharpness;         // |x| / d^2, which is 1 / sigma, or (pixel size)^2 / sigma if d is in pixels.
     float cut;               // A triangle hits the pixels where x >= -cut.
-    float reach;             // The largest distance d outside a triangle at which it hits pixels.
+    float reach;             // A triangle hits the pixels outside whose distance d is at most `reach`.
     float per_depth;         // 1 / ((far - near) gamma).
-    float far_depth;         // A triangle whose depth z at a pixel is larger than far_depth does not hit the pixel.
+    float far_depth;         // A triangle hits a pixel only if its depth z at the pixel is at most far_depth.
     float background_depth;  // The background has the weight of a triangle with D = 1 at this depth.
 };
 
@@ -76,7 +77,7 @@ struct Projection {
     Condition visible;
 };
 
-// Projects a triangle. All comparisons are false for NaN.
+// Projects a triangle. Triangles with NaN are not visible, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, const Softness& softness,
                                     const Corners<Number>& at) {
@@ -119,8 +120,8 @@ struct Coverage {
     Number depth;              // Camera depth, or kNoHit where the triangle does not hit the pixel.
     Number total;              // Sum of the barycentric coordinates above 0.
     Number inverse_depth;
-    Number along, off_x, off_y;  // Nearest point q on the edges: position along the edge, and p - q.
-    Condition nearest[3];      // Whether edge k is the nearest, or has the smallest barycentric coordinate.
+    Number along, off_x, off_y;  // For the nearest point q on the edges: the position of q along its edge, and p - q.
+    Condition nearest[3];      // Whether edge k is the nearest edge or, if `barycentric`, has the smallest coordinate.
     Condition inside;
 };
 

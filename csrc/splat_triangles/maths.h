@@ -4,8 +4,8 @@
 // A projected triangle has the incentre s, the inradius r and the signed distances phi_k(p) of a pixel p from its three
 // edges, negative inside. Because phi_k(s) = -r for every edge, this file uses
 //     a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y).
-// The window is max(min_k a_k(p), 0)^sigma. With barycentric coordinates lambda_k, edge lengths l_k and the perimeter P,
-// a_k = lambda_k P / l_k, for both orientations of the triangle.
+// The window is max(min_k a_k(p), 0)^sigma. With barycentric coordinates lambda_k, edge lengths l_k and the perimeter
+// P, a_k = lambda_k P / l_k, for both orientations of the triangle.
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -21,10 +21,10 @@
 
 namespace fourd::splat_triangles {
 
-constexpr float kMaxAlpha = 0.99f;            // Larger alphas are clamped, so that later triangles keep a gradient.
+constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to kMaxAlpha, so that later triangles keep a gradient.
 constexpr float kInverseMinAlpha = 255.0f;    // Triangles with an alpha below 1 / 255 are skipped at a pixel.
 constexpr float kMinTransmittance = 1e-4f;    // A pixel is complete at or below this transmittance.
-constexpr float kSmallestWindow = 1e-7f;      // Smaller values of min_k a_k are rounding errors.
+constexpr float kSmallestWindow = 1e-7f;      // Values of min_k a_k below kSmallestWindow are rounding errors.
 constexpr float kLn2 = 0.693147181f;
 
 using tiles::constant;
@@ -69,7 +69,7 @@ struct Projection {
     Condition visible;
 };
 
-// Projects a triangle. All comparisons are false for NaN.
+// Projects a triangle. Triangles with NaN are not visible, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, const Corners<Number>& at, Number opacity,
                                     Number sigma) {
@@ -138,7 +138,7 @@ FOURD_HD static inline void project_backward(const Pinhole& camera, const Corner
                                              const ShapeGradient& sums, float* out) {
     const Edges<float> edges = edges_of(at);
     const float perimeter = edges.perimeter, area = edges.doubled_area;
-    float to_x = 0.0f, to_y = 0.0f;  // Gradient of the incentre.
+    float to_x = 0.0f, to_y = 0.0f;  // Gradient with respect to the incentre.
     for (int k = 0; k < 3; ++k) {
         to_x -= splat.slope_x[k] * sums.a[k];
         to_y -= splat.slope_y[k] * sums.a[k];

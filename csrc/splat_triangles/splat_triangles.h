@@ -28,7 +28,7 @@ struct Mesh {
 
 struct Settings {
     tiles::Pinhole camera;
-    float near_depth;  // Positive. Triangles with a vertex of a smaller camera depth are culled.
+    float near_depth;  // Positive. Triangles with a vertex at a camera depth below this value are culled.
     int layers;        // Largest number of triangles per pixel, from 1 to 2^20.
     int threads;       // At least 1. The result is the same for any number of threads.
     Simd simd;         // An instruction set that this machine supports.
@@ -37,12 +37,12 @@ struct Settings {
 struct Image {
     float* features;       // (height, width, channels without geometry).
     float* alpha;          // (height, width).
-    float* transmittance;  // (height, width): 1 - alpha, without the rounding error of this difference.
+    float* transmittance;  // (height, width): 1 - alpha, but more accurate than the difference computed from alpha.
     float* normal;         // (height, width, 3). Null without geometry.
     float* depth;          // (height, width). Where alpha is 0, depth is 0. Null without geometry.
 };
 
-// The image of the forward pass, and the gradients with respect to it.
+// The image of the forward pass, and the gradients with respect to this image.
 struct ImageGradient {
     const float* features;
     const float* alpha;

@@ -9,11 +9,11 @@
 
 namespace fourd::stylize {
 
-constexpr int kTones = 256;       // Columns of the shade table.
-constexpr int kMaxRows = 64;      // Most rows of the shade table.
-constexpr int kMaxThickness = 8;  // Most pixels between the taps of a line filter.
+constexpr int kTones = 256;       // Number of columns of the shade table.
+constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
+constexpr int kMaxThickness = 8;  // Maximum number of pixels between the taps of a line filter.
 
-// What selects the row of the shade table.
+// The quantity that selects the row of the shade table.
 enum class Detail { facing = 0, depth = 1, focus = 2 };
 enum class Lines { none = 0, sobel = 1, cross = 2 };
 
@@ -21,7 +21,8 @@ enum class Lines { none = 0, sobel = 1, cross = 2 };
 struct Numbers {
     float ray[6];    // Ray of pixel (x, y) with depth 1: (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5]).
     float light[3];  // Unit vector towards the light, in the frame of the camera.
-    float table_alone, table_times_albedo, albedo_alone;  // colour = table * (alone + times * albedo) + albedo_alone * albedo.
+    // colour = table * (table_alone + table_times_albedo * albedo) + albedo_alone * albedo.
+    float table_alone, table_times_albedo, albedo_alone;
     float detail_offset, detail_per_depth;
     float angle_threshold, angle_softness, angle_strength, angle_colour[3];
     float depth_threshold, normal_threshold, line_opacity, line_colour[3], hysteresis, persistence;
@@ -47,8 +48,9 @@ struct Surface {
 };
 
 // Writes the picture to `out` (height, width, 4). `line_state` (height, width) has the lines of the previous image from
-// the same camera, and receives those of this image. It may be null. The lowest byte is the strength of the line. The upper
-// half is the upper half of a float, the sum of the inverse depths of the line filter's nine taps. 0 is no line.
+// the same camera, and receives the lines of this image. `line_state` may be null. The lowest byte of an element is the
+// strength of the line, where 0 means no line. The upper half of an element is the upper half of a float: the sum of
+// the inverse depths at the nine taps of the line filter.
 void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out);
 

@@ -90,7 +90,7 @@ struct TextureArguments {
         return out;
     }
 
-    // The shapes of level 0 and of the levels that are built from it.
+    // The shapes of level 0 and of the mip levels that are built from level 0.
     static std::vector<Extents> chain_extents(const Level& base, const std::vector<LevelOut>& mips) {
         std::vector<Extents> out = extents_of(mips);
         out.insert(out.begin(), extents_of(std::vector<Level>{base})[0]);

@@ -71,7 +71,8 @@ FOURD_HD FOURD_INLINE void cube_position_backward(const CubePosition& at, float 
     grad_uv[f.m_axis] -= static_cast<float>(f.m_sign) * scale * (grad_s * (at.a / at.m) + grad_t * (at.b / at.m));
 }
 
-// Adds the gradients of cube_footprint: to grad_uv[3] with respect to the direction, and to grad_uv_da[6].
+// The backward pass of cube_footprint. Adds the gradient with respect to the direction to grad_uv[3], and the gradient
+// with respect to uv_da to grad_uv_da[6].
 FOURD_HD FOURD_INLINE void cube_footprint_backward(const CubePosition& at, const float* uv_da, int size,
                                                    const Footprint& gradient, float* grad_uv, float* grad_uv_da) {
     if (!at.is_valid) return;
@@ -104,7 +105,7 @@ FOURD_HD FOURD_INLINE int neighbour_texel(int face, int column, int row, int siz
     at[f.t_axis] = f.t_sign * (2 * row + 1 - size);
     const int axis = is_beside ? f.s_axis : f.t_axis;
     const bool is_negative = at[axis] < 0;
-    // The surface continues at a right angle: the texel is half a texel behind the edge, on the face of `axis`.
+    // The faces meet at a right angle. On the face of `axis`, the centre of the texel is half a texel from the edge.
     at[axis] = is_negative ? -size : size;
     at[f.m_axis] = f.m_sign * (size - 1);
     const int other = 2 * axis + (is_negative ? 1 : 0);

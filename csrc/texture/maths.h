@@ -29,8 +29,8 @@ FOURD_HD FOURD_INLINE int floor_of(float x) {
     return towards_zero - (static_cast<float>(towards_zero) > x ? 1 : 0);
 }
 
-// The base-2 logarithm of a positive normal number, accurate to a few units in the last place. Compilers vectorise this
-// function, which they cannot do with the function of the standard library.
+// The base-2 logarithm of a positive normal number, accurate to a few units in the last place. Compilers can vectorise
+// this function, but not std::log2.
 FOURD_HD FOURD_INLINE float log2_of(float x) {
     constexpr std::uint32_t kSqrtHalf = 0x3f3504f3u;  // The bits of sqrt(0.5).
     std::uint32_t bits;
@@ -144,8 +144,8 @@ FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
     return x < high ? x : high;
 }
 
-// Converts a finite coordinate for the functions that compute axes below. With Boundary::wrap, the result is the
-// fraction in [0, 1]; the fraction is 0 from 2^23 on, because such floats are integers.
+// Converts a finite coordinate for linear_axis and nearest_axis. With Boundary::wrap, the result is the fraction in
+// [0, 1]. At magnitudes of 2^23 and above, the fraction is 0, because such floats are integers.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE float wrapped(float u) {
     if (boundary != Boundary::wrap) return u;
@@ -211,8 +211,8 @@ struct Texels {
     float along_t[4];  // Derivatives of the weights with respect to the vertical coordinate.
 };
 
-// The texels of a lookup whose axes are independent. `first` is the index of the first texel of the image, and
-// `is_used` is 1, or 0 for a position that is not finite.
+// The texels of a lookup whose axes are independent. `first` is the index of the first texel of the image. `is_used` is
+// 0 for a position that is not finite, and 1 for all other positions.
 FOURD_HD FOURD_INLINE Texels texels_of(const Axis& s, const Axis& t, int first, int width, float is_used) {
     Texels out;
     for (int k = 0; k < 4; ++k) {

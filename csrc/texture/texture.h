@@ -22,15 +22,15 @@ struct Shape {
     int channels;
     int level_count;            // From 1 to kMaxLevels.
 
-    FOURD_HD FOURD_INLINE std::size_t texels(int level) const {  // Of one item. Below 2^31.
+    FOURD_HD FOURD_INLINE std::size_t texels(int level) const {  // Number of texels of one item, below 2^31.
         return static_cast<std::size_t>(faces) * side_at(height, level) * side_at(width, level);
     }
-    FOURD_HD FOURD_INLINE std::size_t floats(int level) const { return texels(level) * channels; }  // Of one item.
+    FOURD_HD FOURD_INLINE std::size_t floats(int level) const { return texels(level) * channels; }  // For one item.
 };
 
 struct Texture {
     Shape shape;
-    const float* levels[kMaxLevels];  // Each (items, faces, height, width, channels).
+    const float* levels[kMaxLevels];  // Each level has the shape (items, faces, height, width, channels).
 
     FOURD_HD FOURD_INLINE const float* item(int level, std::size_t picture) const {
         return levels[level] + (shape.items == 1 ? 0 : picture) * shape.floats(level);
@@ -52,10 +52,10 @@ struct Query {
     FOURD_HD FOURD_INLINE int coordinates() const { return boundary == Boundary::cube ? 3 : 2; }
 };
 
-// Gradients with respect to the inputs, in the shapes of the inputs. Null pointers stand for gradients that are not
-// needed.
+// Gradients with respect to the inputs. Each gradient has the shape of its input. A gradient whose pointer is null is
+// not computed.
 struct Gradients {
-    float* levels[kMaxLevels];  // All levels, or none.
+    float* levels[kMaxLevels];  // Either no pointer or every pointer is null.
     float* uv;
     float* uv_da;
     float* bias;

@@ -7,8 +7,8 @@
 
 namespace fourd::tiles {
 
-// `corners` has 9 floats for each of `count` triangles, `tri` 3 vertex indices, and `xyz` 3 floats per vertex. The
-// gradients are added in the order of the triangles.
+// `corners` (count, 9) has the gradients of the three corners of each triangle, and `tri` (count, 3) has the vertex
+// indices. Adds the gradients to `xyz` (vertices, 3), in the order of the triangles.
 inline void add_corners(const float* corners, const std::int32_t* tri, std::size_t count, float* xyz,
                         std::size_t vertices) {
     std::fill_n(xyz, 3 * vertices, 0.0f);

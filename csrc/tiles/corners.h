@@ -13,11 +13,11 @@
 
 namespace fourd::tiles {
 
-constexpr float kThinnest = 1e-4f;             // Triangles with a smaller inradius in pixels are culled.
-constexpr float kFarthestPixel = 16777216.0f;  // 2^24: triangles with a vertex farther from the image are culled.
-constexpr float kMaxDepth = 1e38f;             // Triangles with a vertex farther from the camera are culled.
+constexpr float kThinnest = 1e-4f;             // Triangles with an inradius below kThinnest, in pixels, are culled.
+constexpr float kFarthestPixel = 16777216.0f;  // 2^24. Triangles with a pixel coordinate beyond this value are culled.
+constexpr float kMaxDepth = 1e38f;             // Triangles with a vertex at a depth above kMaxDepth are culled.
 
-// Functions on floats, of which tiles/lanes.h has overloads for Lanes.
+// Functions on floats. tiles/lanes.h has the same functions on Lanes.
 FOURD_HD static inline float constant(float value, const float*) { return value; }
 FOURD_HD static inline float select(bool condition, float a, float b) { return condition ? a : b; }
 FOURD_HD static inline float minimum(float a, float b) { return a < b ? a : b; }
@@ -26,7 +26,7 @@ FOURD_HD static inline float square_root(float a) { return sqrtf(a); }
 FOURD_HD static inline float log2_of(float a) { return log2f(a); }
 FOURD_HD static inline float exp2_of(float a) { return exp2f(a); }
 
-// The largest whole number that is at most `a`, for numbers between -2^22 and 2^22.
+// Rounds `a` down to a whole number. `a` must be between -2^22 and 2^22.
 template <typename Number>
 FOURD_HD static inline Number floor_of(Number a) {
     const Number* const tag = nullptr;
@@ -63,7 +63,7 @@ template <typename Number>
 struct Edges {
     Number x[3], y[3], length[3];
     Number perimeter;
-    Number doubled_area;  // Signed.
+    Number doubled_area;  // Twice the signed area.
 };
 
 template <typename Number>
@@ -80,7 +80,8 @@ FOURD_HD static inline Edges<Number> edges_of(const Corners<Number>& at) {
     return out;
 }
 
-// Whether a triangle is neither too near, nor too far, nor too thin. All comparisons are false for NaN.
+// Whether the depths, the pixel coordinates and the inradius of a triangle are in the ranges given above. The result is
+// false for NaN, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<Number>& edges, float near_depth) {
     const Number* const tag = nullptr;
@@ -110,7 +111,7 @@ FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number 
     return (to >= zero) & (end >= from) & (to >= from);
 }
 
-// The corners of a triangle, from vertex indices.
+// Projects the corners of a triangle. `tri` has the three vertex indices.
 FOURD_HD static inline Corners<float> corners_of(const Pinhole& camera, const float* xyz,
                                                  const std::int32_t* tri) {
     Corners<float> out;

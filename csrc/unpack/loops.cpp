@@ -16,7 +16,8 @@ namespace {
 constexpr std::size_t kBlock = 64;  // Number of points whose output fits into the first-level cache.
 constexpr std::size_t kGroup = 4;   // Number of points whose sums are computed at the same time.
 
-// The rows of the basis that have a factor other than 0 in a block of points, and these factors.
+// A block of points, with the rows of the basis that contribute to it. A row contributes if its factor is not 0 for at
+// least one point of the block.
 struct Block {
     const float* rows[kShNumbers];
     float factors[kShNumbers][kBlock];
@@ -43,7 +44,8 @@ FOURD_INLINE void read_factors(const Harmonics& from, std::size_t first, std::si
     }
 }
 
-// `count` is a multiple of 8. The F16C instruction rounds in the same way as to_half.
+// Converts floats to half precision. `count` is a multiple of 8. The F16C instruction rounds in the same way as
+// to_half.
 FOURD_INLINE void to_halves(const float* from, std::size_t count, std::uint16_t* to) {
 #if defined(__F16C__)
     const __m256 largest = _mm256_set1_ps(65504.0f), smallest = _mm256_set1_ps(-65504.0f);

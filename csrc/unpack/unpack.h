@@ -35,14 +35,14 @@ struct Views {
     std::size_t view_count, points;
     const std::uint8_t* mean;      // (points, 3).
     const std::uint16_t* weights;  // (kWeightCodes): the blend weight of each code, as a half.
-    int colour_step;               // 1 to 127.
+    int colour_step;               // Quantization step of the colour levels, from 1 to 127.
     bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
 };
 
 // Positions: the differences of successive Morton codes, as planes of bytes. The lowest bytes come first.
 struct Positions {
     const std::uint8_t* planes;  // (code_bytes, points).
-    int code_bytes;              // 1 to 8.
+    int code_bytes;              // Number of bytes per code, from 1 to 8.
     std::size_t points;
     const double* lower;  // (3): position of cell 0.
     double step;          // Side length of a cell.

@@ -45,7 +45,7 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Material:
-    """What the program recovers.
+    """The quantities that the program recovers.
 
     Attributes:
         map: (6, S, S, 3) environment map.

@@ -72,7 +72,7 @@ class Arguments:
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A camera, and what its image shows.
+    """A camera, and the object in its image.
 
     Attributes:
         camera: pinhole camera.
@@ -88,7 +88,7 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What is fitted: the views, other views for the score, a box around the object, and its true mesh if known."""
+    """Input of a fit: the views, other views for the score, a box around the object, and the true mesh if known."""
 
     views: list[View]
     others: list[View]

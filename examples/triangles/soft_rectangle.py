@@ -3,7 +3,7 @@
     python examples/triangles/soft_rectangle.py
 
 The two rectangles do not overlap at first. A hard rasterizer gives no gradient that moves the rectangle towards the
-target, because no pixel of the target is near its edges. In the soft rasterizer (SoftRas, Liu et al. 2019), every
+target, because no pixel of the target is near the rectangle. In the soft rasterizer (SoftRas, Liu et al. 2019), every
 triangle contributes to every pixel with a weight that decreases with the distance. The width of the decrease, sigma,
 shrinks during the fit, so that the result is sharp. The target has the same sigma. With a sharp target, the rectangle
 would shrink until it is empty, because its pixels are wrong and no pixel of the target is near.

@@ -89,7 +89,8 @@ def viewing_centre(cameras: Sequence[Camera]) -> Array:
 def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Select the cells that get a shell point: unknown cells and a rim of known cells.
 
-    Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, it is lower.
+    Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, the density
+    is lower than near known cells.
     """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")

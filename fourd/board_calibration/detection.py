@@ -27,7 +27,7 @@ CHESSBOARD_PATCH = 0.2
 MAX_CHESSBOARD_PX = 1000
 """Longer side of the reduced image in which a chessboard is searched first.
 
-This saves time, because the search takes longest in images without a chessboard.
+The search in the reduced image saves time, because the search takes longest in images without a chessboard.
 """
 
 

@@ -33,7 +33,7 @@ MAX_TRIALS = 60
 """Number of random samples per homography. A small number is enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
-"""If a larger share of the markers lies at the expected positions, no further size of the board is tried."""
+"""If more than this share of the markers lies at the expected positions, no further size of the board is tried."""
 MAX_CHESSBOARD_PICTURES = 3
 """Maximum number of images in which chessboards of other sizes are searched, which is slow."""
 
@@ -64,8 +64,8 @@ class _FoundMarkers:
 def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
     """Find keys and values for the board's file that describe the board in the images (H, W) uint8.
 
-    The function tries all dictionaries, other numbers of squares, the inverted board and the mirrored board. It returns
-    the keys that must be changed, as a text, or None if no board is found.
+    The function tries all dictionaries, other numbers of squares, the inverted board and the mirrored board. The result
+    is a text with the keys that must be changed, or None if no board is found.
     """
     few = pictures[:: max(1, len(pictures) // FEW_PICTURES)]
     best = _search_markers(board, few) or (_search_markers(board, pictures) if len(few) < len(pictures) else None)
@@ -191,7 +191,8 @@ def _marker_places(board: CalibrationBoard) -> Array:
 
 
 def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImage:
-    """Find the markers whose ids occur once. ``precise`` fits lines to the edges of the markers, which is slower."""
+    """Find the markers whose ids occur once. With ``precise``, lines are fitted to the edges of the markers, which
+    takes longer than detection without lines."""
     parameters = cv2.aruco.DetectorParameters()
     if precise:
         # Without this refinement, blurred markers appear up to 7% too small.
@@ -205,7 +206,8 @@ def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImag
 
 
 def _families() -> list[str]:
-    """The largest dictionary of each family. The smaller dictionaries of a family contain its first markers."""
+    """The largest dictionary of each family. Each smaller dictionary of a family contains the first markers of the
+    largest dictionary."""
     names = _distinct_dictionaries()
     return [
         name
@@ -242,7 +244,8 @@ def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> st
 
 
 def _chessboard_sizes() -> Iterator[tuple[int, int]]:
-    """Numbers of columns and rows to try, larger boards first, because part of a board looks like a smaller board."""
+    """Numbers of columns and rows to try. Large boards come first, because a part of a large board looks like a small
+    board."""
     tried = range(4, MAX_TRIED_SQUARES + 1)
     sizes = [(columns, rows) for columns in tried for rows in tried if columns > rows]
     yield from sorted(sizes, key=lambda size: -size[0] * size[1])

@@ -47,7 +47,7 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 HELD_OUT_EVERY = 5
-"""One in this number of frames is held out."""
+"""One of every HELD_OUT_EVERY frames is held out."""
 MIN_LENS_VIEWS = 5
 """Minimum number of views of a camera whose lens is estimated."""
 MIN_POSE_VIEWS = 3
@@ -70,14 +70,15 @@ OUTLIER_MEDIANS = 6.0
 """Corners with errors above this multiple of their camera's median error are left out of the last adjustment."""
 MIN_OUTLIER_PX = 0.3
 MAX_MEDIAN = 0.004
-"""Maximum median error of a camera, as a share of the image's longer side. Larger errors mean that the cameras do not
-see one rigid board at the same time."""
+"""Maximum median error of a camera, as a share of the image's longer side. An error above this maximum means that the
+cameras do not see one rigid board at the same time."""
 TIMING_GAIN = 0.97
 """Delays and readouts are used if they reduce the mean error on held-out frames to less than this share."""
 OFFSET_STD = (0.0006, 0.0006, 0.002)
 """Standard deviations of a corner's displacement on the board along x, y and z, in squares."""
 MAX_OFFSETS = 60
-"""On boards with more corners, displacements of the corners are not adjusted, because they average out."""
+"""On boards with more than this number of corners, the displacements of the corners are not adjusted. The displacements
+of many corners average out."""
 
 
 @dataclass(frozen=True, eq=False)

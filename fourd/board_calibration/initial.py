@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 MAX_LENS_VIEWS = 40
 """Maximum number of views for the initial lens.
 
-More views would take more time here. The bundle adjustment uses all views.
+The maximum limits the computing time. The bundle adjustment uses all views.
 """
 MAX_PAIR_FRAMES = 60
 """Maximum number of frames from which the relative pose of two cameras is chosen."""

@@ -30,7 +30,7 @@ Feature = tuple[int, int]
 """Index of a camera, and index of a feature in the camera's image."""
 
 HELD_OUT = 3
-"""One out of this number of tracks is held out."""
+"""One of every HELD_OUT tracks is held out."""
 MIN_MATCHES = 60
 """Minimum number of matches that a repair needs."""
 MIN_GAIN = 0.9

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
 BLACK_LEVEL = 40
-"""Brightness limit (0 to 255) of black borders: in a border row or column, 95% of the pixels are darker."""
+"""Brightness limit (0 to 255) of black borders. In a border row or column, 95% of the pixels are below this limit."""
 CONTENT_ROWS = 4
 MAX_BORDER_ERROR_PX = 0.75
 """Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""

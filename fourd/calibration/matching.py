@@ -24,7 +24,7 @@ UNDISTORT_ITERATIONS = 20
 MAX_FALSE_ALARMS = 1e-4
 """Maximum number of false alarms (NFA) of an accepted model.
 
-The NFA is the number of models with as many inliers that are expected if all matches are random.
+The NFA of a model is the expected number of models with at least as many inliers, if all matches are random.
 """
 
 
@@ -111,8 +111,8 @@ def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float =
     CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan and
     Stival, IJCV 2004).
 
-    Matches of points on one plane do not determine the fundamental matrix: for any two other matches, there is a
-    fundamental matrix that fits these two and all matches on the plane. If a homography was accepted, the test of the
+    Matches of points on one plane do not determine the fundamental matrix. For any two further matches, a fundamental
+    matrix exists that fits these two and all matches on the plane. If a homography was accepted, the test of the
     fundamental matrix therefore ignores the matches on planes.
     The test also does not count two of the inliers outside the planes as evidence.
 

@@ -22,8 +22,8 @@ from fourd.cameras import Camera
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MAX_PAIR_PX = 30.0
-"""Larger residuals of a camera pair count as this value in pixels. The matches of such a pair are wrong, and its
-residual changes at random with the principal points."""
+"""If the residual of a camera pair exceeds this value in pixels, the residual counts as this value. The matches of such
+a pair are wrong, and the residual of the pair changes at random with the principal points."""
 MIN_GAIN = 2.0
 """Minimum decrease of the mean residual due to mirrored principal points, as a multiple of the typical residual."""
 MIN_LEAD = 0.5

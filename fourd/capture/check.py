@@ -41,7 +41,7 @@ MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
 """Maximum distance between a camera's optical axis and the common focus, divided by the depth of the focus.
 
-A larger distance causes a warning that the camera faces away from the focus.
+A distance above this maximum causes a warning that the camera faces away from the focus.
 """
 
 

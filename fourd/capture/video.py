@@ -21,12 +21,12 @@ from fourd.errors import UserError
 from fourd.limits import require_regular
 
 CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,h264,hevc"
-"""Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams,
-which a later check refuses with advice."""
+"""Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams. A
+later check refuses raw streams with an error message that explains the fix."""
 MAX_JITTER = 0.05
 """Maximum deviation of a frame's time from a constant frame rate, in frame intervals.
 
-If a frame deviates more, the index stores the time of every frame.
+If a frame deviates by more than this value, the index stores the time of every frame.
 """
 MAX_RATE_ERROR = 5e-3
 """If the mean rate of uneven frames deviates from a standard rate by less than this share, the standard rate is
@@ -120,8 +120,8 @@ def index_video(path: Path) -> VideoIndex:
     """Create a video's index from its packets, and decode the first and the last frame as a check.
 
     Raises:
-        UserError: if the file is not a video, is truncated, has fewer than 2 frames or frames without times, or if its
-            metadata mirrors the frames or turns them by an angle that is not a multiple of 90 degrees.
+        UserError: if the file is not a video, is truncated, or has fewer than 2 frames or frames without times. Also if
+            the metadata mirrors the frames, or turns them by an angle that is not a multiple of 90 degrees.
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy the video again")
@@ -248,7 +248,7 @@ class VideoReader:
         return None
 
     def _number(self, elapsed: Fraction) -> int:
-        """Frame number from the time after frame 0.
+        """Return the number of the frame that is shown ``elapsed`` seconds after frame 0.
 
         Unlike the result of ``nearest``, this number can be outside the video.
         """

@@ -132,8 +132,8 @@ def replace_excess(
 
 
 def fill_hull(views: Silhouettes, lower: Array, upper: Array, side: float) -> FilledHull:
-    """Fill the hull inside a box with cells of side length ``side``. If the grid would have too many cells, larger
-    cells are used."""
+    """Fill the hull inside a box with cells of side length ``side``. If the grid would have too many cells, the side
+    length is increased."""
     levels = max(0, int(np.log2(max(float((upper - lower).max()) / side / 6, 1))))
     coarse = side * 2**levels
     cells = root_cells(lower, upper, coarse)

@@ -155,7 +155,7 @@ def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key:
 
     If bounds.json contains the same ``key``, the search box is read from this file. Otherwise, the search box is
     computed and written to bounds.json. If the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are
-    examined. In this case, the margin of the box is three times as wide.
+    examined. In this case, the margin of the box is three times as wide as for a capture with fewer frames.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:

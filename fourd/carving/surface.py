@@ -13,8 +13,8 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, sample
 
 CANDIDATES = 1.3
-"""Number of candidate cells for each requested point. A higher number makes the density of the points more even, but
-increases the computation time."""
+"""Number of candidate cells for each requested point. With a high number, the density of the points is more even than
+with a low number, but the computation takes longer."""
 MIN_DEPTH = 0.7
 """After a point was moved into the hull, its distance from the surface must be at least this share of the length of the
 move. At creases of the surface, this distance is shorter than the move."""
@@ -62,9 +62,9 @@ def project_to_surface(
 def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float) -> Floats:
     """Move surface points (N, 3) into the hull, against their outward normals (N, 3).
 
-    In thin parts of the hull, points move only by 3/4, 1/2 or 1/4 of ``inset``, or not at all. These moves are tried
-    from the longest to the shortest. The first move is accepted after which the point's distance from the surface is
-    about the length of the move.
+    In thin parts of the hull, points move only by 3/4, 1/2 or 1/4 of ``inset``, or not at all. For each point, the
+    longest acceptable move is used. A move is acceptable if the moved point's distance from the surface is about the
+    length of the move.
     """
     moved, remaining = xyz.copy(), np.arange(len(xyz))
     for quarters in (4, 3, 2, 1):

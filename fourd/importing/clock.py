@@ -14,9 +14,9 @@ LONG_KEYFRAME_INTERVAL = 250
 """A note suggests --unpack if keyframes are more than this number of frames apart. To read a frame, all frames since
 the last keyframe are decoded."""
 MIN_TOLD_SECONDS = 5e-4
-"""Smaller errors of the frame times are not reported."""
+"""Errors of the frame times below this number of seconds are not reported."""
 MIN_TOLD_FRAMES = 0.5
-"""Smaller offsets are not reported."""
+"""Offsets below this number of frames are not reported."""
 
 
 def describe_pictures(videos: Mapping[str, Video]) -> list[str]:

@@ -30,7 +30,7 @@ class Format:
 
     Attributes:
         name: the format's name on the command line.
-        summary: what a source contains, for help texts.
+        summary: content of a source in this format, for help texts.
         looks_like: function that tests whether a path has this format, by reading only file names and the first bytes
             of files.
         read: function that reads the cameras of a source, and raises UserError for an invalid source.

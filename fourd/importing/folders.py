@@ -19,8 +19,8 @@ from fourd.limits import open_regular, read_limited
 Array = NDArray[np.float64]
 
 MAX_VALUE = 1e100
-"""Maximum magnitude of a number in a calibration file. Larger numbers are treated as infinite, because their products
-may overflow."""
+"""Maximum magnitude of a number in a calibration file. Numbers above this magnitude are treated as infinite, because
+their products may overflow."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw", "synchronized_videos")
 """Folders of a source that may contain the cameras' frames. Earlier folders are preferred. Anipose uses raw-2d and
 videos-raw. FreeMoCap uses synchronized_videos."""

@@ -73,8 +73,9 @@ def match_calibrations(
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
     """Turn and reduce calibrations like the frames of their videos.
 
-    With "auto", a calibration belongs to the stored frames if only these have its orientation, landscape or portrait.
-    Otherwise, it belongs to the turned frames, which OpenCV and video players show.
+    Frames and calibrations have an orientation: landscape or portrait. With "auto", a calibration belongs to the stored
+    frames if the stored frames have the orientation of the calibration and the turned frames do not. Otherwise, the
+    calibration belongs to the turned frames, which OpenCV and video players show.
 
     Args:
         cameras: the source's cameras.

@@ -17,8 +17,8 @@ COLOUR_EDGE = 10.0
 BAND = 1 / 400
 """Half the width of the soft edge, as a share of the image's longest side."""
 MIN_REGION_SHARE = 1 / 300
-"""Minimum area of a connected region or hole, as a share of the subject's area. Smaller regions are removed, and
-smaller holes are filled."""
+"""Minimum area of a connected region or hole, as a share of the subject's area. Regions below this area are removed,
+and holes below this area are filled."""
 MARGIN_PX = 16
 NOISE_VARIANCE = np.float32(16.0)
 """Variance of a pixel's value around the mixture of subject and background, in squared 8-bit values.

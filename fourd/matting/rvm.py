@@ -49,8 +49,8 @@ class RVM:
 
         Args:
             pictures: images (H, W, 3) uint8, all of one size.
-            ratio: scale of the coarse stage in (0, 1], or None to reduce the longest side to 512 pixels. The larger the
-                ratio, the more accurate are the mattes of a full person in a large image.
+            ratio: scale of the image in the network's coarse stage, in (0, 1], or None to reduce the longest side to
+                512 pixels. If a large image shows a whole person, high ratios give more accurate mattes than low ones.
 
         Raises:
             UserError: if the ratio is out of range, the images' sizes differ, or the network does not have the

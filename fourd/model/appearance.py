@@ -108,7 +108,8 @@ def zero_low_visibility(visibility: Tensor) -> Tensor:
 
 
 def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, share: float) -> Tensor:
-    """Mix the colours that source views show at points with the points' own colours.
+    """Mix the colours that source views show at points with the points' own colours. A point's own colour is the same
+    in all views.
 
     Args:
         colours: (V, N, 3) colours of the views in [0, 1].

@@ -79,7 +79,7 @@ class ModelConfig:
     radius_start: float = 1.3
     """Radius of every point before training, as a multiple of the mean distance between neighbouring points."""
     residual: bool = False
-    """Displace points by a learnt residual field (a smaller K-Planes). Export adds the displacement to the point
+    """Displace points by a learnt residual field (a small K-Planes). Export adds the displacement to the point
     positions."""
     residual_range: float = 0.1
     """Maximum displacement of a point by the residual field, as a share of the longest side of the bounds."""

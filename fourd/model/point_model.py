@@ -51,8 +51,8 @@ class EvaluatedPoints:
             no residual field.
         features: outputs of the first layers of the heads.
         explicit_sh: (N, 48) optimised SH coefficients; None if an MLP predicts the SH coefficients.
-        rgb: (N, 3) the points' own colours, which do not depend on the view; None to use only the views' colours. The
-            colours of the views are mixed with ``rgb``; see ``mix_own_colours``.
+        rgb: (N, 3) the points' own colours, which are the same in all views. The colours of the views are mixed with
+            ``rgb``; see ``mix_own_colours``. If ``rgb`` is None, only the colours of the views are used.
     """
 
     xyz: Tensor

@@ -52,5 +52,5 @@ def thread_count(threads: int, default: int | None = None) -> int:
 
 
 def simd_name() -> str:
-    """Return the instruction set that FOURD_SIMD selects, or '' for the widest available one."""
+    """Return the instruction set that FOURD_SIMD selects, or '' for the widest available instruction set."""
     return os.environ.get("FOURD_SIMD", "")

@@ -16,7 +16,8 @@ _SPREAD = (
     (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
 )
-"""Shifts and masks that insert two zero bits before each of the MAX_BITS lowest bits of a number, one after another."""
+"""Pairs (shift, mask). Applied one after another, they insert two zero bits before each of the MAX_BITS lowest bits of
+a number."""
 _LOWEST_BITS = 2**MAX_BITS - 1
 
 

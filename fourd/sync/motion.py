@@ -37,8 +37,8 @@ WIDTH_PX = 200
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of an offset that is applied or reported."""
 UNRELIABLE_FRAMES = 3
-"""Maximum error, in frames, of offsets that are estimated from motion. Smaller offsets are neither applied nor
-reported."""
+"""Maximum error, in frames, of offsets that are estimated from motion. Offsets that do not exceed this error are
+neither applied nor reported."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2

@@ -43,8 +43,8 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         tensors: name -> dense tensor, stored bit for bit.
         state: data for JSON, which is stored in the file's header. Floats are stored exactly.
 
-    The file also contains the digests (BLAKE2b) of all points files of this step, which must be written before, and a
-    digest of its own contents.
+    The file also contains a digest of its own contents, and the digests (BLAKE2b) of all points files of this step.
+    Write the points files before calling this function.
 
     Returns:
         The file's path.
@@ -69,11 +69,11 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
 
 def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
-    """The newest intact checkpoint in ``folder``. Each candidate is verified with all its points.
+    """Find the newest intact checkpoint in ``folder``. A checkpoint is intact if its file and all its points files are.
 
     Returns:
-        (path, note). path is None if the folder is missing or contains no intact checkpoint. note is one line about
-        newer, damaged files that were skipped, or an empty string.
+        The pair (path, note). The path is None if the folder is missing or contains no intact checkpoint. If newer but
+        damaged files were skipped, the note is one line about these files. Otherwise, the note is an empty string.
     """
     damaged: list[str] = []
     found = None
@@ -262,7 +262,7 @@ def _drop_old(folder: Path, step: int) -> None:
     """Delete all checkpoints up to ``step`` except the two newest. Damaged checkpoints of steps after ``step`` are also
     deleted.
 
-    Checkpoints of later steps exist if the run was resumed from an older checkpoint.
+    Checkpoints of steps after ``step`` exist if the newest checkpoint was damaged when the run was resumed.
     """
     files = checkpoint_files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:

@@ -100,8 +100,8 @@ class BackgroundConfig:
     least_layers: int = 12
     """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between this
     minimum and `layers` of the training config. If K is too small, a floor viewed at a grazing angle lacks its farthest
-    points. The gradient then enlarges the discs, so that even more points exceed K. As a result, the image becomes
-    blurred."""
+    points. The gradient then enlarges the discs, so that even more points overlap at each pixel. As a result, the image
+    becomes blurred."""
     encoder_every: int = 8
     """The background's image encoder is updated only in training steps that use a clean plate, and only if the step
     number is divisible by `encoder_every`."""
@@ -167,7 +167,7 @@ class RefineConfig:
     """Assumed standard deviation of each entry of a camera's colour correction."""
     band: float = 0.03
     """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The epipolar
-    line is computed with the given cameras, before bundle adjustment. Matches at larger distances are not used."""
+    line is computed with the given cameras, before bundle adjustment. Matches beyond this distance are not used."""
     weight: float = 1e-5
     """Loss weight of the sum of (correction / standard deviation)^2 over the corrections of a camera."""
     pose_rate: float = 1e-4
@@ -229,8 +229,8 @@ class TrainConfig:
     all its samples. With one sample, contours are ragged, and new views have a lower PSNR than with 2 x 2."""
     pixel_filter: float = 0.1
     """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. The filter replaces several
-    samples in each pixel when a trained or exported scene is rendered. It has the weights `pixel_filter`,
-    1 - 2 `pixel_filter` and `pixel_filter` along rows and along columns. With 0, images are not filtered."""
+    samples in each pixel when a trained or exported scene is rendered. The weights of the filter are `pixel_filter`,
+    1 - 2 `pixel_filter` and `pixel_filter`, along rows and along columns. With 0, images are not filtered."""
     crop: Literal["mask", "full"] = "mask"
     """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
     selects the whole image."""
@@ -251,8 +251,8 @@ class TrainConfig:
     quarter of the point spacing from their plane are not moved. With 0, smoothing is switched off."""
     neighbour_pool: int = 5
     """Size of the pool of views from which each step samples its source views. The pool contains the views nearest to
-    the target view. A larger pool includes views with wider baselines. Such baselines also occur between a novel view
-    and its source views."""
+    the target view. If the pool is larger than the number of source views, some steps use source views with wide
+    baselines. Wide baselines also occur between a novel view and its source views."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None

@@ -1,5 +1,6 @@
-"""Settings of the C library's heap that make freed memory fast to reuse and keep the resident size bounded. Only glibc
-is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
+"""Settings of the C library's heap. With these settings, freed memory is reused quickly, and the resident size stays
+bounded. Only glibc is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do
+nothing.
 
 Images differ in size, so freed blocks do not always fit the next allocation. Therefore, the heap's address space grows
 for hours during training. However, a page of the heap occupies physical memory only if the page was written since the

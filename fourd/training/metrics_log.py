@@ -27,8 +27,8 @@ class MetricsLog:
         Args:
             folder: the run's folder; created if missing.
             resume_step: number of completed steps of the checkpoint from which the run resumes. Records after step
-                ``resume_step`` and incomplete lines, which a killed run leaves, are removed. TensorBoard hides older
-                events after step ``resume_step``.
+                ``resume_step`` and incomplete lines, which a killed run leaves, are removed. TensorBoard hides the
+                events of steps after ``resume_step`` that were written before the run was resumed.
 
         Raises:
             UserError: the folder is not writable.

@@ -38,7 +38,7 @@ class RenderablePoints:
 
     @classmethod
     def of(cls, points: EvaluatedPoints, colour: Tensor) -> RenderablePoints:
-        """Evaluated points with the colours (N, 3)."""
+        """Combine evaluated points with their colours (N, 3)."""
         return cls(points.xyz, points.radius, points.density, colour)
 
 
@@ -104,7 +104,7 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
 def select_heaviest(weight: Tensor, min_weight: float) -> Tensor:
     """Ascending indices of the weights (N,) that exceed ``min_weight``.
 
-    Indices of the next smaller weights are added until the number of indices is a multiple of COUNT_STEP.
+    The indices of the largest remaining weights are added until the number of indices is a multiple of COUNT_STEP.
     """
     count = int((weight > min_weight).sum())
     rounded = min(weight.shape[0], -(-count // COUNT_STEP) * COUNT_STEP)

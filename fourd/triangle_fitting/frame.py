@@ -62,9 +62,9 @@ class FittedFrame:
 def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untracked) -> FittedFrame:
     """Fit triangles to the first frame of a capture.
 
-    At the start, soft triangles are placed on the visual hull of the training views' mattes. The triangles become
-    harder until they are opaque. Then the triangles are connected to a closed mesh, and the opaque mesh is fitted. The
-    first KeyboardInterrupt ends the fit early.
+    At the start, soft triangles are placed on the visual hull of the training views' mattes. The triangles gradually
+    become opaque. Then the triangles are connected to a closed mesh, and the opaque mesh is fitted. The first
+    KeyboardInterrupt ends the fit early.
 
     Args:
         views: the capture with mattes, and its training and held-out cameras.

@@ -15,7 +15,7 @@ MIN_WEIGHT = 0.022
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
-"""Triangles are split in four if their longest edge exceeds this number of pixels in a training view. Smaller triangles
+"""Triangles are split in four if their longest edge exceeds this number of pixels in a training view. Otherwise, they
 are duplicated."""
 CLONE_OFFSET = 0.2
 """Standard deviation of the offset of a duplicate in the plane of its triangle, as a share of the triangle's edges."""

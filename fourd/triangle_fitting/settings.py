@@ -18,8 +18,8 @@ class TriangleSettings:
         max_steps: maximum number of steps; None means no limit.
         max_seconds: maximum number of seconds of fitting; None means no limit. At least one limit must be set.
         interval: steps between two rounds of pruning and growth, at least 1.
-        soft_share: share of the budget, in [0, 1], during which triangles remain soft. After this share, they become
-            harder.
+        soft_share: share of the budget, in [0, 1], during which triangles remain soft. After this share, the triangles
+            gradually become opaque.
         hard_share: share of the budget, at least ``soft_share``, after which triangles are opaque.
         plane: weight of the loss on the distances of triangles from the planes of their neighbours.
         normal: weight of the loss on the angles between neighbouring triangles.

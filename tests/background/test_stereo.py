@@ -337,8 +337,8 @@ def test_triangle_planes_of_few_points(count: int, rng: np.random.Generator) -> 
 
 
 def test_sources_overlap_and_have_a_baseline() -> None:
-    """Catches the selection of unsuitable source cameras: the reference camera itself, a camera without a baseline, or
-    a camera that sees another part of the scene."""
+    """Catches the selection of unsuitable source cameras. Unsuitable are the reference camera itself, a camera without
+    a baseline, and a camera that sees another part of the scene."""
     away = look_at(np.array([0.3, 0.0, 2.0]), np.array([0.3, 0.0, 9.0]), np.array([0.0, 1, 0]), INTRINSICS, 96, 72)
     cameras = [camera(0.0), camera(0.001), away, camera(0.5), camera(-0.5)]
     chosen = select_sources(cameras, 0, 1.0, 4.0)

@@ -16,7 +16,7 @@ from fourd.synth.board_videos import BoardSettings, board_pose, rig_cameras
 
 @dataclass(frozen=True)
 class Filming:
-    """How cameras film a moving board.
+    """Errors of cameras that film a moving board.
 
     Attributes:
         delays: times in frames by which the middle row of each camera is late, by the camera's index.

@@ -85,7 +85,7 @@ def test_wrong_matches_do_not_join_all_tracks(rng: np.random.Generator) -> None:
 
 
 def test_held_out_tracks_are_not_fitted(rng: np.random.Generator) -> None:
-    """Catches a point with matches in both parts: one match is fitted, and another match is held out."""
+    """Catches a track with one match among the fitted matches and another match among the held-out matches."""
     fitted, held_out = split_matches(_project(_true_cameras(3), rng), 3)
     seen = [set(map(tuple, np.round(part[0, 1].first_px, 2))) for part in (fitted, held_out)]
     other = [set(map(tuple, np.round(part[0, 2].first_px, 2))) for part in (fitted, held_out)]

@@ -137,7 +137,8 @@ def test_sizes_are_optional_and_rotations_may_be_vectors(capture: Path) -> None:
 
 
 def test_distortion_under_easymocaps_key(capture: Path) -> None:
-    """Catches ignored distortion: EasyMocap's tools write dist_c instead of D_c."""
+    """Catches distortion coefficients that are ignored because EasyMocap's tools write the key dist_c instead of
+    D_c."""
     intri = capture / "intri.yml"
     camera = replace(read_calibration(capture)["01"].camera(64, 64), distortion=BARREL)
     write_calibration(capture, ["01"], [camera])

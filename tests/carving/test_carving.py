@@ -190,7 +190,8 @@ def test_worker_processes_carve_the_same_points(tmp_path: Path, monkeypatch: pyt
 
 
 def test_an_inset_moves_points_below_the_surface(one_ball: MemoryCapture) -> None:
-    """Catches an inset in the wrong direction or in the wrong unit: initial discs would extend beyond the mattes."""
+    """Catches an inset in the wrong direction or in the wrong unit. With a wrong inset, initial discs would extend
+    beyond the mattes."""
     flat, inset = (
         carve_frame(one_ball.masks[0], one_ball.cameras, box(), points=4000, inset=spacings) for spacings in (0.0, 0.9)
     )

@@ -18,7 +18,7 @@ BALLS = [ball((-0.28, 0.0, 0.0), 0.2), ball((0.28, 0.05, 0.1), 0.16), ball((0.0,
 
 @pytest.fixture(scope="module")
 def views() -> Silhouettes:
-    """Three balls that occlude each other in five views. Their hull has parts that belong to no ball."""
+    """Three balls that occlude each other in five views. The visual hull has parts that belong to no ball."""
     cameras = ring_cameras(5, 128)
     masks = [mask(camera, BALLS) for camera in cameras]
     return Silhouettes.from_masks(masks, cameras, np.zeros(3), agreement=0.95, least_views=0.5)
@@ -77,7 +77,7 @@ def test_a_ball_keeps_its_points() -> None:
 
 
 def test_trimming_can_be_switched_off() -> None:
-    """Catches an option that is ignored: without trimming, points cover the whole hull."""
+    """Catches an option that is ignored. Without trimming, points must cover the whole hull."""
     cameras = ring_cameras(5, 96)
     masks = [mask(camera, BALLS) for camera in cameras]
     whole, trimmed = (carve_frame(masks, cameras, BOX, points=3000, trim=trim) for trim in (False, True))

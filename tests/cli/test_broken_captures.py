@@ -1,4 +1,4 @@
-"""``fourd check`` and ``fourd make`` name what is broken in a capture. The captures are synthetic."""
+"""Tests that ``fourd check`` and ``fourd make`` report the errors of a broken capture. The captures are synthetic."""
 
 from __future__ import annotations
 
@@ -97,8 +97,8 @@ def made(capture: Path, capsys: pytest.CaptureFixture[str]) -> str:
 def test_broken_captures_stop_with_a_message(
     synthetic: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: Break, message: str
 ) -> None:
-    """Catches mistakes that are reported only as a large residual, or only after half an hour of training: exchanged
-    calibrations, a view that is upside down, and a calibration of other cameras."""
+    """Catches mistakes that are reported only as a large residual, or only after half an hour of training. The mistakes
+    are exchanged calibrations, a view that is upside down, and a calibration of other cameras."""
     capture = Path(shutil.copytree(synthetic, tmp_path / "capture"))
     damage(capture)
     assert message in checked(capture, capsys)
@@ -145,8 +145,8 @@ def test_whole_captures_have_no_warning(synthetic: Path, capsys: pytest.CaptureF
 
 @pytest.mark.slow
 def test_exchanged_cameras_of_a_large_ring_are_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches cameras that are not checked because they match none of their neighbours. Their neighbours are wrong,
-    because their calibration is wrong."""
+    """Catches cameras that are not checked because they match none of their neighbours. Cameras with exchanged
+    calibrations are compared with the wrong neighbours."""
     capture = tmp_path / "capture"
     make_synthetic(capture, frames=1, cameras=24, size=SIZE)
     names = [f"{index:02d}" for index in range(24)]

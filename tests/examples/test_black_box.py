@@ -10,7 +10,8 @@ from tests.examples.test_examples import ROOT, run
 
 
 def test_fitting_through_opengl_reduces_the_error(tmp_path: Path) -> None:
-    """Catches ids that do not belong to the image, and a wrong sign of the gradient: then the error does not fall."""
+    """Catches ids that do not belong to the image, and a wrong sign of the gradient. With either bug, the error does
+    not decrease."""
     out = tmp_path / "pictures.png"
     printed = run("triangles/black_box.py", "--size", 48, "--triangles", 40, "--steps", 100, "--picture", out)
     words = printed.split()

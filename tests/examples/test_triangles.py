@@ -19,7 +19,7 @@ CAPTURE = Path(__file__).parents[3] / "shared" / "captures" / "fox_run"
 
 
 def run(script: str, *arguments: object) -> str:
-    """Run a program in a separate process and return what it prints."""
+    """Run a program in a separate process and return its standard output."""
     environment = {**os.environ, "PYTHONPATH": str(FOLDER.parents[1]), "COLUMNS": "120"}
     command = [sys.executable, str(FOLDER / script), *map(str, arguments)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)

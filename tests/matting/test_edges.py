@@ -48,8 +48,8 @@ def test_edges_of_shaded_subjects_stay_in_place(rng: np.random.Generator) -> Non
 
 
 def test_edges_follow_luma_where_chroma_is_blurred(rng: np.random.Generator) -> None:
-    """Catches edges that follow the chroma of JPEG images, which have half the resolution: a mask that is a pixel too
-    large then stays 0.2 pixels too large."""
+    """Catches edges that follow the chroma of JPEG images, which has half the resolution of the luma. A mask that is a
+    pixel too large then stays 0.2 pixels too large."""
     truth = disc_coverage(0.3)
     rgb = truth[..., None] * FUR + (1 - truth[..., None]) * WALL + rng.normal(0, 2, (SIZE, SIZE, 3))
     bgr = np.clip(rgb, 0, 255).astype(np.uint8)[..., ::-1]

@@ -70,8 +70,8 @@ def test_wrong_painted_images_are_one_line(capture: Path, tmp_path: Path) -> Non
 
 
 def test_strokes_are_carried_to_neighbouring_frames(capture: Path, tmp_path: Path) -> None:
-    """Catches strokes of the wrong sign, transparent pixels that count as black, strokes in other cameras, and strokes
-    that stay where they were painted although the subject moves."""
+    """Catches strokes of the wrong sign, transparent pixels that count as black, and strokes in other cameras. Also
+    catches strokes that stay where they were painted although the subject moves."""
     opened = open_capture(capture)
     cameras = matting_cameras(opened)
     picture = np.zeros((64, 64, 4), np.uint8)
@@ -111,8 +111,8 @@ def test_a_painted_mask_changes_its_frame(capture: Path, tmp_path: Path) -> None
     after = matte_iou(open_capture(own), tmp_path / "truth")
     assert after[4, 3] > 0.95
     assert after.mean() > before.mean() - 0.002
-    # The mattes are nearly perfect without strokes, so that only a wrong painted mask shows that strokes decide. Its
-    # intersection over union with the true mask is 0.59. Edge refinement moves edges back a little.
+    # The mattes are nearly perfect without strokes, so that only a wrong painted mask shows that strokes decide. The
+    # intersection over union of the painted and the true mask is 0.59. Edge refinement moves edges back a little.
     moved = np.roll(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE), 6, axis=1)
     assert cv2.imwrite(str(tmp_path / "moved.png"), moved)
     make_mattes(Selection(own), MatteSettings(paint=(Paint("04", 3, tmp_path / "moved.png"),)), 1, untracked)

@@ -35,7 +35,8 @@ def save(path: Path, nodes: list[Any], inputs: dict[str, Any], outputs: dict[str
 
 
 def write_rvm(path: Path) -> Path:
-    """A recurrent network whose alpha is half of the red channel plus a quarter of the sum of earlier reds."""
+    """A recurrent network. Its alpha is half of the red channel, plus a quarter of the sum of the red channels of the
+    earlier frames."""
     node = onnx.helper.make_node
     states = [("r1", "r1i"), ("r2", "r2i"), ("r3", "r3i"), ("r4", "r4i")]
     nodes = [

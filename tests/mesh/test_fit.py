@@ -85,7 +85,8 @@ def test_silhouettes_shrink_and_grow_the_surface(views: list[MeshView]) -> None:
 
 
 def test_photo_consistency_finds_the_depth(views: list[MeshView]) -> None:
-    """Catches a photo term with a wrong projection: without mattes, only the colours show where the surface is."""
+    """Catches a photo term with a wrong projection. Without the silhouette term, only the colours determine where the
+    surface is."""
     start = sphere_start(0.43, 10)
     fitted = fit_mesh(start, views, FitSettings(steps=40, rate=0.1, silhouette=0))
     equator = np.abs(fitted.xyz[:, 2]) < 0.2

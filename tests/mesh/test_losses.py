@@ -35,8 +35,8 @@ def test_edges_occur_once() -> None:
 
 
 def test_values_of_a_tetrahedron() -> None:
-    """Catches a wrong mean: each vertex is at distance |v| 4/3 from the mean of the others, and the cosine between the
-    normals of neighbouring faces is -1/3."""
+    """Catches a wrong mean. Each vertex v is at distance |v| 4/3 from the mean of the other vertices. The cosine
+    between the normals of neighbouring faces is -1/3."""
     xyz, triangles = tetrahedron()
     topology = MeshTopology.of(triangles, len(xyz))
     assert float(laplacian_loss(xyz, topology)) == pytest.approx(3 * (4 / 3) ** 2)

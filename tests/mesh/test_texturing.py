@@ -97,7 +97,7 @@ def test_vertex_colours_match_the_surface(views: list[MeshView]) -> None:
 
 
 def test_hidden_parts_get_no_colours_of_the_part_in_front(views: list[MeshView]) -> None:
-    """Catches a missing occlusion test: the near ball would be painted on the far one."""
+    """Catches a missing occlusion test. Without the test, the far ball gets colours of the near ball."""
     near = trimesh.creation.icosphere(subdivisions=3, radius=0.2)
     near.apply_translation([1.2, 0, 0])
     both = trimesh.util.concatenate([SPHERE, near])

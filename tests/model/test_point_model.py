@@ -62,7 +62,7 @@ def test_batched_projection_equals_camera_project() -> None:
 
 
 def test_samples_are_the_pixels_at_the_points() -> None:
-    """Catches a half-pixel shift: a point at the centre of a pixel must get exactly the colour of that pixel."""
+    """Catches a half-pixel shift. A point at the centre of a pixel must get exactly the colour of that pixel."""
     camera = Camera(INTRINSICS, np.eye(3), np.zeros(3), 32, 32)
     images = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(1))
     row, column = 9, 20

@@ -89,7 +89,7 @@ def test_shade_maps_are_relative_to_the_style_file(shading: str, tmp_path: Path)
     ("shading", "rows", "columns"), [("toon", 2, 8), ("xtoon", 65, 8), ("toon", 1, 1), ("toon", 1, 4097)]
 )
 def test_shade_maps_of_another_shape_are_refused(shading: str, rows: int, columns: int, tmp_path: Path) -> None:
-    """Catches a map that is cut or scaled without a word."""
+    """Catches a map of a wrong size that is cut or scaled instead of refused."""
     write_map(tmp_path / "map.png", rows, columns)
     (tmp_path / "mine.yaml").write_text(f"shading: {shading}\nramp: {{map: map.png}}")
     with pytest.raises(UserError, match=rf"map.png: expected a PNG of .* got {columns} x {rows} pixels"):
@@ -139,7 +139,7 @@ def test_stops_begin_at_their_tones() -> None:
 
 
 def test_details_fade_at_the_last_row() -> None:
-    """Catches a fade at the wrong end: facing 0 is a silhouette, depth 1 is far."""
+    """Catches a fade at the wrong end. The fade ends at 1 for depth (far) and at 0 for facing (silhouettes)."""
     fade = DetailAxis(by="depth", fade=1.0, fade_colour=(0.0, 0.0, 0.0))
     assert (make_table(Style(shading="xtoon", detail=fade))[-1] == 0).all()
     assert (make_table(Style(shading="xtoon", detail=replace(fade, by="facing")))[0] == 0).all()

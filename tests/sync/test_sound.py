@@ -76,7 +76,7 @@ def test_sound_that_starts_late_has_its_own_time(rng: np.random.Generator) -> No
 
 
 def test_travel_times() -> None:
-    """Catches a wrong speed of sound: 10 m are 29 ms."""
+    """Catches a wrong speed of sound. Sound needs 29 ms for 10 m."""
     assert travel_times({"a": np.array([10.0, 0, 0])}, np.zeros(3))["a"] == pytest.approx(0.02915, abs=1e-5)
 
 

@@ -22,7 +22,7 @@ def ball_triangles() -> tuple[trimesh.Trimesh, torch.Tensor]:
 
 
 def hull(radius: float) -> Silhouettes:
-    """A visual hull that contains a ball of radius ``radius``: masks are discs."""
+    """A visual hull from masks that are discs. The hull contains a ball of radius ``radius``."""
     cameras, masks = ring_cameras(8, 64), []
     for camera in cameras:
         distance = float(np.linalg.norm(camera.centre))

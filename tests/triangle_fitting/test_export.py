@@ -22,7 +22,7 @@ def coloured_box() -> ColouredMesh:
 
 
 def test_other_programs_open_the_files(tmp_path: Path) -> None:
-    """Catches wrong types, counts and axes, and colours in GLB files that are not linear."""
+    """Catches wrong types, counts and axes, and GLB files whose colours are not linear."""
     mesh = coloured_box()
     for name in ("a.glb", "a.ply"):
         write_mesh(tmp_path / name, mesh, np.array([0.0, 0.0, 1.0]))

@@ -41,7 +41,8 @@ def test_invisible_and_transparent_triangles_are_removed(rng: np.random.Generato
 
 
 def test_small_triangles_are_cloned_and_keep_the_opacity_of_the_pair(rng: np.random.Generator) -> None:
-    """Catches clones that make a place more opaque: two triangles of o' = 1 - sqrt(1 - o) have the opacity o."""
+    """Catches a triangle and its clone that are together more opaque than the triangle was. Two triangles with the
+    opacity 1 - sqrt(1 - o) together have the opacity o."""
     soup = soup_of(rng, 20, 0.01)
     before = soup.opacity(0.0).detach().clone()
     assert longest_edges_px(soup.corners.value.detach(), [camera()]).max() < 24
@@ -73,7 +74,7 @@ def test_nothing_changes_if_all_triangles_would_be_removed(rng: np.random.Genera
 
 
 def test_optimizer_state_follows_the_rows(rng: np.random.Generator) -> None:
-    """Catches moments that stay in place when rows are removed: the next steps then move other triangles."""
+    """Catches moments of Adam that belong to other triangles after rows are removed."""
     start = torch.tensor(rng.normal(size=(6, 2)), dtype=torch.float32)
     gradients = torch.tensor(rng.normal(size=(4, 6, 2)), dtype=torch.float32)
     kept, whole = torch.tensor([4, 1, 2]), AdamRows(start, 0.1)

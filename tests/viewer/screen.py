@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 TIMEOUT_SECONDS = 60.0
-"""Time limit of each wait in seconds. It is long, because machines that run tests may be busy."""
+"""Time limit of each wait in seconds. The limit is long, because machines that run tests may be busy."""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ CONVERTED = {"compressed PLY": ".compressed.ply", "SPZ": ".spz", "SOG": ".sog"}
 
 @dataclass(frozen=True)
 class Arguments:
-    """What to measure."""
+    """The scene, the true images, and the formats and levels to measure."""
 
     scene: tyro.conf.Positional[Path]
     """An unpacked .4dv file."""
@@ -62,7 +62,8 @@ class Row:
     """One point of a rate-distortion curve.
 
     ``size`` is in bytes per frame. ``fetched`` is the size of the data that a player needs for one viewer. ``psnr`` has
-    the mean over the cameras in dB, by frame. ``background`` is the size of the background in bytes. It is stored once.
+    the mean over the cameras in dB, by frame. ``background`` is the size of the background in bytes. A scene stores the
+    background once.
     """
 
     curve: str
@@ -74,7 +75,7 @@ class Row:
 
 
 class Truth:
-    """The true images of some cameras. For scenes without a background, they are black outside the matte."""
+    """The true images of some cameras. For scenes without a background, the images are black outside the matte."""
 
     def __init__(self, scene: Scene, capture: Capture, views: list[str]) -> None:
         self._cameras = {view: scene.manifest.camera(view) for view in views}
@@ -83,7 +84,7 @@ class Truth:
         self._is_whole = scene.manifest.kind == "full"
 
     def score(self, scene: Scene, index: int, frame: int) -> float:
-        """Return the mean PSNR in dB of frame ``index`` of ``scene``. Its truth is frame ``frame`` of the capture."""
+        """Return the mean PSNR in dB of frame ``index`` of ``scene``, compared with frame ``frame`` of the capture."""
         scores = []
         for view, camera in self._cameras.items():
             source, number = self._capture.names.index(view), self._numbers[frame]

@@ -4,11 +4,12 @@
     python tools/styles/steadiness.py fox.4dv meshes
     python tools/styles/steadiness.py fox.4dv --renderer sorted
 
-The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if, at every
-pixel within ``--reach`` pixels of it, the true depth changes by at most 2% and the true normal by at most 15 degrees.
-An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. It flickers if its line is on,
-off and on, or off, on and off. Without meshes, the depth and normals that fourd draws without steadying take the place
-of the truth.
+The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if the depth
+and the normal change little at every pixel within ``--reach`` pixels of it. The limits are 2% of the true depth and 15
+degrees for the true normal.
+An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. An edge pixel flickers if its
+line is on, off and on, or off, on and off. Without meshes, the program compares with the depth and normals that fourd
+draws if lines and surfaces are not averaged over time.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ from fourd.viewer.rendering.renderers import Renderer, RendererName, make_render
 SAME_DEPTH = 0.02
 SAME_NORMAL = float(np.cos(np.radians(15)))
 VISIBLE = 128
-"""Strength from which a pixel counts as a line."""
+"""Minimum strength of a line. At pixels below this strength, there is no line."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,7 @@ class Count:
 
 
 def main(arguments: Arguments) -> None:
-    """Print the share of flickering edge pixels, with the steadying of each style and without it."""
+    """Print the share of flickering edge pixels, with and without the averaging over time that each style specifies."""
     scene = open_scene(arguments.scene)
     manifest = scene.manifest
     views = dict(zip(manifest.names, manifest.cameras, strict=True))

@@ -2,10 +2,11 @@
 
     python tools/web/compare_viewers.py scene.4dv --frame 12 -o build/viewers
 
-The program exports the frame as Gaussian splats (3DGS PLY). It shows the exported file in Spark and in
-supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer), and the scene in <fourd-player>,
-from the last camera of the scene. It writes the pictures and the images of `fourd.baking.player.Player` as PNG files.
-It prints a Markdown table with the PSNR of the pictures, and with the images per second while the camera moves.
+The program exports the frame as Gaussian splats (3DGS PLY). The program shows the exported file in Spark and in
+supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer), and the scene in <fourd-player>.
+All viewers show the frame from the last camera of the scene. The program writes the pictures of the viewers and the
+images of `fourd.baking.player.Player` as PNG files, and prints a Markdown table. The table has the PSNR of the pictures
+and the images per second while the camera moves.
 """
 
 from __future__ import annotations

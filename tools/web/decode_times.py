@@ -2,8 +2,9 @@
 
     python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
 
-Both decode the same members, compressed with zlib: the points, the spherical harmonics and the source views that are
-blended for the last camera of the scene. The browser uses one worker, and native code uses one core. Both take turns.
+The worker and native code decode the same members, which are compressed with zlib. The members are the points, the
+spherical harmonics, and the source views that are blended for the last camera of the scene. The browser uses one
+worker, and native code uses one core. The worker and native code take turns.
 """
 
 from __future__ import annotations

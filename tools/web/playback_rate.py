@@ -3,10 +3,11 @@
     python tools/web/playback_rate.py scene.4dv --mbps 50
     python tools/web/playback_rate.py scene.4dv --mbps 50 --tier stream --repeat 25
 
-The program opens the page of the scene with an empty cache, through a server that sends at this rate. It prints the
-time from the opening of the page to the start of playback, and what follows: pauses, images per second and received
-data. Without --tier, the program chooses a level as `fourd web --max-mbps` does. With --repeat, the frames are repeated
-under other numbers, so that the scene is longer. It needs Chromium and the package playwright.
+The program opens the page of the scene with an empty cache, through a server that sends at this rate. The program
+prints the time from the opening of the page to the start of playback. It also prints the pauses, the images per second
+and the amount of received data during playback. Without --tier, the program chooses a level as `fourd web --max-mbps`
+does. With --repeat, the frames are repeated under other numbers, so that the scene is longer. The program needs
+Chromium and the package playwright.
 """
 
 from __future__ import annotations

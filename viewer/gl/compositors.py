@@ -32,7 +32,8 @@ class Compositor(Protocol):
         """Composite :attr:`discs` and write the result into ``target``, with the top of the image at the top.
 
         A picture is composited over the background colour of the request, filtered with the pixel filter, and limited
-        to [0, 1]. Without ``is_picture``, the result is the weighted sum of what the discs are painted with, and alpha.
+        to [0, 1]. Without ``is_picture``, the result is alpha, and the weighted sum of the quantity (colour, normal or
+        depth) that the discs are painted with.
         """
 
     def release(self) -> None:

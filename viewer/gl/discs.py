@@ -19,7 +19,7 @@ from fourd.viewer.gl.frame_textures import FrameTextures
 from fourd.viewer.gl.shaders import TEXELS_PER_ROW, compile_program, set_uniforms
 
 Paint = Literal["colour", "normal", "depth"]
-"""What the discs are painted with. Normals are in the frame of the camera."""
+"""The quantity that the discs are painted with. Normals are in the frame of the camera."""
 
 PAINTS: tuple[Paint, ...] = get_args(Paint)
 _BYTES_PER_DISC = 32
@@ -155,8 +155,8 @@ class Discs:
 
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
         """Pixels by which sprites can extend past the image. None if sprites may exceed the driver's limits."""
-        # The first bound is cheap. It is too large for scenes with a background, whose points have large radii but are
-        # far away.
+        # The first bound is fast to compute. For scenes with a background, the first bound is too large, because the
+        # points of the background have large radii but are far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):
             margin = math.ceil(float(request.camera.intrinsics[1, 1]) * ratio(order, request)) + 1
             if self._driver_allows(margin):

@@ -1,7 +1,7 @@
 """Stores the arrays of a frame in textures that vertex shaders read by index.
 
-OpenGL's buffer textures are not used, because many drivers read them more slowly, and because moderngl does not support
-them.
+OpenGL's buffer textures are not used, because many drivers read buffer textures more slowly than other textures, and
+because moderngl does not support buffer textures.
 """
 
 from __future__ import annotations
@@ -68,8 +68,8 @@ class ArrayTexture:
     def reserve(self, texels: int) -> bool:
         """Reserve storage for ``texels`` texels.
 
-        Returns whether the texture keeps its content. A larger texture starts empty. Raises UserError if the texture
-        would exceed the driver's limit.
+        Returns whether the texture keeps its content. If the texture must grow, it loses its content. Raises UserError
+        if the texture would exceed the driver's limit.
         """
         rows = -(-texels // TEXELS_PER_ROW)
         if self._texture is not None and self._texture.height >= rows:

@@ -99,8 +99,8 @@ class GLRenderer:
         self._styled.draw(self._compositor, project, request, target)
 
     def _release_styled(self) -> None:
-        """Free what only styles need. Textures with estimated normals are freed, too: the frames without normals, which
-        follow, would leave old normals of the background in them."""
+        """Free the objects that only styles need. Textures with estimated normals are also freed. Frames that are drawn
+        without a style have no normals, so old normals of the background would remain in these textures."""
         if self._styled is None:
             return
         self._styled.release()

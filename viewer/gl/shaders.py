@@ -12,7 +12,8 @@ import moderngl
 from fourd.ops.play.op import MIN_TRANSMITTANCE
 
 TEXELS_PER_ROW = 4096
-"""Width in texels of the textures that store arrays. It is a power of two, so that shaders can use bit operations."""
+"""Width in texels of the textures that store arrays. The width is a power of two, so that shaders can use bit
+operations."""
 NONE = 1e9
 """A rank that is larger than the rank of every layer.
 

@@ -23,7 +23,7 @@ from fourd.viewer.gl.stylizer import GLStylizer, SurfaceTextures
 from fourd.viewer.gl.timer import GPUTimer
 
 Project = Callable[[Paint], None]
-"""Projects the points of a request, and paints the discs with a quantity."""
+"""A function that projects the points of a request and draws their discs with colours, normals or depths."""
 
 
 class SurfaceBuffer:
@@ -45,10 +45,11 @@ class SurfaceBuffer:
     def draw(
         self, compositor: Compositor, project: Project, request: RenderRequest, persistence: float
     ) -> SurfaceTextures:
-        """Draw the surface. The second next call overwrites it.
+        """Draw the surface. Use the returned textures before the next call, which overwrites some of them.
 
         Args:
-            persistence: weight of the previous surface, from 0 to below 1. 0 if its camera was another one.
+            persistence: weight of the previous surface, at least 0 and below 1. Pass 0 if the previous surface was
+                drawn for another camera.
         """
         targets, size = self._targets, (request.camera.width, request.camera.height)
         if size != targets.size:
@@ -83,8 +84,8 @@ class SurfaceBuffer:
 
 
 class StyledDrawing:
-    """Draws requests in their style. Successive pictures from one camera have steady lines, as those of
-    :class:`fourd.baking.styled.player.StyledPlayer`."""
+    """Draws requests in their style. In successive pictures from one camera, lines do not flicker, as in the pictures
+    of :class:`fourd.baking.styled.player.StyledPlayer`."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._surface = SurfaceBuffer(context)

@@ -25,7 +25,7 @@ PathKind = Literal["orbit", "spiral", "cameras"]
 _MAX_GAP = np.radians(120)
 """Largest allowed gap in azimuth between two neighbouring cameras, in radians.
 
-If a gap is larger, no camera observes this side of the scene.
+If a gap exceeds this angle, no camera observes this side of the scene.
 """
 
 

@@ -28,8 +28,8 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
             by one, so a generator needs constant memory. If a side is odd, the last row or column is repeated, because
             yuv420p needs even sides.
         fps: images per second, above 0.
-        quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
-            larger file.
+        quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. With a small CRF, the quality is better
+            and the file is larger than with a large CRF.
 
     Returns:
         The number of images written.

@@ -36,7 +36,8 @@ def write_site(
 ) -> None:
     """Write a folder with a page, a poster image, the player's modules and the scene.
 
-    Packed scenes keep their tier. Their members are compressed again, because browsers cannot decompress Zstandard.
+    Packed scenes keep their tier. The members of a packed scene are compressed again, because browsers cannot
+    decompress Zstandard.
 
     Args:
         source: a `.4dv` of any version.

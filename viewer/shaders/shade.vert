@@ -28,7 +28,7 @@ uniform float sh_range;
 uniform float sh_base;
 
 uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Used only by NORMALS.
-uniform int painted;        // What the discs are painted with: COLOURS, NORMALS or DEPTHS.
+uniform int painted;        // The quantity that the discs are painted with: COLOURS, NORMALS or DEPTHS.
 uniform float depth_unit;   // Unit of painted depths, in world units.
 
 const int COLOURS = 0;
@@ -38,7 +38,7 @@ const int DEPTHS = 2;
 in uint point;
 
 out vec4 disc;   // Centre (u, v), 1 / rho^2 and the radius rho, with lengths in pixels.
-out vec4 paint;  // Red, green and blue, or what replaces them, and density.
+out vec4 paint;  // Red, green and blue, or the normal or depth that replaces them, and then the density.
 
 int slot;  // Index of the point in the textures.
 

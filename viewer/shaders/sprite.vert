@@ -4,7 +4,7 @@
 // past the image by `margin`.
 #include "disc.glsl"
 
-uniform float margin;  // In pixels.
+uniform float margin;  // Width in pixels by which the viewport extends past the image.
 
 void main() {
     write_outputs(2.0 * (disc.xy + margin) / (size + 2.0 * margin) - 1.0, gl_VertexID);

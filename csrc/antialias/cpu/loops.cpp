@@ -41,7 +41,7 @@ void blend(const Plan& plan, const Rows& rows, float* scratch, float* out, std::
     float *ids = scratch, *below = scratch + view.width;
     std::uint8_t* const changes = reinterpret_cast<std::uint8_t*>(scratch + 2 * static_cast<std::size_t>(view.width));
     copy(plan.images.colours, begin * view.channels, end * view.channels, out);
-    // Start one row earlier: blending that row with the row below it changes the first row.
+    // The loop starts one row before rows.begin, because blending the pairs of that row also changes row rows.begin.
     const int first = rows.begin > 0 ? rows.begin - 1 : 0;
     copy_ids(view.rast(view.pixel(first, 0)), view.width, below);
     for (int row = first; row < rows.end; ++row) {

@@ -6,7 +6,7 @@
 
 namespace fourd::antialias {
 
-// What one crossing adds to the gradient of one vertex.
+// The contribution of one crossing (Crossing in maths.h) to the gradient of one vertex.
 struct Contribution {
     std::uint32_t vertex;  // Index over all instances: instance * vertices + vertex.
     float x, y, w;
@@ -15,7 +15,7 @@ struct Contribution {
 struct Loops {
     void (*silhouettes)(const Mesh&, std::size_t instance, std::size_t begin, std::size_t end, std::uint8_t* out);
 
-    // Writes the colours and the codes of some rows. `scratch` has three times the width.
+    // Writes the colours and the codes of some rows. `scratch` has 3 * width floats.
     void (*blend)(const Plan&, const Rows&, float* scratch, float* out, std::uint8_t* codes);
 
     // Counts the crossings between the pixels of some rows and their right and lower neighbours.

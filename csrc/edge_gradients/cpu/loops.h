@@ -6,7 +6,7 @@
 
 namespace fourd::edge_gradients {
 
-// What one edge between two pixels adds to the gradient of one vertex.
+// The contribution of one edge between two pixels to the gradient of one vertex.
 struct Contribution {
     std::uint32_t vertex;  // Index over all instances: instance * vertices + vertex.
     float x, y, z, w;

@@ -139,8 +139,8 @@ FOURD_INLINE void interpolate(const Cells& cells, int i, const float* values, fl
     store(lower, out);
 }
 
-// Distributes the gradient of a point to the gradients of the table entries at the corners of its cell, by the
-// interpolation weights.
+// Multiplies the gradient of a point by the interpolation weights, and adds the products to the gradients of the table
+// entries at the corners of the point's cell.
 template <int Features>
 FOURD_INLINE void scatter_sample(const Cells& cells, int i, const float* gradient, float* values) {
     Entry<Features> lower, upper = {}, entry;

@@ -7,7 +7,7 @@ namespace fourd::hashgrid::cuda {
 namespace {
 
 // The levels and points that a kernel processes. Kernels process one level after another. Threads that run at the same
-// time then share the table entries of one level in the cache (sec. 4 of the paper).
+// time then share the table entries of one level in the cache (Mueller et al. 2022, sec. 4).
 struct Grid {
     Level levels[kMaxLevels];
     int level_count, features;
@@ -71,8 +71,8 @@ struct Encode {
 struct EncodeBackward {
     Grid grid;
     const float* gradient;
-    float* to_table;        // May be null.
-    float* to_coordinates;  // May be null.
+    float* to_table;        // Null if the gradient of the table is not needed.
+    float* to_coordinates;  // Null if the gradient of the coordinates is not needed.
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);

@@ -21,7 +21,7 @@ void prefer_huge(float* values, std::size_t count) {
 }  // namespace
 
 void interpolate(const Query& query, float* out, float* out_da) {
-    constexpr std::size_t kChunk = 16384;  // Pixels of one task.
+    constexpr std::size_t kChunk = 16384;  // Number of pixels per task.
     const Loops& loops = select_loops(query.simd);
     const std::size_t pixels = query.pixels(), all = pixels * query.images;
     const std::size_t chunks = (pixels + kChunk - 1) / kChunk;

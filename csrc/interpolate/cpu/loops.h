@@ -9,12 +9,12 @@ namespace fourd::interpolate {
 constexpr int kTile = 32;  // Side of a tile in pixels.
 
 struct GradientTile {
-    const float* attr;            // (vertices, channels) of the image.
-    const std::int32_t* visible;  // Triangle of each slot.
-    const std::int16_t* slot_of;  // (kTile, kTile): slot of each pixel, or -1.
-    int column, row;              // The first pixel of the tile.
+    const float* attr;            // (vertices, channels): attributes for the image.
+    const std::int32_t* visible;  // (slots,): triangle of each slot. Slots number the visible triangles of the tile.
+    const std::int16_t* slot_of;  // (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
+    int column, row;              // Position of the first pixel of the tile.
     std::size_t first;            // Index of the image's first pixel.
-    float* sums;                  // (slots, 3, channels), initially 0; null without a gradient of attr.
+    float* sums;                  // (slots, 3, channels), initially 0; null if the gradient of attr is not computed.
 };
 
 struct Loops {

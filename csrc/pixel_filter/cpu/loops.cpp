@@ -27,7 +27,7 @@ FOURD_INLINE Rows rows_around(const Image& image, int row) {
     return {at(row - 1), at(row), at(row + 1)};
 }
 
-// Means along columns of `count` bytes from byte `first` of the rows.
+// Computes the means along columns for `count` bytes of the rows, starting with byte `first`.
 FOURD_INLINE void filter_columns(const Rows& rows, std::size_t first, int count, float side, float* FOURD_RESTRICT out) {
     const std::uint8_t *above = rows.above + first, *centre = rows.centre + first, *below = rows.below + first;
     for (int i = 0; i < count; ++i) out[i] = mean_of(above[i], centre[i], below[i], side);

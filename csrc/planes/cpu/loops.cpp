@@ -9,7 +9,7 @@
 namespace fourd::planes::FOURD_SIMD {
 namespace {
 
-constexpr int kPrefetchDistance = 4;  // in points
+constexpr int kPrefetchDistance = 4;  // Number of points between the prefetched point and the current point.
 
 FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, const RunPositions& out) {
     float coordinates[4][kRun];
@@ -29,8 +29,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples around point i of a batch, in the large planes among planes [first, last). values(k) returns
-// the array of plane k, or an array of the same shape.
+// Prefetches the samples around point i of a batch, in those of the planes [first, last) that are larger than the
+// caches of a core. The function `values` returns the array of plane k, or an array of the same shape.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {

@@ -57,7 +57,7 @@ struct SampleBackward {
     PlaneTable table;
     const float* gradient;
     float* to_planes[kMaxPlanes];
-    float* to_coordinates;  // may be null
+    float* to_coordinates;  // Null if the gradient of the coordinates is not needed.
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(table, index);

@@ -13,7 +13,7 @@ std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
           const points::cuda::EntryBuffer& buffer, const points::Canvas& canvas, void* stream);
 
-// Computes only the colours of the points, with the shape (count, 3).
+// Writes the colours (count, 3) of the points to `out`, without drawing them.
 void shade(const shade::Points& points, const shade::Settings& shading, float* out, void* stream);
 
 }  // namespace fourd::play::cuda

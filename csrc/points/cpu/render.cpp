@@ -20,9 +20,9 @@ Fingerprint fingerprint(const Cloud& cloud, const Settings& settings) {
     return out;
 }
 
-// Sums the slots of a point in order, and back-propagates the sum to the gradient of the point. The template argument
-// Channels is the number of channels if it is known at compile time. Channels is 0 if the number is known only at run
-// time.
+// Each tile that a point covers has a slot (tiles/depth_bins.h) with the sums of gradients over the tile's pixels. This
+// function adds the slots of a point in order, and back-propagates the total to the gradient of the point. The template
+// argument Channels is the number of channels if it is known at compile time, and 0 otherwise.
 template <int Channels>
 void gather_gradient(const Cloud& cloud, const Settings& settings, const Workspace& workspace, std::size_t point,
                      const CloudGradient& out) {

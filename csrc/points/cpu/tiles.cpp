@@ -23,7 +23,8 @@ constexpr int kMaxChannels = 32;
 struct Projections {
     static constexpr std::size_t kMax = 64;
     float u[kMax], v[kMax], inverse_square[kMax], density[kMax], z[kMax], rho[kMax];
-    std::uint32_t blocks_across[kMax], blocks_down[kMax];  // Lower 16 bits are the first block, upper 16 the last.
+    // The lower 16 bits are the first block, and the upper 16 bits are the last block.
+    std::uint32_t blocks_across[kMax], blocks_down[kMax];
     std::uint32_t tiles_across[kMax], tiles_down[kMax];
     std::uint32_t visible[kMax];
 };

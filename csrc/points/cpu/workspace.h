@@ -1,5 +1,5 @@
-// The memory for rendering an image. The workspace is kept for the next image, because a new allocation for each image
-// would take a fifth of the time.
+// The memory for rendering an image. The workspace is kept for the next image. If each image had a new workspace, the
+// allocation would take a fifth of the rendering time.
 #pragma once
 
 #include <vector>

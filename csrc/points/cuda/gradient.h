@@ -98,7 +98,8 @@ struct GradientPixel {
     }
 };
 
-// Back-propagates the sums of a rank to the gradient of its point. Culled points get zero gradients.
+// Back-propagates the gradients that were summed over pixels to the gradient of a point. Sums are indexed by rank,
+// which is the position of the point in depth order. Culled points get zero gradients.
 struct GradientPoint {
     Entries entries;
     Pinhole camera;

@@ -35,7 +35,7 @@ struct DepthSum {
 template <int kCapacity>
 struct RenderPixel {
     View view;
-    const float* features;  // indexed by point
+    const float* features;  // Indexed by point.
     int channels;
     Image out;
 
@@ -71,7 +71,7 @@ FOURD_DEVICE static inline std::uint8_t byte_of(float value) {
 
 struct DrawPixel {
     View view;
-    const float* features;  // (count, 3)
+    const float* features;  // (count, 3).
     Canvas out;
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
@@ -93,7 +93,7 @@ struct DrawPixel {
 
 struct VisibilityPixel {
     View view;
-    float* out;  // by point, initially 0
+    float* out;  // Indexed by point, initially 0.
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
         const Pixel pixel = view.pixel(index);

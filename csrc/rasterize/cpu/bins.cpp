@@ -13,7 +13,7 @@ struct Range {
     std::size_t first, count;
 };
 
-// The triangles of an image. A range that exceeds the number of triangles is shortened.
+// The range of triangles of an image, clipped to the existing triangles.
 Range triangle_range(const Query& query, int image) {
     if (query.ranges == nullptr) return {0, query.triangles};
     const std::size_t first = static_cast<std::size_t>(std::max(query.ranges[2 * image], 0));
@@ -74,7 +74,7 @@ void Bins::cut(const Query& query, int first, std::size_t begin, std::size_t end
             const std::size_t a = static_cast<std::uint32_t>(query.tri[3 * triangle]);
             const std::size_t b = static_cast<std::uint32_t>(query.tri[3 * triangle + 1]);
             const std::size_t c = static_cast<std::uint32_t>(query.tri[3 * triangle + 2]);
-            if (std::max({a, b, c}) >= query.vertices) continue;  // Also true for negative indices.
+            if (std::max({a, b, c}) >= query.vertices) continue;  // The condition is also true for negative indices.
             for_pieces(screen, vertices[a], vertices[b], vertices[c], pos + 4 * a, pos + 4 * b, pos + 4 * c,
                        static_cast<int>(triangle), [&](const Piece& piece, const Bounds& bounds) {
                            entries.push_back({piece, bounds, image});

@@ -14,7 +14,7 @@ constexpr int kTilePixels = kTile * kTile;
 struct Records {
     static constexpr int kFields = 3 * kPlanes + 4;
     float* values;  // (kFields, capacity): c, x and y of the planes, range of z/w, encoded id, and scale.
-    std::uint32_t* references;  // Reference pixels: x in the lower 16 bits, y in the upper 16.
+    std::uint32_t* references;  // Reference pixels (see Planes): x in the lower 16 bits, y in the upper 16 bits.
     std::size_t capacity;
 
     float* c(int plane) const { return values + plane * capacity; }
@@ -28,9 +28,9 @@ struct Records {
 
 struct Tile {
     Screen screen;
-    const float* pos;         // (vertices, 4) of the image.
+    const float* pos;         // (vertices, 4): positions for the image.
     const std::int32_t* tri;  // (triangles, 3).
-    const Piece* pieces;      // In ascending order of triangles.
+    const Piece* pieces;      // Pieces of the tile, in ascending order of their triangles.
     std::size_t count;        // Number of pieces.
     int column, row;          // The first pixel of the tile.
     Records records;          // Scratch memory for at least `count` records.
@@ -42,11 +42,11 @@ struct Tile {
 // The inputs of the gradient of a tile. A slot is a triangle that is visible in the tile.
 struct GradientTile {
     Screen screen;
-    const float* pos;              // (vertices, 4) of the image.
+    const float* pos;              // (vertices, 4): positions for the image.
     const std::int32_t* tri;       // (triangles, 3).
-    const std::int32_t* visible;   // Triangle of each slot.
-    int slots;                     // At most kTilePixels.
-    const std::int16_t* slot_of;   // (kTile, kTile): slot of each pixel, or -1.
+    const std::int32_t* visible;   // (slots,): triangle of each slot.
+    int slots;                     // Number of slots, at most kTilePixels.
+    const std::int16_t* slot_of;   // (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
     int column, row;               // The first pixel of the tile.
     Records records;               // Scratch memory for at least `slots` records.
     float* sums;                   // Scratch memory for at least (slots, kSumStride) floats.
@@ -55,7 +55,7 @@ struct GradientTile {
     float* out;                    // (slots, 12): gradients of x, y, z and w of the three vertices.
 };
 
-constexpr std::size_t kSumStride = 16;  // Floats per slot of GradientTile::sums, a multiple of the vector size.
+constexpr std::size_t kSumStride = 16;  // Number of floats per slot in GradientTile::sums, a multiple of the vector size.
 
 struct Loops {
     // Rasterizes the pieces of a tile and writes all its pixels.

@@ -21,7 +21,7 @@ struct Scratch {
     std::unique_ptr<meshes::TileSlots> slots;
 
     Records records(std::size_t count) {
-        constexpr std::size_t kSpare = 16;  // Records are made in batches.
+        constexpr std::size_t kSpare = 16;  // The last batch of records may extend beyond the last triangle.
         const std::size_t needed = std::max<std::size_t>(count + kSpare, 256);
         if (needed > references.size()) {
             references.require(needed);

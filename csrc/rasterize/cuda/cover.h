@@ -8,7 +8,7 @@
 namespace fourd::rasterize::cuda {
 
 constexpr int kTile = 32;             // Side of a tile in pixels. A warp covers one row at a time.
-constexpr int kSmallPixels = 32 * 32;  // Pixels of the bounding box of the largest small piece.
+constexpr int kSmallPixels = 32 * 32;  // A piece is small if its bounding box has at most this number of pixels.
 
 FOURD_DEVICE static inline bool is_small(const Bounds& bounds) {
     return (bounds.right - bounds.left + 1) * (bounds.bottom - bounds.top + 1) <= kSmallPixels;
@@ -68,8 +68,8 @@ struct CoverSmall {
 struct CoverLarge {
     Items items;
     Target target;
-    int columns;              // Tiles per row.
-    std::size_t tiles;        // Tiles per image.
+    int columns;              // Number of tiles per row.
+    std::size_t tiles;        // Number of tiles per image.
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane&) const {
         const std::size_t warp = index / device::kWarpSize, image = warp / tiles, tile = warp % tiles;

@@ -33,7 +33,7 @@ struct Shade {
     Query query;
     Target target;
     float* rast;
-    float* rast_db;  // May be null.
+    float* rast_db;  // Null if the derivatives are not needed.
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         float* const out = rast + 4 * index;
@@ -77,7 +77,7 @@ struct Backward {
     Screen screen;
     const float* rast;
     const float* grad_rast;
-    const float* grad_db;  // May be null.
+    const float* grad_db;  // Null if the loss does not depend on rast_db.
     float* grad_pos;
 
     FOURD_DEVICE void operator()(std::size_t index) const {

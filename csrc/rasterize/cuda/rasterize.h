@@ -1,12 +1,12 @@
-// The rasterizer (rasterize/rasterize.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are
-// in GPU memory. `longest_range` is the largest number of triangles of an image.
+// The rasterizer (rasterize/rasterize.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays
+// are in GPU memory. `longest_range` is the largest number of triangles of an image.
 #pragma once
 
 #include "rasterize/rasterize.h"
 
 namespace fourd::rasterize::cuda {
 
-// The bytes that rasterize() needs as `workspace`.
+// The size in bytes of the `workspace` that rasterize() needs.
 std::size_t workspace_bytes(std::size_t images, std::size_t height, std::size_t width, std::size_t longest_range);
 
 void rasterize(const Query& query, std::size_t longest_range, void* workspace, const float* previous, float* rast,

@@ -42,7 +42,8 @@ FOURD_DEVICE static inline Planes planes_of(const Screen& screen, const Triangle
     return make_planes(screen, triangle.corners[0], triangle.corners[1], triangle.corners[2], column, row);
 }
 
-// The nearest triangle of a pixel as a number: first the depth, then the triangle. Smaller numbers are nearer.
+// A pixel stores its nearest triangle as one number, with the depth in the upper bits and the triangle in the lower
+// bits. The nearest triangle has the smallest number.
 constexpr std::uint64_t kNoHit = ~std::uint64_t{0};
 
 FOURD_DEVICE static inline std::uint64_t key_of(float depth, int triangle) {
@@ -60,7 +61,7 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
     return depth;
 }
 
-// The images that the kernels write the nearest triangles to.
+// The images to which the kernels write the nearest triangles.
 struct Target {
     Screen screen;
     std::uint64_t* keys;    // (images, height, width).

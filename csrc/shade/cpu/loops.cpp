@@ -15,7 +15,7 @@
 namespace fourd::shade::FOURD_SIMD {
 namespace {
 
-// Computes basis[k][i], which is harmonic k in the direction from the camera to point i.
+// Computes basis[k][i], the value of spherical harmonic k in the direction from the camera to point i.
 FOURD_INLINE void fill_basis(const float* xyz, int count, const double* centre, float (*basis)[kBlock]) {
     float dx[kBlock], dy[kBlock], dz[kBlock];
     for (int i = 0; i < count; ++i) {

@@ -124,8 +124,8 @@ void gradient_row(const Plan& plan, int row, const float* derivatives, float* sc
     const float* y = plan.pictures.truth + row * stride;
     float *padded = scratch, *smoothed = scratch + stride + border;
     for (int derivative = 0; derivative < kDerivatives; ++derivative) {
-        // The derivatives are padded with zeros beyond the valid part. The window is symmetric, so its weights need no
-        // reversal.
+        // The derivatives are padded with zeros beyond the valid part. The backward pass correlates with the reversed
+        // window. The window is symmetric, so reversing it changes nothing.
         std::memset(padded, 0, border * sizeof(float));
         std::memset(padded + stride, 0, border * sizeof(float));
         const int first = row < plan.valid_rows ? 0 : row - plan.valid_rows + 1;

@@ -19,7 +19,7 @@ struct Window {
 struct Plan {
     Pictures pictures;
     Window window;
-    std::size_t stride, valid;  // Floats per row of the pictures, and of the valid part.
+    std::size_t stride, valid;  // Number of floats per row of the pictures, and per row of the valid part.
     int rows, valid_rows;
     float scale;  // 1 / (number of valid values).
 

@@ -9,7 +9,8 @@ namespace {
 
 constexpr std::size_t kTrianglesPerTask = 4096;
 
-// Sums the slots of a triangle in order, and back-propagates the sum to the corners of the triangle.
+// Each tile that a triangle covers has a slot (tiles/depth_bins.h) with the sums of gradients over the tile's pixels.
+// This function adds the slots of a triangle in order, and back-propagates the total to the corners of the triangle.
 void gather_gradient(const Mesh& mesh, const Settings& settings, Workspace& workspace, std::size_t triangle,
                      const MeshGradient& out) {
     const std::size_t channels = static_cast<std::size_t>(mesh.channels), width = kShapeSums + channels;

@@ -32,7 +32,7 @@ struct Tile {
 struct Visits {
     std::uint16_t* blocks;   // (count,): mask of the blocks that each entry may hit.
     std::uint32_t* entries;  // (count,): entries of the visits of a block.
-    float* x;                // (count, 16): log-odds of D.
+    float* x;                // (count, 16): log-odds of the coverage D (maths.h).
     float* depth;            // (count, 16): kNoHit at pixels that do not use the triangle.
 };
 

@@ -45,8 +45,8 @@ struct GradientPixel {
 
   private:
     struct Sums {
-        float open;    // Product of 1 - D.
-        float weight;  // Sum of the weights, including the background.
+        float open;    // Product of 1 - D over the triangles of the pixel.
+        float weight;  // Sum of the weights, including the weight of the background.
         float mean;    // Weighted mean of the values.
     };
 
@@ -85,7 +85,8 @@ struct GradientPixel {
     }
 };
 
-// Back-propagates the sums of a rank to the gradient of its triangle. Culled triangles get zero gradients.
+// Back-propagates the gradients that were summed over pixels to the gradient of a triangle. Sums are indexed by rank,
+// which is the position of the triangle in depth order. Culled triangles get zero gradients.
 struct GradientTriangle {
     Entries entries;
     Mesh mesh;

@@ -22,7 +22,8 @@ Fingerprint fingerprint(const Mesh& mesh, const Settings& settings) {
     return out;
 }
 
-// Sums the slots of a triangle in order, and back-propagates the sum to the corners of the triangle.
+// Each tile that a triangle covers has a slot (tiles/depth_bins.h) with the sums of gradients over the tile's pixels.
+// This function adds the slots of a triangle in order, and back-propagates the total to the corners of the triangle.
 void gather_gradient(const Mesh& mesh, const Settings& settings, Workspace& workspace, std::size_t triangle,
                      const MeshGradient& out) {
     const std::size_t channels = static_cast<std::size_t>(mesh.channels), width = kShapeSums + channels;

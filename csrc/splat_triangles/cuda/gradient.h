@@ -5,8 +5,8 @@
 
 namespace fourd::splat_triangles::cuda {
 
-// The gradient of the loss with respect to the composited channels of a pixel. splat_triangles/cpu/gradient.inc explains
-// the formula and `rest`.
+// The gradient of the loss with respect to the composited channels of a pixel. splat_triangles/cpu/gradient.inc
+// explains the formula and `rest`.
 template <int kCapacity>
 struct Upstream {
     float channel[kCapacity];
@@ -102,7 +102,8 @@ struct GradientPixel {
     }
 };
 
-// Back-propagates the sums of a rank to the gradient of its triangle. Culled triangles get zero gradients.
+// Back-propagates the gradients that were summed over pixels to the gradient of a triangle. Sums are indexed by rank,
+// which is the position of the triangle in depth order. Culled triangles get zero gradients.
 struct GradientTriangle {
     Entries entries;
     Mesh mesh;

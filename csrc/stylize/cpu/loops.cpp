@@ -1,5 +1,5 @@
-// The picture, computed in runs of kRun pixels of a row. Every step is a loop over the arrays of a run, which compilers
-// vectorise.
+// Computes the picture in runs of kRun pixels of a row. Every step is a loop over the arrays of a run. Compilers
+// vectorise these loops.
 #include "stylize/cpu/loops.h"
 
 #include <cmath>
@@ -19,7 +19,8 @@ struct Colours {
 
 inline float mix(float a, float b, float share) { return a + share * (b - a); }
 
-// The colours of the shade table for a tone and a detail, each from 0 to 1.
+// Looks up the colours of the shade table. The tone selects the column, and the detail selects the row. Both are in
+// [0, 1].
 inline void look_up(const Style& style, const float* tone, const float* detail, Colours& out) {
     const std::uint32_t* table = style.table;
     if (style.rows == 1) {
@@ -45,7 +46,8 @@ inline void look_up(const Style& style, const float* tone, const float* detail, 
     }
 }
 
-// The tone (1 + N.L) / 2, the cosine N.V and the detail of each pixel.
+// The tone (1 + N.L) / 2, the cosine N.V and the detail (row of the shade table) of each pixel. N is the normal, L the
+// direction of the light, and V the direction of the camera.
 struct Shape {
     float tone[kRun], facing[kRun], detail[kRun];
 };
@@ -79,7 +81,7 @@ inline void measure_depth_detail(const Taps& centre, const Style& style, float* 
     }
 }
 
-// Computes only what the style needs. The other members are 0.
+// Computes the members of Shape that the style needs. The other members are 0.
 inline void measure(const Taps& centre, const Style& style, int row, int first, Shape& out) {
     const Numbers& n = style.numbers;
     const bool has_rows = style.rows > 1, by_facing = style.detail == Detail::facing;
@@ -90,13 +92,13 @@ inline void measure(const Taps& centre, const Style& style, int row, int first, 
     if (has_rows && !by_facing) measure_depth_detail(centre, style, out.detail);
 }
 
-// The distance to the nearest centre line of a set of parallel lines: 0 on the line, 1 halfway between two lines.
+// The distance to the nearest of a set of parallel lines: 0 on a line, 1 halfway between two lines.
 inline float wave(float position) {
     const float whole = static_cast<float>(static_cast<int>(position)), part = position - whole;
     return size_of(2.0f * part - 1.0f);
 }
 
-// The share of ink of two layers of hatching, whose lines widen where the picture is darker.
+// The share of a pixel that two layers of hatching cover with ink. The darker the picture, the wider the lines.
 inline float hatching(const Numbers& n, float x, float y, float light) {
     float ink = 0.0f;
     for (int layer = 0; layer < 2; ++layer) {
@@ -153,7 +155,7 @@ inline void fill_paper(const Numbers& n, int count, std::uint32_t* out) {
     for (int i = 0; i < count; ++i) out[i] = paper;
 }
 
-// Draws a run of a row from the taps of three rows.
+// Draws a run of a row. Taps are the samples that the line filters read, from this row and the rows above and below.
 void draw_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
               std::uint32_t* state, std::uint32_t* picture) {
     float lines[kRun];
@@ -166,7 +168,7 @@ void draw_run(const Surface& surface, const Style& style, const Taps* const* row
     paint(albedo, *rows[1], shape, lines, style, row, first, picture);
 }
 
-// Draws rows [begin, end) of a column of runs.
+// Draws rows [begin, end) of the column of runs that starts at pixel `first` of each row.
 void draw_column(const Surface& surface, const Style& style, int first, int begin, int end, std::uint32_t* line_state,
                  std::uint8_t* out) {
     Column column(surface, first, begin);

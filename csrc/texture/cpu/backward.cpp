@@ -14,7 +14,7 @@ namespace {
 
 // A band has about 16 rows of texels, so that few pixels read texels of two bands. A band also fits into the L2 cache.
 constexpr std::size_t kRowsPerBand = 16, kMinBandTexels = 1 << 12, kMaxBandFloats = 1 << 18;
-// If a band has more entries than this, the entries are divided into parts, which are summed separately and in
+// A band with more than kMaxEntriesPerPart entries is divided into parts. The parts are summed separately and in
 // parallel.
 constexpr std::size_t kMaxEntriesPerPart = 1 << 15;
 
@@ -79,7 +79,7 @@ class EntryTable {
     std::vector<List> lists_;
 };
 
-// Those entries of a band that come from the tasks [first_task, last_task).
+// The entries of a band that come from the tasks [first_task, last_task).
 struct Part {
     std::size_t item;
     int level;
@@ -132,7 +132,7 @@ class Scatter {
     }
 
   private:
-    // Number of floats that are enough for the sums of any band.
+    // The number of floats that the sums of the largest band need.
     std::size_t sums_size() const {
         std::size_t largest = 0;
         for (int level = 0; level < query_.texture.shape.level_count; ++level) {
@@ -176,7 +176,7 @@ class Scatter {
         return static_cast<std::size_t>(band.end - band.begin) * stride_of(query_.texture.shape.channels);
     }
 
-    // Adds up the sums of all parts of a band, in their order.
+    // Adds the sums of all parts of a band, in the order of the parts.
     void add_up(int first, float* const* out) {
         const BandSums band = sums_of(parts_[first], sums_.data() + parts_[first].sums * sums_size());
         for (int number = 1; number < parts_[first].count; ++number) {

@@ -22,7 +22,7 @@ struct Batch {
     float uv[3][kRun];
     int face[kRun];
     float s[kRun], t[kRun];
-    float is_used[kRun];  // 1, or 0 for positions that are not finite.
+    float is_used[kRun];  // 0 for positions that are not finite, and 1 for all other positions.
     float level[kRun];    // Clamped mip level.
     int slot_level[2][kRun];
     float blend[2][kRun];  // Weights of the two levels.
@@ -68,7 +68,7 @@ FOURD_INLINE Footprint footprint_of(const Query& query, const Batch& b, const fl
             limited_derivative(d[3] * height)};
 }
 
-// Computes the clamped mip levels. uv_da and bias are those of the first pixel of the batch, or null.
+// Computes the clamped mip levels. uv_da and bias point to the values of the batch's first pixel, or are null.
 template <Boundary boundary>
 FOURD_INLINE void find_levels(const Query& query, Batch& b, const float* uv_da, const float* bias) {
     for (int i = 0; i < b.count; ++i) b.level[i] = 0.0f;
@@ -138,7 +138,7 @@ FOURD_INLINE void blend_weights(Batch& b, int slot) {
     }
 }
 
-// Calls work(boundary), where the type of `boundary` has the boundary mode as its value.
+// A type with the boundary mode as its value. with_boundary passes an object of this type to `work`.
 template <Boundary boundary>
 struct BoundaryTag {
     static constexpr Boundary value = boundary;
@@ -154,7 +154,8 @@ FOURD_INLINE void with_boundary(Boundary boundary, const Work& work) {
     }
 }
 
-// Calls work(channels), where the type of `channels` has the number of channels as its value, or 0 for any number.
+// A type with the number of channels as its value. The value 0 stands for any number of channels. with_channels passes
+// an object of this type to `work`.
 template <int channels>
 struct ChannelsTag {
     static constexpr int value = channels;

@@ -65,7 +65,8 @@ FOURD_INLINE void list_entries(const Query& query, const Batch& b, const float* 
     }
 }
 
-// Prefetches what the next batch of entries reads. `first` is the index of the task's first pixel in all pictures.
+// Prefetches the memory that the next batch of entries reads. `first` is the index of the task's first pixel among the
+// pixels of all pictures.
 FOURD_INLINE void prefetch_entries(const Query& query, std::size_t first, const Entry* entries, std::size_t count,
                                    const float* gradient, const float* levels) {
     const std::size_t channels = static_cast<std::size_t>(query.texture.shape.channels);

@@ -9,14 +9,15 @@
 namespace fourd::texture::FOURD_SIMD {
 namespace {
 
-// Loads the coordinates of consecutive pixels, from the coordinates of the first one.
+// Loads the coordinates of consecutive pixels. `uv` points to the coordinates of the first pixel.
 FOURD_INLINE void load_uv(Batch& b, const float* uv, int coordinates) {
     for (int axis = 0; axis < coordinates; ++axis) {
         for (int i = 0; i < b.count; ++i) b.uv[axis][i] = uv[coordinates * i + axis];
     }
 }
 
-// Finds the levels and texels of `count` consecutive pixels. `pixel` is the index of the first of them in all pictures.
+// Finds the levels and texels of `count` consecutive pixels. `pixel` is the index of the first pixel among the pixels
+// of all pictures.
 template <Boundary boundary, bool with_slopes>
 FOURD_INLINE void prepare(const Query& query, std::size_t pixel, int count, Batch& b) {
     const int coordinates = boundary == Boundary::cube ? 3 : 2;
@@ -33,7 +34,7 @@ FOURD_INLINE void prepare(const Query& query, std::size_t pixel, int count, Batc
     for (int slot = 0; slot < slots_of(query); ++slot) find_texels<boundary, with_slopes>(query, b, slot);
 }
 
-// The levels of the texture of a picture.
+// For each mip level, a pointer to the texels of the texture that belongs to a picture.
 struct Bases {
     const float* level[kMaxLevels];
 
@@ -44,7 +45,8 @@ struct Bases {
     }
 };
 
-// Adds the weighted texels of one level to a pixel. A fixed number of channels stays in registers.
+// Adds the weighted texels of one level to a pixel. If the number of channels is known at compile time, the sum stays
+// in registers.
 template <int Channels>
 FOURD_INLINE void add_texels(const Batch& b, int slot, int i, const Bases& bases, std::size_t channels, float* sum) {
     const float* level = bases.level[b.slot_level[slot][i]];
@@ -87,7 +89,7 @@ void sample(const Query& query, const Task& task, float* out) {
     });
 }
 
-// The products of the gradient of each pixel with the values of its texels.
+// The dot products of the gradient of each pixel with the values of its texels.
 struct Products {
     float value[2][4][kRun];
 };

@@ -56,8 +56,8 @@ struct Loops {
     // Adds the contributions of some entries of a task to the sums of a band.
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
-    // Computes some rows of a level from the finer level. The finer level has two rows for each row if halves_rows is
-    // true, and one row otherwise.
+    // Computes some rows of a level from the next finer level. The finer level has two rows for each row of the level
+    // if halves_rows is true, and one row otherwise.
     void (*halve)(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out);
     // The backward pass of halve: adds the gradient of the coarser level to some rows of the gradient of the finer
     // level.

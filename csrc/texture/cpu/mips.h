@@ -1,5 +1,5 @@
-// Loops that compute a mip level from the finer level, and their gradient. Only dispatched files (common/dispatch.h)
-// include this file.
+// Loops that compute a mip level from the next finer level, and the backward pass of these loops. Only dispatched files
+// (common/dispatch.h) include this file.
 #pragma once
 
 #include <cstddef>
@@ -39,7 +39,7 @@ FOURD_INLINE void spread_row(const float* coarse, int fine_width, float share, i
     }
 }
 
-// With one row in the finer level, both rows of a mean are the same row.
+// If the finer level has only one row, each mean is over two texels of this row.
 void halve(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out) {
     const std::size_t fine_row = static_cast<std::size_t>(fine_width) * static_cast<std::size_t>(channels);
     const std::size_t row = fine_width == 1 ? fine_row : fine_row / 2;

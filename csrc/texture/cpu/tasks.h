@@ -19,15 +19,16 @@ inline std::vector<Task> tasks_of(const Query& query) {
     return tasks;
 }
 
-// Some rows of a level, as offsets in floats into the level and into the finer level.
+// Some rows of a level. `coarse` is the offset of these rows in the level, and `fine` is the offset of the rows from
+// which they are computed in the next finer level. Offsets are in floats.
 struct HalvedRows {
     std::size_t fine, coarse, count;
     int fine_width;
     bool halves_rows;
 };
 
-// Calls work(rows) for all rows of a level, on all workers of the team. The rows of all faces and items are
-// consecutive.
+// Calls work(rows) for all rows of a level, on all workers of the team. The rows of all faces of all items are numbered
+// consecutively.
 template <typename Work>
 void for_halved_rows(const Shape& shape, int level, Team& team, const Work& work) {
     constexpr std::size_t kFloatsPerTask = std::size_t{1} << 15;

@@ -35,7 +35,7 @@ struct Entries {
     std::uint32_t* values;       // Sort values: first primitives, then the ranks of entries.
     std::uint32_t* depths;       // Bits of the depth, indexed by rank.
     std::uint32_t* indices;      // Primitives, indexed by rank.
-    std::uint64_t* tile_counts;  // Number of tiles of each rank, followed by a 0.
+    std::uint64_t* tile_counts;  // Number of tiles of each rank. The last element is 0.
     std::uint64_t* begin;        // First entry of each rank, followed by the number of entries.
     std::uint32_t* entry_tiles;  // Tile of each entry, in ascending order.
     std::uint32_t* entry_ranks;  // Rank of each entry, sorted by tile, then by rank.
@@ -88,8 +88,8 @@ FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t 
     return first;
 }
 
-// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a primitive: the exclusive sum at this rank
-// is the number of entries.
+// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a primitive: the exclusive sum at this
+// rank is the number of entries.
 template <typename Splat>
 struct GatherRank {
     Entries<Splat> to;
@@ -106,14 +106,14 @@ struct GatherRank {
     }
 };
 
-// This kernel has one thread per entry, not per primitive, because the number of tiles of a primitive ranges from one to all
-// tiles.
+// This kernel has one thread per entry, not per primitive, because the number of tiles of a primitive ranges from one
+// to all tiles.
 template <typename Splat>
 struct EmitEntry {
     Entries<Splat> to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // Larger than the key of any tile.
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // This key is above the key of any tile.
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
             // The rank of an entry is the last rank whose first entry is at or before this entry. A rank without tiles

@@ -49,15 +49,14 @@ def seed_from_radiance(
 
     Stereo measures depths in areas where two plates match (:mod:`fourd.background.stereo`). In areas without a match,
     depths are extrapolated. A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on the
-    measured and extrapolated depths. Colours are not enough: if cameras are 20 degrees apart, a field that was
-    optimised only on colours reproduces each plate with radiance that only one camera sees. In cells without stereo
-    depth, the median depth of the field is used if another plate confirms this depth. The same input, seed and number
-    of torch threads give the same points.
+    measured and extrapolated depths. Without the depths, a field for cameras that are 20 degrees apart reproduces each
+    plate with radiance that only one camera sees. In cells without stereo depth, the median depth of the field is used
+    if another plate confirms this depth. The same input, seed and number of torch threads give the same points.
 
     Args:
         plates: clean plates of at least two cameras.
-        points: requested number of points, at least 1. If the plates have few visible pixels, fewer points are
-            returned.
+        points: requested number of points, at least 1. If the plates have few visible pixels, the result has fewer
+            points than requested.
         config: settings of the radiance field.
         seed: seed of the random numbers.
         workers: number of processes for stereo.

@@ -33,7 +33,7 @@ OCCLUSION_MARGIN = 0.03
 """Relative depth difference above which a point in front of a known surface occludes the surface."""
 ITERATIONS = 3
 MIN_COMPONENT_CELLS = 25
-"""Minimum number of cells in a connected component; smaller components are outliers."""
+"""Minimum number of cells in a connected component. Components with fewer cells are outliers."""
 CONTINUITY_TOLERANCE = 0.03
 """Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. If the error exceeds
 this maximum, the two cells are not connected."""

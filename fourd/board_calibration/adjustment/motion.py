@@ -17,8 +17,8 @@ HALF_WINDOW = 2
 END_WINDOW = 3
 """Number of frames from which the motion in the first and in the last frame of a sequence is computed."""
 MAX_GAP = 2
-"""Longest time between two successive frames of a sequence, as a multiple of the median time. A sequence is divided
-where the time is longer, because the motion in between is unknown."""
+"""Longest time between two successive frames of a sequence, as a multiple of the median time. Where the time exceeds
+this maximum, the sequence is divided, because the motion between the two frames is unknown."""
 
 
 def board_motion(frames: Sequence[int], boards: Poses) -> Array:

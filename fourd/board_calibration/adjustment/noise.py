@@ -1,9 +1,10 @@
 """Errors of the corners in one image: independent errors, and errors that all corners of the image share.
 
-Corners of one image share the errors of the image: the board bends, an image is blurred, and its exposure does not
-start exactly at the frame's time. The shared errors are described as a small random rotation, shift and delay of the
-board in each view. The variances of these shared errors are estimated together with the rig by expectation maximisation
-(Dempster, Laird and Rubin 1977; Harville, Maximum likelihood approaches to variance component estimation, 1977).
+The corners of one image have errors in common. Their causes are a bent board, motion blur, and an exposure that does
+not start exactly at the frame's time. The shared errors are described as a small random rotation, shift and delay of
+the board in each view. The variances of these shared errors are estimated together with the rig by expectation
+maximisation (Dempster, Laird and Rubin 1977; Harville, Maximum likelihood approaches to variance component estimation,
+1977).
 """
 
 from __future__ import annotations

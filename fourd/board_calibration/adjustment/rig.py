@@ -95,10 +95,10 @@ class Timing:
     Attributes:
         delay: (C,) delays of the middle of the image in frames.
         readout: (C,) durations of the readout in frames. A duration is negative if the last row is read first.
-        phase: (C, 2) gradient of the phase per pixel along x and y. It is (0, 1 / height) if the sensor's rows are the
-            image's rows, and (1 / width, 0) if the image is turned by 90 degrees.
-        motion: (F, 6) rotation vector per frame and velocity in metres per frame of the board's origin, in the world,
-            at each position of the board. The motions are constant in an adjustment.
+        phase: (C, 2) gradient of the phase per pixel along x and y. If the sensor's rows are the image's rows, the
+            gradient is (0, 1 / height). If the image is turned by 90 degrees, the gradient is (1 / width, 0).
+        motion: (F, 6) motion at each position of the board, in world coordinates: the rotation vector per frame, and
+            the velocity of the board's origin in metres per frame. The motions are constant in an adjustment.
     """
 
     delay: Array

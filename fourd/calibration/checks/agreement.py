@@ -33,9 +33,9 @@ Picture = NDArray[np.uint8]
 FEW_CAMERAS = 5
 FEW_CAMERAS_FRAMES = 3
 MAX_PICTURE_PIXELS = 2.1e6
-"""Maximum number of pixels per image; larger images are reduced."""
+"""Maximum number of pixels per image. Images with more pixels are reduced."""
 MAX_FRAME_PIXELS = 12e6
-"""Maximum total number of pixels of one frame's images from all cameras; larger images are reduced.
+"""Maximum total number of pixels of one frame's images from all cameras. Above this maximum, all images are reduced.
 
 Because of this limit on pixels, the check of a ring of cameras takes only seconds.
 """

@@ -27,7 +27,7 @@ DEFAULT_SECONDS = 120.0
 @dataclass(frozen=True)
 class Arguments:
     """Soft triangles start on the visual hull of the mattes and are fitted to the images. During fitting, the triangles
-    become opaque and sharp-edged. They are then connected to a closed mesh with one colour per vertex."""
+    become opaque and sharp-edged. The triangles are then connected to a closed mesh with one colour per vertex."""
 
     capture: CapturePath
     """Capture folder with masks/ or the output of fourd matte."""
@@ -37,8 +37,8 @@ class Arguments:
     """Index of the frame in the capture, from 0."""
     views: Views = None
     test_views: Annotated[str | None, option("NAME,NAME", "none")] = None
-    """Names of held-out cameras, separated by commas. The mesh does not depend on them, and its scores in these views
-    are printed."""
+    """Names of held-out cameras, separated by commas. The mesh does not depend on held-out cameras. The scores of the
+    mesh in the held-out views are printed."""
     scale: float = 1.0
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     triangles: int = TriangleSettings.triangles

@@ -55,8 +55,8 @@ class Arguments:
     steps: int = FitSettings.steps
     """Number of gradient-descent steps per frame. With 0, the meshes are the visual hulls."""
     remesh: float = MeshSettings.remesh
-    """Replaces the triangles by fewer and nearly equilateral triangles with edges of this length, in grid cells. 0
-    keeps the triangles of the grid. Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""
+    """Edge length, in grid cells, of the nearly equilateral triangles that replace the triangles of the grid. 0 keeps
+    the triangles of the grid. Remeshing needs the package gpytoolbox (pip install 'fourd[mesh]')."""
     texture_size: int = MeshSettings.texture_size
     """Width and height of the textures in texels."""
     format: MeshFormat = MeshSettings.format

@@ -33,7 +33,7 @@ class Arguments:
     cameras: Annotated[int | None, option("INT", "12, with --board 4", CAMERAS_HELP)] = None
     size: Annotated[int | None, option("INT", "256, with --board 640", SIZE_HELP)] = None
     seed: int = 0
-    """Random seed, at least 0. It determines the figure's clothes, proportions and gait phase, or the board's
+    """Random seed, at least 0. The seed determines the figure's clothes, proportions and gait phase, or the board's
     motion."""
     gloss: float = 0.3
     """Strength of the specular highlights, 0 to 1."""

@@ -23,7 +23,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Verify the files and print what was verified. Raises UserError for the first damaged file."""
+    """Verify the files and print their number and kind. Raises UserError for the first damaged file."""
     path = arguments.path
     if not path.exists():
         raise UserError(f"{path}: expected a run, a scene or a capture, got a path that does not exist; check the name")

@@ -1,7 +1,7 @@
 """EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext.
 
-Mattes in masks/CAM/ are optional. Pixel coordinates are not converted. fourd's own captures use the same files, and
-EasyVolcap writes pixel coordinates in the convention of COLMAP, which fourd uses, too.
+Mattes in masks/CAM/ are optional. Pixel coordinates are not converted. The captures of fourd use the same files.
+EasyVolcap writes pixel coordinates in the convention of COLMAP, and fourd uses the same convention.
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ LOG_TWO_PI = float(np.log(2 * np.pi))
 
 @dataclass(frozen=True)
 class Deviations:
-    """How often the pixels of the background differ from their colour in the background model.
+    """Shares of the background's pixels whose colour differs from the background model.
 
     Attributes:
         shaded: share in (0, 1) of background pixels in shadow or in reflected light.

@@ -20,7 +20,7 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 MAX_LOG_ODDS = np.float32(8.0)
-"""Maximum magnitude of log-odds; larger log-odds are clamped."""
+"""Maximum magnitude of log-odds. Log-odds beyond this magnitude are clamped."""
 UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
 """Factor on negative log-odds at pixels whose background is unknown. Negative log-odds are evidence against the
 subject."""
@@ -57,7 +57,7 @@ class Appearance:
         surround: colours of the background near the subject.
         region: (h, w) bool mask that contains the subject in all frames.
         still_px: length in pixels of the optical flow of static pixels.
-        deviations: how often the background differs from its model.
+        deviations: shares of the background's pixels whose colour differs from the background model.
     """
 
     background: BackgroundModel

@@ -39,8 +39,8 @@ A frame counts if the pixel is outside the other views' hull and the pixel's col
 CLEAR_PX = 8
 """Minimum distance in pixels from the hull of the other views.
 
-Only pixels at this distance or farther are used to learn how often the background changes. Closer pixels may show parts
-of the subject that the hull misses.
+Only pixels at this distance or farther are used to learn the share of the background that changes. Closer pixels may
+show parts of the subject that the hull misses.
 """
 CERTAIN_CONFIDENCE = 0.9
 MIN_CONFIRMATION = np.float32(0.03)
@@ -130,7 +130,7 @@ class Learner:
         self._fit_deviations(off_hull)
 
     def _fit_deviations(self, off_hull: Flags) -> None:
-        """Learn how often known background is in shadow or changes, from the pixels far from the hull.
+        """Learn the shares of known background that are in shadow or change, from the pixels far from the hull.
 
         ``off_hull`` (T, h, w) is True outside the other views' visual hull. Frames without a hull do not count.
         """

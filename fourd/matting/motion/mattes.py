@@ -26,7 +26,7 @@ Picture = NDArray[np.uint8]
 MAX_SIDE_PX = 640
 """Maximum length in pixels of the longest side of the images from which log-odds are computed.
 
-For larger images, edge refinement adds the detail afterwards.
+If the capture's images are larger than this size, edge refinement adds the detail afterwards.
 """
 
 
@@ -49,9 +49,10 @@ class MatteMaker:
 
     @staticmethod
     def from_subject(subject: Subject, backgrounds: Sequence[BackgroundModel], cameras: Sequence[Camera]) -> MatteMaker:
-        """Create a matte maker from a learned subject and higher-resolution backgrounds.
+        """Create a matte maker from a learned subject and backgrounds.
 
-        The backgrounds have the image size of ``cameras``.
+        The backgrounds have the image size of ``cameras``, which is larger than the image size at which the subject was
+        learned.
         """
         appearances = tuple(
             appearance.with_background(fine) for appearance, fine in zip(subject.appearances, backgrounds, strict=True)

@@ -136,7 +136,8 @@ def strokes_in_frame(
 
 
 def _carried(strokes: Strokes, capture: Capture, camera: Camera, frame: int) -> Floats:
-    """Strokes propagated to another frame by optical flow, weaker with distance, and 0 where colours do not match."""
+    """Propagate strokes to another frame by optical flow. The log-odds become weaker with the distance between the
+    frames, and are 0 where the colours of the two frames do not match."""
     target = reduce_picture(capture.image(strokes.camera, frame), camera)
     source = reduce_picture(capture.image(strokes.camera, strokes.frame), camera)
     flow = flow_field(target, source)

@@ -20,7 +20,7 @@ from fourd.matting.motion.subject import Subject
 
 
 def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:
-    """Write the subject's appearances and the higher-resolution backgrounds, one per camera, atomically."""
+    """Write the appearance of the subject and the background of each camera, atomically."""
     arrays: dict[str, Any] = {"box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box)}
     for index, (appearance, fine) in enumerate(zip(subject.appearances, backgrounds, strict=True)):
         arrays |= {

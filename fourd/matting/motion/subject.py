@@ -34,12 +34,13 @@ Flags = NDArray[np.bool_]
 ITERATIONS = 4
 LOCAL_ITERATIONS = 2
 """Number of additional iterations after the first ITERATIONS iterations. The E-step of the additional iterations uses
-local colours. The M-step of these iterations also trusts the probabilities inside the other views' hull, so that
-background between the subject's limbs becomes known. The second of these iterations uses the better edges of the first
-one, so that background that is only visible next to the subject becomes known."""
+local colours. In the M-step of the additional iterations, a low probability of the subject confirms background even
+inside the other views' hull. Background between the subject's limbs therefore becomes known. The first additional
+iteration makes the edges of the subject more accurate than before. In the second additional iteration, background that
+is visible only next to the subject becomes known."""
 MIN_REGION_PIXELS = 20
-"""Minimum number of changing pixels in at least one camera. With fewer changing pixels in every camera, there is no
-moving subject."""
+"""Minimum number of changing pixels in at least one camera. If every camera has fewer changing pixels than this
+minimum, there is no moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
 """The subject colours of each camera are mixed with the pooled subject colours of all cameras.

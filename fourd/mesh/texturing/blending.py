@@ -23,9 +23,9 @@ MIN_COSINE = 0.1
 """Minimum cosine at which a view colours a point. Below this minimum, the point is seen at a grazing angle."""
 
 DEPTH_TOLERANCE_PX = 2.0
-"""A point is visible if it is at most this distance, in pixels, behind the rasterized depth. For this test, the size of
-a pixel at the point's depth is divided by the cosine, because depth changes faster along slanted surfaces than along
-surfaces that face the camera."""
+"""A point is visible if it is at most this distance, in pixels, behind the rasterized depth. The size of a pixel at the
+point's depth converts this distance to world units. The size is divided by the cosine, because the depth changes by
+more from pixel to pixel on slanted surfaces than on surfaces that face the camera."""
 
 CHUNK = 1 << 19
 """Number of points that are coloured in one block. The block size limits the memory for large textures."""
@@ -47,11 +47,11 @@ class SourceView:
 def blend_views(xyz: Floats, normals: Floats, sources: Sequence[SourceView]) -> tuple[Floats, Floats]:
     """Blend the colours of points from the views that see the points.
 
-    The weight of a view is cos^p m^2. cos is the cosine between the normal and the direction to the camera, and p is
-    ANGLE_POWER. m is the smallest matte value of the 3 x 3 pixels around the point. Therefore, pixels at the contour,
-    which mix subject and background, have little weight. The weight is 0 if the point lies behind the smallest mesh
-    depth of the 3 x 3 pixels. Therefore, near the contour of a front part of the mesh, the colours of this part are not
-    painted on the part behind it.
+    The weight of a view is cos^p m^2. Here, cos is the cosine between the normal and the direction to the camera, and p
+    is ANGLE_POWER. The factor m is the smallest matte value of the 3 x 3 pixels around the point. Therefore, pixels at
+    the contour, which mix subject and background, have little weight. The weight is 0 if the point lies behind the
+    smallest mesh depth of the 3 x 3 pixels. Therefore, near the contour of a front part of the mesh, the colours of
+    this part are not painted on the part behind it.
 
     Args:
         xyz: (P, 3) points on the mesh.

@@ -75,7 +75,7 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return (N, K, 3): along, across and w of the vertices (N, K), relative to the centres of the owners."""
+    """Return the coordinates (along, across, w) of the vertices (N, K), relative to the owners' centres: (N, K, 3)."""
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)
     return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)
@@ -84,7 +84,8 @@ def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return a linear function that is 0 on the edge from p to q.
 
-    The results are its value (N,) at the owner, and its decrease (N,) per pixel along and across the pair.
+    The results are the value (N,) of the function at the owner, and the decreases (N,) of the function per pixel along
+    and across the pair.
     """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
@@ -113,7 +114,8 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
 
 
 def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, edge: Tensor) -> Tensor:
-    """Return whether each edge has no neighbouring triangle, or one that is not on the other side of the edge."""
+    """Return whether each edge is a silhouette. An edge is a silhouette if it has no neighbouring triangle, or if this
+    triangle is not on the other side of the edge."""
     neighbour = opposite.long()[pairs.triangle, edge]
     corners = tri.long()[pairs.triangle]
     ends = corners.gather(1, torch.tensor(EDGES, device=tri.device)[edge])

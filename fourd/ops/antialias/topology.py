@@ -13,8 +13,8 @@ NO_VERTEX = -1
 def opposite_vertices(tri: Tensor) -> Tensor:
     """Return for each edge of each triangle the third vertex of the neighbour, (T, 3) int32.
 
-    Column i belongs to the edge opposite to vertex i. Its value is -1 if the edge belongs to one triangle, or to more
-    than two. The vertices of an edge may have any order. Not differentiable.
+    Column i belongs to the edge opposite to vertex i. The value is -1 if the edge belongs to only one triangle, or to
+    more than two triangles. The vertices of an edge may have any order. Not differentiable.
 
     Args:
         tri: (T, 3) int32 vertex indices.

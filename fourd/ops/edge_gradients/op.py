@@ -48,13 +48,13 @@ def _(
 
 
 def add_edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, threads: int) -> Tensor:
-    """Return ``color``, whose backward pass includes the gradients of moving visibility edges. See
-    :func:`fourd.raster.triangles.edge_gradients`."""
+    """Return ``color`` unchanged. The backward pass of the result includes the gradients of moving visibility edges.
+    See :func:`fourd.raster.triangles.edge_gradients`."""
     return _MovingEdges.apply(color, rast, pos, tri, opposite, threads)
 
 
 class _MovingEdges(torch.autograd.Function):
-    """The identity on ``color``, whose backward pass also computes the gradient of ``pos``."""
+    """The identity on ``color``. The backward pass also computes the gradient of ``pos``."""
 
     @staticmethod
     def forward(

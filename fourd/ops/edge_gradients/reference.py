@@ -56,7 +56,7 @@ class _MovingEdges(torch.autograd.Function):
 
 
 def _finite(crossing: Tensor) -> Tensor:
-    """Return the crossings, with 0 and no gradient instead of values that are not finite."""
+    """Replace the crossings that are not finite by 0. These crossings have no gradient."""
     return torch.where(crossing.isfinite(), crossing, 0)
 
 

@@ -13,7 +13,7 @@ from fourd.ops.meshes.ids import decode_ids
 def interpolate_attributes_reference(
     attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int]
 ) -> tuple[Tensor, Tensor]:
-    """Compute what :func:`fourd.ops.interpolate.op.interpolate_attributes` computes, in float32 or float64."""
+    """Compute the result of :func:`fourd.ops.interpolate.op.interpolate_attributes`, in float32 or float64."""
     triangle = decode_ids(rast[..., 3]).long()
     is_hit = (triangle >= 0) & (triangle < tri.shape[0])
     image, row, column = is_hit.nonzero(as_tuple=True)

@@ -32,8 +32,8 @@ def check_tensor(
         value: the argument. Its values are not checked.
         shape: expected shape. A letter is an axis of any size, also 0. Axes with the same letter may have different
             sizes.
-        like: name and value of another argument. ``value`` must have its device, and its dtype if that is a
-            floating-point dtype.
+        like: name and value of another argument. ``value`` must be on the device of this argument. If this argument
+            has a floating-point dtype, ``value`` must also have the same dtype.
         dtypes: accepted dtypes. The dtypes are ignored if ``like`` has a floating-point dtype.
 
     Raises:

@@ -32,8 +32,7 @@ def sample_planes(coordinates: Tensor, planes: Sequence[Tensor], axes: Sequence[
 
     Returns:
         (N, F * len(planes)) features, differentiable in the planes and the coordinates. On the CPU, the gradient is
-        bit-identical for any number of threads. On a GPU, the gradient's
-        last bits vary between calls.
+        bit-identical for any number of threads. On a GPU, the last bits of the gradient vary between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

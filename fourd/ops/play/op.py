@@ -116,9 +116,10 @@ class PointPlayer:
 
         Args:
             normals: (N, 2) uint8 octahedral normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
-            persistence: weight of the depth and normal that ``out`` has before the call, from 0 to below 1. The old
-                values count only at pixels where they show the same surface: inverse depths within 2%, and normals
-                within 37 degrees. Use 0 for the first picture from a camera.
+            persistence: weight of the previous picture, at least 0 and below 1. Before the call, ``out`` contains the
+                depths and normals of the previous picture. The previous values are used only at pixels where both
+                pictures show the same surface. At such a pixel, the inverse depths differ by at most 2%, and the
+                normals by at most 37 degrees. Use 0 for the first picture from a camera.
             out: the surface to draw into, whose size is that of ``camera``.
 
         The other arguments and the errors are those of :meth:`draw`.
@@ -146,7 +147,7 @@ class PointPlayer:
 
 
 def _native_points(xyz: NDArray[np.float32], *halves: NDArray[np.float16]) -> tuple[NDArray[np.generic], ...]:
-    """Positions, and float16 arrays as the 16-bit words that the native module takes."""
+    """Return the positions unchanged, and the float16 arrays as the 16-bit words that the native module takes."""
     return (xyz, *(half.view(np.uint16) for half in halves))
 
 

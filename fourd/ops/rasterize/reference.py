@@ -46,7 +46,7 @@ def rasterize_triangles_reference(
     output_db: bool,
     grad_db: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute what :func:`fourd.ops.rasterize.op.rasterize_triangles` computes, for pos of float32 or float64.
+    """Compute the result of :func:`fourd.ops.rasterize.op.rasterize_triangles`, for pos of float32 or float64.
 
     Memory is proportional to the number of triangles times the number of pixels.
     """

@@ -24,8 +24,8 @@ CHUNK = 1 << 21
 
 
 class Projected(NamedTuple):
-    """M triangles projected to the image: incentre (x, y), slopes (M, 3) of the three scaled edge distances, and the
-    smallest window (M,) that has an alpha of at least 1/255."""
+    """M triangles projected to the image: the incentre (x, y), the slopes (M, 3) of the three scaled edge distances,
+    and the value of the window (M,) at which alpha is 1/255."""
 
     x: Tensor
     y: Tensor
@@ -89,7 +89,7 @@ def _cull(corners: Tensor, opacity: Tensor, sigma: Tensor, near: float) -> Tenso
 
 
 def triangles_in_range(corners: Tensor, near: float) -> Tensor:
-    """Return a mask (T,) of the projected triangles that are neither too near, nor too far, nor too thin."""
+    """Return a mask (T,) of the projected triangles whose depths, pixel coordinates and inradii are in range."""
     u, v, z = corners.unbind(-1)
     _, _, length, area = edges_of(u, v)
     perimeter = length[:, 0] + length[:, 1] + length[:, 2]

@@ -1,22 +1,25 @@
 """The input of the stylizer: the visible surface of a picture, and the numbers of a style for one camera.
 
-For a pixel with albedo F (colour / alpha), coverage s, unit normal N, unit vector V towards the camera, unit vector L
-towards the light and camera depth z, the stylizer computes
+A pixel has the albedo F (colour / alpha), the coverage s, the unit normal N and the camera depth z. V is the unit
+vector towards the camera, and L is the unit vector towards the light. The stylizer computes these quantities:
 
-- the closed surface: gaps of up to five pixels, behind which the points leave the view open to a farther surface, are
-  filled. If surfaces on both sides of a pixel are nearer than the pixel, it gets the farther one of the two,
-- the tone t = (1 + N.L) / 2 and the detail d: N.V, clamp(o + p z) or clamp(\\|o + p z\\|),
-- the colour C = S(t, d) (a + b F) + c F, where S is the shade table. Toon: a = 0, b = 1.5, c = 0. X-Toon (Barla et al.
-  2006) uses d as well. Gooch et al. (1998): a = 1, b = 0, and S goes from the cool to the warm colour,
-- the mix of C with the angle colour where N.V is below a threshold,
-- hatching: two layers of parallel lines, whose lines widen where the square root of t times the grey value of F is low,
-- lines of strength e from a Sobel filter or a cross filter on 1 / z and on the cosines between normals (Saito and
-  Takahashi 1990). With the state of the previous picture: where the surface rests, a line that becomes stronger has the
-  strength e + p (e_before - e). The surface rests where the sum of the inverse depths of the filter's nine taps differs
-  by at most 3% from that of the previous picture,
-- the picture: C over the paper with opacity s, and then the line colour with opacity e.
+- The closed surface. Points leave gaps through which a farther surface is visible. A pixel in a gap of up to five
+  pixels lies between two surfaces that are nearer than its own surface. The pixel gets the farther one of these two
+  surfaces.
+- The tone t = (1 + N.L) / 2 and the detail d. The detail is N.V, clamp(o + p z) or clamp(\\|o + p z\\|).
+- The colour C = S(t, d) (a + b F) + c F, where S is the shade table. Toon styles have a = 0, b = 1.5 and c = 0. X-Toon
+  styles (Barla et al. 2006) also use d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from the
+  cool colour to the warm colour. Where N.V is below a threshold, C is mixed with the angle colour.
+- Hatching with two layers of parallel lines. The lines widen where the square root of t times the grey value of F is
+  low.
+- Lines of strength e. A Sobel filter or a cross filter on 1 / z and on the cosines between normals finds the lines
+  (Saito and Takahashi 1990). If the state of the previous picture is given, lines fade in where the surface is at rest:
+  a line that becomes stronger gets the strength e + p (e_before - e). The surface is at rest where the sum of the
+  inverse depths at the filter's nine taps differs by at most 3% between the two pictures.
+- The picture. C is composited over the paper with opacity s, and the line colour is composited with opacity e.
 
-The inverse depth 1 / z of a plane is a linear function of the pixel, so that the cross filter draws nothing on planes.
+The inverse depth 1 / z of a plane is a linear function of the pixel. The cross filter therefore draws no lines on
+planes.
 """
 
 from __future__ import annotations
@@ -28,16 +31,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 TONES = 256
-"""Columns of a shade table."""
+"""Number of columns of a shade table."""
 MAX_ROWS = 64
-"""Most rows of a shade table."""
+"""Maximum number of rows of a shade table."""
 GAP = 3
-"""Largest distance from the surfaces on both sides at which a gap is filled, in pixels."""
+"""A pixel in a gap is filled if surfaces on both sides are at most this number of pixels away."""
 MAX_THICKNESS = 8
-"""Most pixels between the taps of a line filter."""
+"""Maximum number of pixels between the taps of a line filter."""
 
 SAME_TAPS = 0.03
-"""Largest relative difference between the summed taps of a surface that rests."""
+"""A surface is at rest if the relative difference of its summed taps between two pictures is at most this value."""
 
 Detail = Literal["facing", "depth", "focus"]
 LineFilter = Literal["none", "sobel", "cross"]
@@ -51,11 +54,11 @@ class Surface:
     """The visible surface of a picture.
 
     Attributes:
-        albedo: (H, W, 4) uint8, colours multiplied by alpha, then alpha.
-        inverse_depth: (H, W) float32, coverage / mean camera depth in 1 / world units, with coverage =
-            clamp(3 alpha - 0.5, 0, 1). 0 where there is no surface.
-        normal: (H, W, 4) uint8, bytes 127 n + 128 of the unit normal n in the camera's frame, which points out of the
-            surface, then 255 * coverage. n is 0 where there is no surface.
+        albedo: (H, W, 4) uint8: three colours multiplied by alpha, then alpha.
+        inverse_depth: (H, W) float32: coverage divided by mean camera depth, in 1 / world units. The coverage is
+            clamp(3 alpha - 0.5, 0, 1). The inverse depth is 0 where there is no surface.
+        normal: (H, W, 4) uint8: the three bytes 127 n + 128, then 255 * coverage. n is the unit normal in the camera's
+            frame and points out of the surface. n is 0 where there is no surface.
     """
 
     albedo: NDArray[np.uint8]
@@ -97,20 +100,23 @@ class Numbers:
     """The numbers of a style for one camera. Lengths are in pixels, colours are in [0, 1].
 
     Attributes:
-        ray: the ray of pixel (x, y) with depth 1 is (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5], 1).
+        ray: six numbers. The ray of pixel (x, y), scaled to depth 1, is
+            (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5], 1).
         light: unit vector towards the light in the camera's frame.
         table_alone, table_times_albedo, albedo_alone: a, b and c of the colour.
         detail_offset, detail_per_depth: o and p of the detail, p in 1 / world units.
         angle_threshold, angle_softness, angle_strength, angle_colour: the colour is mixed with angle_colour where N.V
             is below angle_threshold. The mix changes over angle_softness on both sides of the threshold.
-        depth_threshold: relative jump of the inverse depth at which a line begins. Above 0.
-        normal_threshold: change of the cosine at which a line begins. Above 0.
-        line_opacity, line_colour: the strongest line.
-        hysteresis: share by which the thresholds are lower where the previous picture has a line, 0 to below 1.
-        persistence: weight of the previous strength of a line that becomes stronger, where the surface rests. 0 to
+        depth_threshold: minimum relative jump of the inverse depth at a line. Above 0.
+        normal_threshold: minimum change of the cosine at a line. Above 0.
+        line_opacity, line_colour: opacity and colour of the strongest line.
+        hysteresis: share by which the thresholds are reduced where the previous picture has a line. At least 0,
             below 1.
+        persistence: weight p of the previous strength of a line that becomes stronger, where the surface is at rest.
+            At least 0, below 1.
         hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. The first layer starts where the light is
-            below hatch_levels[0]. hatch_width is the largest share of ink in a layer, 0 for no hatching.
+            below hatch_levels[0]. hatch_width is the largest share of ink in a layer. With hatch_width 0, there is no
+            hatching.
         paper: the colour behind the surface.
     """
 
@@ -149,9 +155,9 @@ class StyleParameters:
     Attributes:
         numbers: see :class:`Numbers`.
         table: the shade table, (R, 256, 3) uint8 with R from 1 to 64. Columns are tones, rows are details.
-        detail: what selects the row of the table.
+        detail: the quantity that selects the row of the table.
         lines: the filter that finds lines.
-        thickness: pixels between the taps of the filter, 1 to 8.
+        thickness: number of pixels between the taps of the filter, from 1 to 8.
     """
 
     numbers: Numbers

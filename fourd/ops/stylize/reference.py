@@ -1,4 +1,4 @@
-"""The stylizer in NumPy. Slow and simple: tests compare the kernel and the shaders with it."""
+"""The stylizer in NumPy. The implementation is slow and simple. Tests compare the kernel and the shaders with it."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def fill_gaps(surface: Surface) -> Surface:
 
 
 def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint32] | None = None) -> Image:
-    """Strength of the lines of a closed surface in [0, 1], (H, W)."""
+    """Strength (H, W) in [0, 1] of the lines of a surface whose gaps are filled."""
     scale = np.ones(surface.size, np.float32)
     if line_state is None or parameters.lines == "none":
         return _fresh_lines(surface, parameters, scale)
@@ -96,7 +96,7 @@ def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArra
 
 
 def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
-    """The upper 16 bits of the sums of the inverse depths of nine taps, (H, W)."""
+    """The upper 16 bits (H, W) of the sums of the inverse depths at the nine taps of the line filter."""
     depth, shift = surface.inverse_depth, _Shift(thickness)
     corners = (shift(depth, -1, -1) + shift(depth, -1, 1)) + (shift(depth, 1, -1) + shift(depth, 1, 1))
     arms = (shift(depth, -1, 0) + shift(depth, 1, 0)) + (shift(depth, 0, -1) + shift(depth, 0, 1))
@@ -104,7 +104,7 @@ def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
 
 
 def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) -> Image:
-    """Strength of the lines without the state of the previous picture. ``scale`` is a factor on the thresholds."""
+    """Strength of the lines of this picture, before they fade in. The thresholds are multiplied by ``scale``."""
     numbers, depth, coverage = parameters.numbers, surface.inverse_depth, surface.coverage
     normal = surface.unit_normal * coverage[..., None]
     if parameters.lines == "none":
@@ -162,7 +162,7 @@ def hatching(light: Image, numbers: Numbers) -> Image:
 
 @dataclass(frozen=True)
 class _Shift:
-    """Reads the pixels at a distance of ``thickness`` pixels. Pixels outside the image repeat its border."""
+    """Reads pixels that are ``thickness`` pixels away. Pixels outside the image repeat the image's border."""
 
     thickness: int
 
@@ -189,7 +189,7 @@ def _rays(size: tuple[int, int], numbers: Numbers) -> Image:
 
 
 def _ramp(value: Image, threshold: Image) -> Image:
-    """0 up to the threshold, 1 from 1.5 times the threshold."""
+    """Linear ramp: 0 up to the threshold, 1 from 1.5 times the threshold on."""
     return _clamp(2 * (value / threshold - 1))
 
 

@@ -73,9 +73,9 @@ def unpack_views(
         contents: for each view, N weight codes, then the colour levels of M points as three planes: green, red - green
             and blue - green, modulo 256. The M points are those whose code is not 0, or all points.
         mean: (N, 3) colours to which ``colour_step`` times the signed levels are added. With a step of 1, sums are
-            modulo 256. With larger steps, sums are clamped to [0, 255]. Points without levels have the mean colour.
+            modulo 256. With a step above 1, sums are clamped to [0, 255]. Points without levels have the mean colour.
         weights: (256,) blend weight of each code.
-        colour_step: 1 to 127.
+        colour_step: quantization step of the signed levels, from 1 to 127.
         every_point_has_colours: whether all points have colours, so that M = N.
         out: arrays (N, V) and (N, V, 3) to write to. If ``out`` is None, the arrays are allocated.
 

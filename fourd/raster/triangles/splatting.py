@@ -17,7 +17,8 @@ from fourd.ops.splat_triangles.reference import splat_triangles_reference
 
 MAX_CHANNELS = 32
 LARGEST_COORDINATE = 1e9
-"""Coordinates with a larger absolute value count as 0 in normals and depths, because their squares could overflow."""
+"""Coordinates with an absolute value above this limit count as 0 in normals and depths, because the squares of such
+coordinates could overflow."""
 
 
 @dataclass(frozen=True)

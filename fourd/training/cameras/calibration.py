@@ -79,8 +79,8 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
-    """``lens``, with pose and focal length replaced by those of ``camera``. The distortion coefficients are scaled with
-    the focal length, so that undistorted images stay the same."""
+    """Return ``lens`` with the pose and the focal length of ``camera``. The distortion coefficients are scaled with the
+    focal length, so that undistorted images stay the same."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)

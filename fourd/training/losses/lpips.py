@@ -116,10 +116,9 @@ def load_lpips(path: Path | None) -> LPIPS | None:
     Args:
         path: a file (.pth, .pt or .safetensors), or a folder with such files named ``vgg16*``, ``vgg.*`` or
             ``*lpips*``. The files contain VGG-16 under torchvision's names (``features.0.weight``), the linear heads
-            under the names of the lpips package (``lin0.model.1.weight``), or both. Missing parts are read from the
-            default
-            locations: torch.hub's ``checkpoints/vgg16-397923af.pth`` for VGG-16, and the installed package lpips or
-            torchmetrics for the heads. If ``path`` is None, only the default locations are used.
+            under the names of the lpips package (``lin0.model.1.weight``), or both. If VGG-16 is missing, it is read
+            from torch.hub's ``checkpoints/vgg16-397923af.pth``. If the heads are missing, they are read from the
+            installed package lpips or torchmetrics. If ``path`` is None, only these default locations are used.
 
     Returns:
         The network on the CPU, or None if ``path`` is None and a part of the weights is missing.

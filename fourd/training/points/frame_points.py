@@ -32,7 +32,7 @@ class FramePoints:
         radius: (N,) radii in world units from the last evaluation, used by occlusion tests.
         density: (N,) densities in (0, 1) from the last evaluation, used by occlusion tests.
         parameters: name -> optimised tensor. The positions are "xyz" (N, 3) in world units. Points with explicit SH
-            have the coefficients "sh" (N, 48). The points' own colours are "rgb" (N, 3).
+            have the coefficients "sh" (N, 48). The view-independent colours of the points are "rgb" (N, 3).
         optimizer: Adam's state for the parameters.
         gradient_sum: (N,) sum of gradient magnitudes over training steps; see ``accumulate_gradient_magnitudes``.
         visible_steps: (N,) number of training steps in which the point had a gradient.
@@ -72,7 +72,7 @@ class FramePoints:
             spacing: (N,) distance between each point and its neighbours in world units.
             radius: radius of each point, as a multiple of the point's spacing.
             explicit_sh: whether each point has its own optimised SH coefficients, which are initially zero.
-            rgb: (N, 3) initial own colours; None for points without own colours.
+            rgb: (N, 3) initial view-independent colours; None for points without view-independent colours.
         """
         count = xyz.shape[0]
         parameters = {"xyz": xyz.clone()}

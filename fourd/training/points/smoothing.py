@@ -32,7 +32,7 @@ ISOLATION_SPACINGS = 4.0
 """Distance to the neighbour of rank ISOLATION_RANK, in point spacings, beyond which a point is isolated. On an even
 surface, this distance is about 2 spacings."""
 MAX_SHARE = 0.5
-"""Maximum share of the distance beyond the tolerance that is removed in one step."""
+"""In one step, at most this share of the distance beyond the tolerance is removed."""
 
 
 def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:
@@ -43,8 +43,9 @@ def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: f
     because each image shows only few of them.
 
     In each call, the distance from the plane beyond the tolerance is reduced by the share ``strength * rate /
-    spacing``, where ``rate`` is the point's learning rate and ``spacing`` its spacing. Because both smoothing and the
-    loss move a point in proportion to its learning rate, their balance does not depend on the learning rate.
+    spacing``. Here, ``rate`` is the point's learning rate, and ``spacing`` is the point's spacing. Smoothing and the
+    loss both move a point in proportion to its learning rate. The balance between the two therefore does not depend on
+    the learning rate.
 
     Args:
         points: the points of a frame or of the background. The planes are fitted again every REFIT_STEPS steps.

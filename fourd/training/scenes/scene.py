@@ -38,7 +38,7 @@ class Target:
             the matte. For a frame of a full scene, the mask is 1 everywhere. For a plate, the mask is 1 where the plate
             shows the background.
         fills_picture: whether the whole image belongs to the scene. If true, pixels that are not known are excluded
-            from the loss. If false, they get the step's background colour.
+            from the loss. If false, pixels that are not known get the step's background colour.
     """
 
     camera: Camera
@@ -123,8 +123,8 @@ class TrainingScene(Protocol):
         the training budget."""
 
     def clear_caches(self) -> None:
-        """Drop cached data. A resumed run starts without cached data. Dropping the cached data of a run that continues
-        keeps the two runs equal."""
+        """Drop cached data. A resumed run starts without cached data. An uninterrupted run must therefore also drop its
+        cached data at each checkpoint, so that both runs give the same result."""
 
     def evaluate_frame(
         self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews

@@ -34,7 +34,7 @@ def random_cloud(rng: np.random.Generator, count: int = 50, terms: int = 16) -> 
 
 
 def colours(cloud: SplatCloud, directions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Colours (N, 3) of the splats seen along unit vectors (N, 3), by the definition."""
+    """Colours (N, 3) of the splats seen along unit vectors (N, 3), from the definition of spherical harmonics."""
     basis = np.stack([np.full(len(directions), SH_CONSTANT), *directional_terms(*directions.T)], axis=1)
     return 0.5 + np.einsum("nct,nt->nc", cloud.sh, basis[:, : cloud.sh.shape[-1]])
 

@@ -1,4 +1,5 @@
-"""Qualisys: poses in millimetres with y up and z backwards, focal lengths in 1/64 pixel of a larger sensor."""
+"""Tests of the importer for Qualisys files. Poses are in millimetres, with y up and z backwards. Focal lengths are in
+1/64 pixel, and the image is a part of the sensor."""
 
 from __future__ import annotations
 

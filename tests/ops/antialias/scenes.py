@@ -56,8 +56,8 @@ def random_scene(
     size: tuple[int, int] = (29, 34),
     intersecting: bool = True,
 ) -> Scene:
-    """A sphere, a box and four single triangles, in perspective and with random colours. The surfaces intersect unless
-    ``intersecting`` is False, which leaves a smaller sphere alone."""
+    """A sphere, a box and four single triangles, in perspective and with random colours. The surfaces intersect. If
+    ``intersecting`` is False, the scene has only the sphere."""
     sphere, box = trimesh.creation.icosphere(subdivisions=1, radius=0.7), trimesh.creation.box((0.8, 0.9, 1.0))
     points = np.concatenate((sphere.vertices - 0.3, box.vertices + 0.4, rng.uniform(-1.3, 1.3, (12, 3))))
     faces = np.concatenate((sphere.faces, box.faces + 42, np.arange(12).reshape(4, 3) + 50))

@@ -84,7 +84,7 @@ def test_gradient_equals_the_change_of_the_covered_area(backend: str, rng: np.ra
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_edges_inside_a_surface_are_not_blended(backend: str) -> None:
-    """Catches inner edges that count as silhouettes: the two triangles of a rectangle have different colours."""
+    """Catches blending at the common edge of the two triangles of a rectangle. The triangles have different colours."""
     pos = rectangle(2.3, 1.8, 8.6, 6.4, HEIGHT, WIDTH).float()[None]
     rast = rasterize_brute_force(pos, RECTANGLE, HEIGHT, WIDTH)
     color = rast[..., 3:].clone()
@@ -96,7 +96,7 @@ def test_edges_inside_a_surface_are_not_blended(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_folds_are_silhouettes(backend: str) -> None:
-    """Catches edges with a neighbour that are never blended: here, both neighbours lie on the left of the edge."""
+    """Catches an edge of two triangles that is not blended although both triangles lie on the left of the edge."""
     pos = torch.cat((rectangle(2.3, 1.0, 8.6, 8.0, HEIGHT, WIDTH), rectangle(3.0, 1.0, 8.6, 8.0, HEIGHT, WIDTH, 0.5)))
     tri = torch.tensor([[0, 1, 2], [0, 2, 3], [4, 1, 2]], dtype=torch.int32)
     image = paint(pos, tri, HEIGHT, WIDTH, backend)

@@ -83,7 +83,8 @@ def test_operator_passes_opcheck(rng: np.random.Generator) -> None:
 @pytest.mark.parametrize("power", [1.0, 2.5])
 def test_moving_square_has_the_slope_of_its_exact_image(power: float) -> None:
     """Catches a gradient of wrong sign or size. The edges lie between pixels, so that central differences of the exact
-    image are the mean over the two pixels at an edge. ``power`` scales w, which moves nothing."""
+    image are the mean over the two pixels at an edge. ``power`` multiplies x, y, z and w, and does not move the
+    vertices in the image."""
     rows, columns = torch.meshgrid(*(torch.arange(SIDE, dtype=torch.float64) + 0.5,) * 2, indexing="ij")
     weights = 0.3 * columns - 0.2 * rows + 0.05 * columns * rows
     x, y, size, step = 3.0, 4.0, 5.0, 1e-4
@@ -114,8 +115,8 @@ def test_image_is_unchanged_and_its_gradient_is_the_identity(rng: np.random.Gene
 
 
 def test_gradient_agrees_with_antialias_where_the_upstream_gradient_is_constant(rng: np.random.Generator) -> None:
-    """Catches silhouettes that one of the two operators misses: for equal upstream gradients, both have the same
-    slope."""
+    """Catches silhouettes that one of the two operators misses. If the upstream gradient is the same at all pixels,
+    both operators have the same gradient."""
     scene = random_scene(rng, intersecting=False)
     upstream = torch.ones_like(scene.color)
     leaf = scene.pos.clone().requires_grad_()
@@ -125,8 +126,9 @@ def test_gradient_agrees_with_antialias_where_the_upstream_gradient_is_constant(
 
 
 def intersecting_walls(rng: np.random.Generator) -> Tensor:
-    """Two triangles (1, 6, 4) float64 that cover the image. They have the same depth in a line x = d + k y, in
-    normalised device coordinates, with |d| < 0.3 and |k| < 0.5. The second triangle is nearer on the left."""
+    """Two triangles (1, 6, 4) float64, each of which covers the image. They intersect in the line x = d + k y, in
+    normalised device coordinates, with |d| < 0.3 and |k| < 0.5. Left of this line, the second triangle is nearer to
+    the camera than the first triangle."""
     d, k = rng.uniform(-0.3, 0.3), rng.uniform(-0.5, 0.5)
     walls = []
     for sign in (-1, 1):
@@ -134,7 +136,7 @@ def intersecting_walls(rng: np.random.Generator) -> Tensor:
         angles = 2 * np.pi * (np.arange(3) / 3 + rng.uniform(0, 1)) + rng.uniform(-0.2, 0.2, 3)
         xy = rng.uniform(4, 5, (3, 1)) * np.stack((np.cos(angles), np.sin(angles)), 1)
         depth = rng.uniform(0.05, 0.1) * sign * (xy[:, 0] - d - k * xy[:, 1])
-        # A factor of x, y, z and w moves nothing.
+        # A common factor of x, y, z and w does not move a vertex in the image.
         walls.append(np.column_stack((xy, depth, np.ones(3))) * rng.uniform(0.7, 1.5, (3, 1)))
     return torch.from_numpy(np.concatenate(walls))[None]
 

@@ -109,7 +109,8 @@ def test_a_plane_has_no_edge(lines: str, normal: tuple[float, float, float]) -> 
 
 
 def test_the_cross_filter_ignores_slopes() -> None:
-    """Catches first differences in the cross filter: a steep plane exceeds them at any threshold."""
+    """Catches a cross filter that uses first instead of second differences. The first differences of a steep plane
+    exceed any threshold."""
     surface = make_plane(96, (0.97, 0, -0.3))
     sensitive = line_parameters(96, depth_threshold=1e-4, lines="cross")
     assert not stylize_surface(surface, sensitive, line_state=np.zeros((96, 96), np.uint32))[..., 0].min() < 150
@@ -167,7 +168,8 @@ def test_ramps_below_the_threshold_draw_nothing() -> None:
 
 
 def test_outlines_are_closed() -> None:
-    """Catches outlines with gaps: every path from the middle of a sphere to the border crosses a line."""
+    """Catches outlines with gaps. Every path from the middle of a sphere to the border of the image must cross a
+    line."""
     surface = make_sphere(160)
     lines = find_lines(surface, line_parameters(160, depth_threshold=0.05)) > 0.5
     distance = np.hypot(*(np.mgrid[:160, :160] - 79.5))
@@ -213,7 +215,7 @@ def test_lines_vanish_at_once() -> None:
 
 
 def test_gaps_between_points_are_filled() -> None:
-    """Catches speckle where a few pixels show a farther surface between points."""
+    """Catches isolated line pixels where a few pixels show a farther surface through a gap between points."""
     depth = np.full((40, 40), 2.0)
     depth[10:12, 10:13], depth[30, :] = 5.0, 3.0
     surface = make_surface(depth, np.broadcast_to([0.0, 0, -1], (40, 40, 3)))
@@ -227,7 +229,7 @@ def find_lines_of_picture(surface: Surface) -> np.ndarray:
 
 
 def test_shading_follows_the_light() -> None:
-    """Catches a light from the wrong side: the lit side of a sphere is bright, the other side is dark."""
+    """Catches a light from the wrong side. The lit side of a sphere must be bright, and the other side must be dark."""
     table = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, 2)
     numbers = replace(numbers_of(64, table_alone=1.0, albedo_alone=0.0), light=(-1.0, 0.0, 0.0))
     picture = stylize_surface(make_sphere(64), StyleParameters(numbers, table))[..., 0]

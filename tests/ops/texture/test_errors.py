@@ -48,7 +48,7 @@ def test_invalid_values_are_named(arguments: dict[str, object], message: str) ->
     ],
 )
 def test_invalid_types_are_named(arguments: dict[str, object], message: str) -> None:
-    """Catches arguments of another type that are converted without a word."""
+    """Catches arguments of another type that are converted without an error."""
     with pytest.raises(TypeError, match=message):
         texture(**{"tex": TEX, "uv": UV, **arguments})  # type: ignore[arg-type]
 

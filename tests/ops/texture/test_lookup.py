@@ -128,7 +128,7 @@ def test_odd_sizes_need_a_limit() -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_own_levels_may_have_odd_sizes(backend: str) -> None:
-    """Catches sizes of own levels that are computed by rounding up."""
+    """Catches expected sizes of given mip levels that are computed by rounding up."""
     base, first, second = torch.zeros(1, 5, 7, 1), torch.ones(1, 2, 3, 1), torch.full((1, 1, 1, 1), 2.0)
     bias = torch.tensor([[[0.5, 1.75]]])
     found = texture(base, at((0.1, 0.2), (0.8, 0.9)), None, bias, mip=[first, second], backend=backend)

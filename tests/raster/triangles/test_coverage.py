@@ -100,8 +100,8 @@ def test_shared_edges_behind_the_camera_are_covered_once(backend: str, rng: np.r
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_only_depths_between_the_planes_are_visible(backend: str) -> None:
-    """Catches clipping at the wrong sign of z, and depths that are interpolated with perspective twice. z/w grows from
-    -2 at the left to 2 at the right."""
+    """Catches clipping at the wrong sign of z, and depths that are interpolated with perspective twice. The depth z/w
+    grows from -2 at the left to 2 at the right."""
     pos = torch.tensor([[[-1.0, -1, -2, 1], [1, -1, 2, 1], [-1, 1, -2, 1], [1, 1, 2, 1]]])
     pos = pos * torch.tensor([1.0, 2.0, 1.0, 2.0])[None, :, None]
     tri = torch.tensor([[0, 1, 2], [1, 3, 2]], dtype=torch.int32)

@@ -17,7 +17,7 @@ BACKENDS = ("cpu", "reference")
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_silhouette_of_a_right_triangle(backend: Any) -> None:
-    """Catches an alpha that is not sigmoid(+-d^2 / sigma), d in halves of the image's side."""
+    """Catches an alpha that is not sigmoid(+-d^2 / sigma). The unit of d is half of the image's side."""
     side, sigma = 32, 1e-2
     # Corners at the pixel coordinates (8, 8), (24, 8) and (8, 24).
     xyz = torch.tensor([[-0.25, -0.25, 0], [0.25, -0.25, 0], [-0.25, 0.25, 0]])

@@ -45,7 +45,7 @@ def test_planes_through_points_of_a_plane_are_exact(rng: np.random.Generator) ->
 
 
 def test_noise_across_the_surface_is_removed_up_to_the_tolerance(rng: np.random.Generator) -> None:
-    """Catches a pull in the wrong direction, and smoothing that shrinks a curved surface."""
+    """Catches smoothing that moves points in the wrong direction, and smoothing that shrinks a curved surface."""
     points = cloud(sphere(rng, noise=0.6))
     noise = (points.xyz.norm(dim=1) - 1) / SPACING
     smooth(points, rate_spacings=0.3, steps=60)
@@ -65,7 +65,7 @@ def test_points_within_the_tolerance_stay(rng: np.random.Generator) -> None:
 
 
 def test_only_the_given_points_move(rng: np.random.Generator) -> None:
-    """Catches a pull of points that are not visible in the step."""
+    """Catches smoothing that moves points that are not visible in the step."""
     points = cloud(sphere(rng, noise=0.6))
     before = points.xyz.clone()
     rows = torch.arange(0, COUNT, 3)

@@ -76,8 +76,8 @@ def test_without_joint_training_frames_are_objects(ball_capture: Path, tmp_path:
 
 
 def test_rates_of_positions_scale_with_the_spacing(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a learning rate that depends on the extent of the scene instead of on the distance between points, and
-    background points that are trained with the learning rate of the foreground."""
+    """Catches a learning rate that depends on the extent of the scene instead of on the distance between points. Also
+    catches background points that are trained with the learning rate of the foreground."""
     config = full_config(tmp_path / "shell.ply")
     scene = full_scene(ball_capture, tmp_path, config)
     plate = scene.target(PLATE)

@@ -6,7 +6,7 @@ uniform sampler2D normal;
 layout(location = 0) out float closed_depth;
 layout(location = 1) out vec4 closed_normal;
 
-const int GAP = 3;  // Largest distance from the surfaces on both sides, in pixels.
+const int GAP = 3;  // Pixels are filled if surfaces on both sides are at most GAP pixels away.
 
 ivec2 inside(ivec2 pixel) { return clamp(pixel, ivec2(0), textureSize(inverse_depth, 0) - 1); }
 
@@ -25,7 +25,8 @@ float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     return best;
 }
 
-// If surfaces on both sides along an axis are nearer than `depth`, takes the farther one of the two.
+// If the surfaces on both sides of the pixel along an axis are nearer than `depth`, replaces `depth` and `source` by
+// those of the farther one of the two surfaces.
 void fill(ivec2 pixel, ivec2 axis, inout float depth, inout ivec2 source) {
     ivec2 first_at, second_at;
     float first = nearest(pixel, -axis, first_at), second = nearest(pixel, axis, second_at);

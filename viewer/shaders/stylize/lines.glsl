@@ -3,7 +3,7 @@
 uniform sampler2D closed_depth;
 uniform sampler2D closed_normal;
 uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.
-uniform int thickness;    // Pixels between the taps.
+uniform int thickness;    // Number of pixels between the taps of the filter.
 uniform float depth_threshold;
 uniform float normal_threshold;
 uniform highp usampler2D line_state;  // The state of the previous image, in the layout of csrc/stylize/stylize.h.
@@ -16,7 +16,7 @@ const float SAME_TAPS = 0.03;
 
 vec4 unpack_normal(vec4 texel) { return vec4((floor(255.0 * texel.xyz + 0.5) - 128.0) / 127.0, texel.w); }
 
-// 0 up to the threshold, 1 from 1.5 times the threshold.
+// Linear ramp: 0 up to the threshold, 1 from 1.5 times the threshold on.
 float ramp(float value, float threshold) { return clamp(2.0 * (value / threshold - 1.0), 0.0, 1.0); }
 
 ivec2 tap_pixel(ivec2 pixel, ivec2 steps) {
@@ -27,7 +27,8 @@ float tap_depth(ivec2 pixel, int right, int down) {
     return texelFetch(closed_depth, tap_pixel(pixel, ivec2(right, down)), 0).r;
 }
 
-// Returns the inverse depth of a tap, and the cosine between its normal and `normal`, both weighted by coverage.
+// Returns the inverse depth of a tap, and the cosine between the tap's normal and `normal`. Both are multiplied by the
+// coverage of the tap.
 vec2 tap(ivec2 pixel, ivec2 steps, vec3 normal) {
     ivec2 at = tap_pixel(pixel, steps);
     vec4 other = unpack_normal(texelFetch(closed_normal, at, 0));

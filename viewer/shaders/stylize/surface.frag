@@ -1,20 +1,21 @@
 #version 330 core
 // Converts composited colours, normals and depths to the visible surface (class Surface of
-// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image, row 0 of the inputs is the bottom.
+// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image, and row 0 of the inputs is the bottom.
 
-uniform sampler2D colours;  // Premultiplied by alpha, as the normals and depths.
+uniform sampler2D colours;  // Premultiplied by alpha. Normals and depths are also premultiplied.
 uniform sampler2D normals;
 uniform sampler2D depths;     // Depth in units of depth_unit, and alpha in the fourth component.
-uniform float depth_unit;     // In world units.
+uniform float depth_unit;     // Unit of `depths`, in world units.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
-uniform float persistence;  // Weight of the old surface. 0 ignores it.
+uniform float persistence;  // Weight of the surface of the previous image. With 0, the previous image is ignored.
 
 layout(location = 0) out vec4 albedo;
 layout(location = 1) out float inverse_depth;
 layout(location = 2) out vec4 normal;
 
-// Bounds of the differences between successive images of the same surface, as in csrc/points/cpu/surface.inc.
+// Two successive images show the same surface if the relative difference of the inverse depths is at most SAME_DEPTH
+// and the cosine between the normals is at least SAME_NORMAL, as in csrc/points/cpu/surface.inc.
 const float SAME_DEPTH = 0.02;
 const float SAME_NORMAL = 0.8;
 
