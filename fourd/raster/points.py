@@ -65,9 +65,8 @@ def render_points(
         density: (N,) opacity at the centre, in [0, 1]. Values above 1 are clamped to 1.
         camera: a pinhole camera without lens distortion.
         layers: maximum number of points that are composited per pixel.
-        near: points with a camera depth below ``near`` world units are culled. Points are also culled if their
-            radius or density is not positive, or if a value or the projection is not finite. Culled points have zero
-            gradients.
+        near: points with a camera depth below ``near`` world units are culled. Points are also culled if radius or
+            density is not positive, or if a value or the projection is not finite. Culled points have zero gradients.
         background: (C,) or (H, W, C) features behind the points, which are weighted by 1 - alpha. None means zeros.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.
