@@ -69,6 +69,13 @@ fourd_kernel(rasterize
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
 
+fourd_kernel(rays
+  CPU cpu/build.cpp cpu/refit.cpp cpu/trace.cpp
+  DISPATCH cpu/loops.cpp WIDEST avx2 EXACT
+  CUDA cuda/trace.cu
+  BINDING binding.cpp
+  CUDA_BINDING cuda/binding.cpp)
+
 fourd_kernel(shade
   CPU cpu/shade.cpp
   DISPATCH cpu/loops.cpp WIDEST avx2 TOLERANT

@@ -266,6 +266,22 @@ void run_soft_triangles(unsigned seed, const char* simd) {
     inputs.expect_finite_results(seed);
 }
 
+void run_rays(unsigned seed, const char* simd) {
+    Random random(seed);
+    fourd::tests::RayInputs inputs(random, 300, seed % 2 ? 0.1f : 0.0f, simd);
+    fourd::rays::Tree tree = fourd::rays::build(inputs.mesh(), inputs.query.threads);
+    for (int round = 0; round < 2; ++round) {
+        fourd::rays::trace(inputs.view(tree), inputs.query, inputs.hits());
+        fourd::rays::occluded(inputs.view(tree), inputs.query, inputs.flags.data());
+        fourd::rays::trace_backward(inputs.mesh(), inputs.gradients());
+        std::reverse(inputs.xyz.begin(), inputs.xyz.end());
+        tree.magnitude = fourd::rays::refit(inputs.mesh(), tree.nodes.data(), tree.nodes.size(), tree.blocks.data(),
+                                            tree.blocks.size(), inputs.query.threads);
+    }
+    fourd::tests::expect_finite(inputs.u, "barycentric weights", seed);
+    fourd::tests::expect_finite(inputs.v, "barycentric weights", seed);
+}
+
 void run_texture(unsigned seed, const char* simd) {
     Random random(seed);
     fourd::tests::TextureInputs inputs(random, 60, seed % 2 ? 0.1f : 0.0f);
@@ -301,6 +317,7 @@ int main(int count, char** arguments) {
             run_antialias(seed, simd);
             run_edge_gradients(seed, simd);
             run_mesh(seed, simd);
+            run_rays(seed, simd);
             fourd::tests::run_unpack(seed, simd);
             fourd::tests::run_stylize(seed, simd);
             fourd::tests::run_pixel_filter(seed, simd);

@@ -213,6 +213,16 @@ void run_soft_triangles(unsigned seed) {
     inputs.expect_finite_results(seed);
 }
 
+void run_rays(unsigned seed) {
+    Random random(seed);
+    fourd::tests::RayInputs inputs(random, 100, seed % 2 ? 0.1f : 0.0f, "");
+    const fourd::rays::Tree tree = fourd::rays::build(inputs.mesh(), 1);
+    fourd::rays::cuda::trace(inputs.view(tree), inputs.query, inputs.hits(), nullptr);
+    fourd::rays::cuda::occluded(inputs.view(tree), inputs.query, inputs.flags.data(), nullptr);
+    fourd::rays::cuda::trace_backward(inputs.mesh(), inputs.gradients(), nullptr);
+    fourd::tests::expect_finite(inputs.u, "barycentric weights", seed);
+}
+
 void run_texture(unsigned seed) {
     Random random(seed);
     fourd::tests::TextureInputs inputs(random, 25, seed % 2 ? 0.1f : 0.0f);
@@ -247,6 +257,7 @@ int main(int count, char** arguments) {
         run_antialias(seed);
         run_edge_gradients(seed);
         run_mesh(seed);
+        run_rays(seed);
         run_texture(seed);
         run_pixel_filter(seed);
     }

@@ -1,4 +1,4 @@
-// Random meshes for the rasterizer and the interpolation, with vertices and indices that are invalid.
+// Random meshes for the rasterizer, the interpolation and ray tracing, with invalid vertices and indices.
 #pragma once
 
 #include <algorithm>
@@ -6,6 +6,7 @@
 
 #include "interpolate/interpolate.h"
 #include "rasterize/rasterize.h"
+#include "rays/rays.h"
 #include "tests/random_inputs.h"
 
 namespace fourd::tests {
@@ -67,6 +68,52 @@ struct MeshInputs {
         expect_finite(rast_db, "derivatives of weights", seed);
         expect_finite(grad_pos, "gradient of positions", seed);
         expect_finite(out, "interpolated attributes", seed);
+    }
+};
+
+// A mesh for ray tracing, and rays. Vertices, origins, directions and limits may be infinite or NaN.
+struct RayInputs {
+    Floats xyz, origins, directions, limits, after_t;
+    std::vector<std::int32_t> tri, after_triangle, triangle;
+    int layers;
+    Floats t, u, v, to_xyz, to_origins, to_directions, to_hits;
+    std::vector<std::uint8_t> flags;
+    rays::Rays query{};
+
+    RayInputs(Random& random, int max_triangles, float hostile, const char* simd) {
+        const int vertices = random_int(random, 1, 60), triangles = random_int(random, 0, max_triangles);
+        const std::size_t count = random_int(random, 0, 200);
+        layers = random_int(random, 1, 9);
+        xyz = random_floats(random, 3 * static_cast<std::size_t>(vertices), -1, 1, hostile);
+        for (int i = 0; i < 3 * triangles; ++i) tri.push_back(random_int(random, 0, vertices - 1));
+        origins = random_floats(random, 3 * count, -2, 2, hostile);
+        directions = random_floats(random, 3 * count, -1, 1, hostile);
+        limits = random_floats(random, 2 * count + 1, -2, 4, hostile);
+        after_t = random_floats(random, count, -1, 2, hostile);
+        for (std::size_t i = 0; i < count; ++i) after_triangle.push_back(random_int(random, -1, triangles));
+        const std::size_t hits = count * layers;
+        t.resize(hits), u.resize(hits), v.resize(hits), triangle.resize(hits), flags.resize(count);
+        to_xyz.resize(xyz.size()), to_origins.resize(3 * count), to_directions.resize(3 * count);
+        to_hits = random_floats(random, hits, -1, 1, 0);
+        const bool is_continued = random_int(random, 0, 1) == 1;
+        query = {origins.data(), directions.data(), count, limits.data(), std::size_t(random_int(random, 0, 1)),
+                 limits.data() + count, std::size_t(random_int(random, 0, 1)),
+                 is_continued ? after_t.data() : nullptr, is_continued ? after_triangle.data() : nullptr,
+                 random_int(random, 1, 4), simd_named(simd)};
+    }
+
+    rays::Mesh mesh() const { return {xyz.data(), xyz.size() / 3, tri.data(), tri.size() / 3}; }
+
+    rays::Hits hits() { return {layers, t.data(), u.data(), v.data(), triangle.data()}; }
+
+    rays::HitGradients gradients() {
+        return {origins.data(), directions.data(), query.count, layers, t.data(), u.data(), v.data(), triangle.data(),
+                to_hits.data(), to_hits.data(), to_hits.data(), to_xyz.data(), to_origins.data(), to_directions.data(),
+                query.threads};
+    }
+
+    static rays::TreeView view(const rays::Tree& tree) {
+        return {tree.nodes.data(), tree.nodes.size(), tree.blocks.data(), tree.blocks.size(), tree.magnitude};
     }
 };
 

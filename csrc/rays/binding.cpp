@@ -1,0 +1,116 @@
+// Python bindings of ray tracing; fourd/ops/rays/op.py documents the operations.
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/tuple.h>
+
+#include <memory>
+#include <string>
+#include <tuple>
+
+#include "rays/arguments.h"
+
+namespace nb = nanobind;
+
+namespace fourd {
+namespace {
+
+using Arguments = RayArguments<nb::device::cpu>;
+using Rows = nb::ndarray<nb::numpy, float, nb::ndim<2>>;
+using NodeRowsOut = Arguments::Array<float, nb::shape<-1, sizeof(rays::Node) / sizeof(float)>>;
+using BlockRowsOut = Arguments::Array<float, nb::shape<-1, sizeof(rays::Block) / sizeof(float)>>;
+using Flags = Arguments::Array<std::uint8_t, nb::ndim<1>>;
+
+// An array of floats that owns the buffer.
+template <typename Record>
+Rows rows_of(Buffer<Record>&& records) {
+    auto owned = std::make_unique<Buffer<Record>>(std::move(records));
+    float* const data = reinterpret_cast<float*>(owned->data());
+    const std::size_t count = owned->size();
+    nb::capsule owner(owned.get(), [](void* buffer) noexcept { delete static_cast<Buffer<Record>*>(buffer); });
+    static_cast<void>(owned.release());
+    return Rows(data, {count, sizeof(Record) / sizeof(float)}, owner);
+}
+
+std::tuple<Rows, Rows, float> build_rays(const Arguments::Positions& xyz, const Arguments::Triangles& tri, int threads) {
+    const rays::Mesh mesh = Arguments::mesh(xyz, tri);
+    rays::Tree tree;
+    {
+        nb::gil_scoped_release release;
+        tree = rays::build(mesh, clamp_threads(threads));
+    }
+    const float magnitude = tree.magnitude;
+    return {rows_of(std::move(tree.nodes)), rows_of(std::move(tree.blocks)), magnitude};
+}
+
+float refit_rays(const Arguments::Positions& xyz, const Arguments::Triangles& tri, int threads, const NodeRowsOut& nodes,
+                 const BlockRowsOut& blocks) {
+    const rays::Mesh mesh = Arguments::mesh(xyz, tri);
+    nb::gil_scoped_release release;
+    return rays::refit(mesh, reinterpret_cast<rays::Node*>(nodes.data()), nodes.shape(0),
+                       reinterpret_cast<rays::Block*>(blocks.data()), blocks.shape(0), clamp_threads(threads));
+}
+
+double rays_cost(const Arguments::NodeRows& nodes, const Arguments::BlockRows& blocks) {
+    return rays::expected_cost(Arguments::tree(nodes, blocks, 0.0f));
+}
+
+void trace_rays(const Arguments::NodeRows& nodes, const Arguments::BlockRows& blocks, float magnitude,
+                const Arguments::Positions& origins, const Arguments::Positions& directions,
+                const Arguments::Numbers& t_min, const Arguments::Numbers& t_max,
+                const std::optional<Arguments::Numbers>& after_t,
+                const std::optional<Arguments::Indices>& after_triangle, int threads, const std::string& simd,
+                const Arguments::GridOut& t, const Arguments::GridOut& u, const Arguments::GridOut& v,
+                const Arguments::IndexGridOut& triangle) {
+    const rays::Rays query = Arguments::rays_of(origins, directions, t_min, t_max, after_t, after_triangle,
+                                                clamp_threads(threads), simd_named(simd.c_str()));
+    const rays::Hits hits = Arguments::hits(query.count, t, u, v, triangle);
+    nb::gil_scoped_release release;
+    rays::trace(Arguments::tree(nodes, blocks, magnitude), query, hits);
+}
+
+void occluded_rays(const Arguments::NodeRows& nodes, const Arguments::BlockRows& blocks, float magnitude,
+                   const Arguments::Positions& origins, const Arguments::Positions& directions,
+                   const Arguments::Numbers& t_min, const Arguments::Numbers& t_max, int threads,
+                   const std::string& simd, const Flags& out) {
+    const rays::Rays query = Arguments::rays_of(origins, directions, t_min, t_max, std::nullopt, std::nullopt,
+                                                clamp_threads(threads), simd_named(simd.c_str()));
+    require(out.shape(0) == query.count, "out: expected one number for each ray");
+    nb::gil_scoped_release release;
+    rays::occluded(Arguments::tree(nodes, blocks, magnitude), query, out.data());
+}
+
+void trace_rays_backward(const Arguments::Positions& xyz, const Arguments::Triangles& tri,
+                         const Arguments::Positions& origins, const Arguments::Positions& directions,
+                         const Arguments::Grid& t, const Arguments::Grid& u, const Arguments::Grid& v,
+                         const Arguments::IndexGrid& triangle, const Arguments::Grid& to_t, const Arguments::Grid& to_u,
+                         const Arguments::Grid& to_v, int threads, const Arguments::PositionsOut& to_xyz,
+                         const Arguments::PositionsOut& to_origins, const Arguments::PositionsOut& to_directions) {
+    const rays::Mesh mesh = Arguments::mesh(xyz, tri);
+    const rays::HitGradients gradients =
+        Arguments::gradients(xyz, origins, directions, t, u, v, triangle, to_t, to_u, to_v, clamp_threads(threads),
+                             to_xyz, to_origins, to_directions);
+    nb::gil_scoped_release release;
+    rays::trace_backward(mesh, gradients);
+}
+
+}  // namespace
+
+void bind_rays(nb::module_& module) {
+    module.def("build_rays", &build_rays, nb::arg("xyz"), nb::arg("tri"), nb::arg("threads"));
+    module.def("refit_rays", &refit_rays, nb::arg("xyz"), nb::arg("tri"), nb::arg("threads"), nb::arg("nodes"),
+               nb::arg("blocks"));
+    module.def("rays_cost", &rays_cost, nb::arg("nodes"), nb::arg("blocks"));
+    module.def("trace_rays", &trace_rays, nb::arg("nodes"), nb::arg("blocks"), nb::arg("magnitude"), nb::arg("origins"),
+               nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"), nb::arg("after_t").none(),
+               nb::arg("after_triangle").none(), nb::arg("threads"), nb::arg("simd"), nb::arg("t"), nb::arg("u"),
+               nb::arg("v"), nb::arg("triangle"));
+    module.def("occluded_rays", &occluded_rays, nb::arg("nodes"), nb::arg("blocks"), nb::arg("magnitude"),
+               nb::arg("origins"), nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"), nb::arg("threads"),
+               nb::arg("simd"), nb::arg("out"));
+    module.def("trace_rays_backward", &trace_rays_backward, nb::arg("xyz"), nb::arg("tri"), nb::arg("origins"),
+               nb::arg("directions"), nb::arg("t"), nb::arg("u"), nb::arg("v"), nb::arg("triangle"), nb::arg("to_t"),
+               nb::arg("to_u"), nb::arg("to_v"), nb::arg("threads"), nb::arg("to_xyz"), nb::arg("to_origins"),
+               nb::arg("to_directions"));
+}
+
+}  // namespace fourd

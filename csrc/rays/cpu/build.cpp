@@ -1,0 +1,315 @@
+// Builds the tree from the top down. A range of triangles is split where the surface area heuristic of Wald (2007, On
+// fast Construction of SAH-based Bounding Volume Hierarchies) over 16 bins for each axis is least. A node splits its
+// range until it has eight children. The top of the tree is built on one thread, and the subtrees below on all threads.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+#include "common/team.h"
+#include "rays/maths.h"
+#include "rays/rays.h"
+
+namespace fourd::rays {
+namespace {
+
+constexpr int kBins = 16;
+constexpr int kMaxSahDepth = 24;          // Nodes below this depth split ranges in halves.
+constexpr std::size_t kParts = 48;        // The top of the tree ends at ranges of 1 / kParts of all triangles.
+constexpr std::size_t kSmallPart = 4096;  // Ranges of this size or less are not part of the top of the tree.
+static_assert(kMaxSahDepth + 32 <= kMaxDepth, "2^31 triangles are halved at most 31 times");
+
+// The fourth coordinate is unused. With four, compilers use vectors.
+struct Box {
+    float low[4], high[4];
+};
+
+constexpr float kInfinity = __builtin_huge_valf();
+constexpr Box kEmptyBox = {{kInfinity, kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity, -kInfinity}};
+
+inline void extend(Box* box, const Box& by) {
+    for (int i = 0; i < 4; ++i) {
+        box->low[i] = by.low[i] < box->low[i] ? by.low[i] : box->low[i];
+        box->high[i] = by.high[i] > box->high[i] ? by.high[i] : box->high[i];
+    }
+}
+
+// Half of the surface area, or 0 for an empty box.
+inline float area_of(const Box& box) {
+    const float x = box.high[0] - box.low[0], y = box.high[1] - box.low[1], z = box.high[2] - box.low[2];
+    return x >= 0.0f ? x * y + y * z + z * x : 0.0f;
+}
+
+// A triangle while the tree is built. Four times the centre is low + high.
+struct alignas(16) Reference {
+    Box box;
+    std::int32_t triangle;
+};
+
+inline void extend_by_centre(Box* box, const Reference& reference) {
+    for (int i = 0; i < 4; ++i) {
+        const float centre = reference.box.low[i] + reference.box.high[i];
+        box->low[i] = centre < box->low[i] ? centre : box->low[i];
+        box->high[i] = centre > box->high[i] ? centre : box->high[i];
+    }
+}
+
+struct Range {
+    std::size_t begin, end;
+    Box box, centres;
+
+    std::size_t size() const { return end - begin; }
+};
+
+Range range_of(const Reference* references, std::size_t begin, std::size_t end) {
+    Range out{begin, end, kEmptyBox, kEmptyBox};
+    for (std::size_t i = begin; i < end; ++i) {
+        extend(&out.box, references[i].box);
+        extend_by_centre(&out.centres, references[i]);
+    }
+    return out;
+}
+
+struct Bin {
+    Box box;
+    std::uint32_t count;
+};
+
+// The bins of the centres along each axis.
+struct Binning {
+    float low[4], scale[4];
+
+    explicit Binning(const Box& centres) {
+        for (int axis = 0; axis < 4; ++axis) {
+            const float extent = axis < 3 ? centres.high[axis] - centres.low[axis] : 0.0f;
+            low[axis] = centres.low[axis];
+            // The factor below 1 keeps the largest centre in the last bin.
+            scale[axis] = extent > 0.0f ? kBins * 0.99999f / extent : 0.0f;
+            if (!(scale[axis] <= 3e38f)) scale[axis] = 0.0f;
+        }
+    }
+
+    int bin_of(const Reference& reference, int axis) const {
+        const float centre = reference.box.low[axis] + reference.box.high[axis];
+        return std::min(kBins - 1, static_cast<int>((centre - low[axis]) * scale[axis]));
+    }
+};
+
+// The plane between the bins below `bin` and the other bins. `axis` is -1 if no plane separates the range.
+struct Plane {
+    int axis, bin;
+};
+
+// The expected number of blocks of a box with `count` triangles, times its area.
+inline float cost_of(const Box& box, std::size_t count) { return area_of(box) * static_cast<float>((count + kWidth - 1) / kWidth); }
+
+Plane best_plane(const Reference* references, const Range& range, const Binning& binning) {
+    Bin bins[3][kBins];
+    for (auto& axis : bins) std::fill_n(axis, kBins, Bin{kEmptyBox, 0});
+    for (std::size_t i = range.begin; i < range.end; ++i) {
+        for (int axis = 0; axis < 3; ++axis) {
+            Bin& bin = bins[axis][binning.bin_of(references[i], axis)];
+            extend(&bin.box, references[i].box);
+            ++bin.count;
+        }
+    }
+    Plane best{-1, 0};
+    float least = kInfinity;
+    for (int axis = 0; axis < 3; ++axis) {
+        if (binning.scale[axis] == 0.0f) continue;
+        float cost_above[kBins];
+        Box box = kEmptyBox;
+        std::size_t count = 0;
+        for (int bin = kBins - 1; bin > 0; --bin) {
+            extend(&box, bins[axis][bin].box);
+            count += bins[axis][bin].count;
+            cost_above[bin] = cost_of(box, count);
+        }
+        box = kEmptyBox;
+        count = 0;
+        for (int bin = 1; bin < kBins; ++bin) {
+            extend(&box, bins[axis][bin - 1].box);
+            count += bins[axis][bin - 1].count;
+            const float cost = cost_of(box, count) + cost_above[bin];
+            if (count > 0 && count < range.size() && cost < least) {
+                least = cost;
+                best = {axis, bin};
+            }
+        }
+    }
+    return best;
+}
+
+// Splits a range in two ranges with at least one triangle each.
+void split(Reference* references, const Range& range, bool in_halves, Range* left, Range* right) {
+    const Binning binning(range.centres);
+    const Plane plane = in_halves ? Plane{-1, 0} : best_plane(references, range, binning);
+    if (plane.axis < 0) {
+        const std::size_t middle = range.begin + range.size() / 2;
+        *left = range_of(references, range.begin, middle);
+        *right = range_of(references, middle, range.end);
+        return;
+    }
+    *left = {range.begin, 0, kEmptyBox, kEmptyBox};
+    *right = {0, range.end, kEmptyBox, kEmptyBox};
+    std::size_t at = range.begin, end = range.end;
+    while (at < end) {
+        const bool is_left = binning.bin_of(references[at], plane.axis) < plane.bin;
+        Range* const to = is_left ? left : right;
+        extend(&to->box, references[at].box);
+        extend_by_centre(&to->centres, references[at]);
+        if (is_left) {
+            ++at;
+        } else {
+            std::swap(references[at], references[--end]);
+        }
+    }
+    left->end = right->begin = at;
+}
+
+// Splits a range into up to eight ranges, of which the range with the largest area is split first. Ranges of up to
+// kWidth triangles are not split.
+std::vector<Range> children_of(Reference* references, const Range& range, bool in_halves) {
+    std::vector<Range> out{range};
+    while (out.size() < kWidth) {
+        std::size_t largest = out.size();
+        float area = -1.0f;
+        for (std::size_t i = 0; i < out.size(); ++i) {
+            if (out[i].size() > kWidth && area_of(out[i].box) > area) area = area_of(out[i].box), largest = i;
+        }
+        if (largest == out.size()) break;
+        Range left, right;
+        split(references, out[largest], in_halves, &left, &right);
+        out[largest] = left;
+        out.push_back(right);
+    }
+    return out;
+}
+
+// A part of the tree. Children are numbered within the part.
+struct Part {
+    std::vector<Node> nodes;
+    std::vector<Block> blocks;
+};
+
+std::int32_t add_block(const Reference* references, const Range& range, Part* part) {
+    Block block;
+    std::fill_n(block.triangle, kWidth, -1);
+    for (std::size_t i = range.begin; i < range.end; ++i) block.triangle[i - range.begin] = references[i].triangle;
+    part->blocks.push_back(block);
+    return ~static_cast<std::int32_t>(part->blocks.size() - 1);
+}
+
+std::int32_t add_node(Part* part) {
+    Node node;
+    std::fill_n(node.child, kWidth, kNoChild);
+    std::fill_n(node.unused, kWidth, 0);
+    part->nodes.push_back(node);
+    return static_cast<std::int32_t>(part->nodes.size() - 1);
+}
+
+std::int32_t build_subtree(Reference* references, const Range& range, int depth, Part* part) {
+    if (range.size() <= kWidth) return add_block(references, range, part);
+    const std::int32_t index = add_node(part);
+    const std::vector<Range> ranges = children_of(references, range, depth >= kMaxSahDepth);
+    for (std::size_t k = 0; k < ranges.size(); ++k) {
+        const std::int32_t child = build_subtree(references, ranges[k], depth + 1, part);
+        part->nodes[index].child[k] = child;
+    }
+    return index;
+}
+
+// A range whose subtree is built by a task, and the place of the subtree in the top of the tree.
+struct Task {
+    Range range;
+    std::int32_t node;
+    int lane, depth;
+    Part part;
+    std::int32_t root;
+};
+
+void build_top(Reference* references, const Range& range, int depth, std::size_t largest_part, Part* top,
+               std::int32_t index, std::vector<Task>* tasks) {
+    const std::vector<Range> ranges = children_of(references, range, depth >= kMaxSahDepth);
+    for (std::size_t k = 0; k < ranges.size(); ++k) {
+        if (ranges[k].size() <= largest_part || depth >= kMaxSahDepth) {
+            tasks->push_back({ranges[k], index, static_cast<int>(k), depth + 1, {}, 0});
+        } else {
+            const std::int32_t child = add_node(top);
+            top->nodes[index].child[k] = child;
+            build_top(references, ranges[k], depth + 1, largest_part, top, child, tasks);
+        }
+    }
+}
+
+std::int32_t moved(std::int32_t child, std::size_t nodes, std::size_t blocks) {
+    if (child == kNoChild) return child;
+    return child >= 0 ? child + static_cast<std::int32_t>(nodes) : ~(~child + static_cast<std::int32_t>(blocks));
+}
+
+// Joins the top of the tree and the subtrees.
+Tree join(const Part& top, std::vector<Task>& tasks, Team& team) {
+    std::vector<std::size_t> first_node, first_block;
+    std::size_t nodes = top.nodes.size(), blocks = 0;
+    for (const Task& task : tasks) {
+        first_node.push_back(nodes);
+        first_block.push_back(blocks);
+        nodes += task.part.nodes.size();
+        blocks += task.part.blocks.size();
+    }
+    Tree out{Buffer<Node>(nodes), Buffer<Block>(blocks), 0.0f};
+    std::copy(top.nodes.begin(), top.nodes.end(), out.nodes.data());
+    team.run(static_cast<int>(tasks.size()), [&](int index, int) {
+        const Task& task = tasks[index];
+        std::copy(task.part.blocks.begin(), task.part.blocks.end(), out.blocks.data() + first_block[index]);
+        Node* to = out.nodes.data() + first_node[index];
+        for (const Node& node : task.part.nodes) {
+            *to = node;
+            for (std::int32_t& child : to->child) child = moved(child, first_node[index], first_block[index]);
+            ++to;
+        }
+        out.nodes[task.node].child[task.lane] = moved(task.root, first_node[index], first_block[index]);
+    });
+    return out;
+}
+
+Buffer<Reference> references_of(const Mesh& mesh, Team& team) {
+    Buffer<Reference> out(mesh.triangles);
+    run_parts(team, mesh.triangles, 8192, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) {
+            Reference& reference = out[i];
+            reference.box = kEmptyBox;
+            reference.triangle = static_cast<std::int32_t>(i);
+            bool is_valid = true;
+            for (std::size_t k = 0; k < 3; ++k) {
+                const float* const at = mesh.xyz + 3 * static_cast<std::size_t>(mesh.tri[3 * i + k]);
+                for (int axis = 0; axis < 3; ++axis) is_valid = is_valid && absolute(at[axis]) <= kMaxMagnitude;
+                extend(&reference.box, {{at[0], at[1], at[2], 0.0f}, {at[0], at[1], at[2], 0.0f}});
+            }
+            if (!is_valid) reference.box = {};  // The triangle needs a place in the tree, because refit() may move it.
+        }
+    });
+    return out;
+}
+
+}  // namespace
+
+Tree build(const Mesh& mesh, int threads) {
+    if (mesh.triangles == 0) return {};
+    Team team(threads);
+    Buffer<Reference> references = references_of(mesh, team);
+    Part top;
+    std::vector<Task> tasks;
+    add_node(&top);
+    build_top(references.data(), range_of(references.data(), 0, mesh.triangles), 0,
+              std::max(kSmallPart, mesh.triangles / kParts), &top, 0, &tasks);
+    team.run(static_cast<int>(tasks.size()), [&](int index, int) {
+        Task& task = tasks[index];
+        task.root = build_subtree(references.data(), task.range, task.depth, &task.part);
+    });
+    Tree out = join(top, tasks, team);
+    out.magnitude = refit(mesh, out.nodes.data(), out.nodes.size(), out.blocks.data(), out.blocks.size(), threads);
+    return out;
+}
+
+}  // namespace fourd::rays

@@ -1,0 +1,208 @@
+#include "rays/cuda/trace.h"
+
+#include "device/clear.h"
+#include "device/executor.h"
+#include "rays/maths.h"
+
+namespace fourd::rays::cuda {
+namespace {
+
+constexpr float kTiny = 1.17549435e-38f;
+
+// One ray and the nearest hits found so far, in the order of (t, triangle).
+struct Search {
+    const TreeView& tree;
+    const Rays& rays;
+    std::size_t index;
+    Ray ray;
+    int layers, found;
+    float *t, *u, *v;
+    std::int32_t* triangle;
+
+    FOURD_DEVICE bool is_wanted(const Hit& hit) const {
+        if (rays.after_t != nullptr &&
+            !is_after(hit.t, hit.triangle, rays.after_t[index], rays.after_triangle[index])) {
+            return false;
+        }
+        return found < layers || is_after(t[found - 1], triangle[found - 1], hit.t, hit.triangle);
+    }
+
+    FOURD_DEVICE void add(const Hit& hit) {
+        if (!is_wanted(hit)) return;
+        int at = found < layers ? found++ : found - 1;
+        for (; at > 0 && is_after(t[at - 1], triangle[at - 1], hit.t, hit.triangle); --at) {
+            t[at] = t[at - 1];
+            u[at] = u[at - 1];
+            v[at] = v[at - 1];
+            triangle[at] = triangle[at - 1];
+        }
+        t[at] = hit.t;
+        u[at] = hit.u;
+        v[at] = hit.v;
+        triangle[at] = hit.triangle;
+    }
+
+    // The largest t' of interest, rounded up.
+    FOURD_DEVICE float last() const {
+        const float bound = layers > 0 && found == layers ? t[found - 1] : ray.t_max;
+        return bound * ray.inverse_scale + kTiny * ray.inverse_scale;
+    }
+};
+
+FOURD_DEVICE static bool meets_box(const Ray& ray, const Node& node, int lane, float first, float last, float* entry) {
+    float enter = first, leave = last;
+    for (int axis = 0; axis < 3; ++axis) {
+        const float low = node.bounds[2 * axis][lane], high = node.bounds[2 * axis + 1][lane];
+        const float near = ray.inverse[axis] < 0.0f ? high : low, far = ray.inverse[axis] < 0.0f ? low : high;
+        const float from = near * ray.inverse[axis] - ray.enter[axis], to = far * ray.inverse[axis] - ray.leave[axis];
+        if (from > enter) enter = from;
+        if (to < leave) leave = to;
+    }
+    *entry = enter;
+    return enter <= leave;
+}
+
+// Calls visit(hit) for the hits of a block; a visit that returns true ends the traversal.
+template <typename Visit>
+FOURD_DEVICE static bool visit_block(const Ray& ray, const Block& block, Visit& visit) {
+    for (int lane = 0; lane < kWidth; ++lane) {
+        Hit hit;
+        hit.triangle = block.triangle[lane];
+        if (hit.triangle < 0) continue;
+        float corners[3][3];
+        for (int k = 0; k < 3; ++k) {
+            for (int axis = 0; axis < 3; ++axis) corners[k][axis] = block.corner[k][axis][lane];
+        }
+        if (intersect(ray, corners[0], corners[1], corners[2], &hit) && visit(hit)) return true;
+    }
+    return false;
+}
+
+struct Entry {
+    float t;
+    std::int32_t child;
+};
+
+template <typename Visit, typename Last>
+FOURD_DEVICE static void traverse(const TreeView& tree, const Ray& ray, Visit& visit, const Last& last) {
+    const float first = ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
+    Entry stack[kMaxStack];
+    int size = 0;
+    stack[size++] = {first, 0};
+    while (size > 0) {
+        const Entry top = stack[--size];
+        if (top.t > last()) continue;
+        if (top.child < 0) {
+            if (visit_block(ray, tree.blocks[~top.child], visit)) return;
+            continue;
+        }
+        const Node& node = tree.nodes[top.child];
+        const int bottom = size;
+        for (int lane = 0; lane < kWidth; ++lane) {
+            float entry;
+            if (node.child[lane] == kNoChild || !meets_box(ray, node, lane, first, last(), &entry)) continue;
+            int at = size++;
+            for (; at > bottom && stack[at - 1].t < entry; --at) stack[at] = stack[at - 1];
+            stack[at] = {entry, node.child[lane]};
+        }
+    }
+}
+
+FOURD_DEVICE static bool prepare_ray(const TreeView& tree, const Rays& rays, std::size_t index, Ray* out) {
+    return tree.node_count > 0 &&
+           prepare(rays.origins + 3 * index, rays.directions + 3 * index, rays.t_min[index * rays.t_min_stride],
+                   rays.t_max[index * rays.t_max_stride], tree.magnitude, out);
+}
+
+struct Trace {
+    TreeView tree;
+    Rays rays;
+    Hits hits;
+
+    FOURD_DEVICE void operator()(std::size_t index) const {
+        const std::size_t to = index * static_cast<std::size_t>(hits.layers);
+        for (int k = 0; k < hits.layers; ++k) {
+            hits.t[to + k] = INFINITY;
+            hits.u[to + k] = hits.v[to + k] = 0.0f;
+            hits.triangle[to + k] = -1;
+        }
+        Search search{tree, rays, index, {}, hits.layers, 0, hits.t + to, hits.u + to, hits.v + to, hits.triangle + to};
+        if (!prepare_ray(tree, rays, index, &search.ray)) return;
+        const auto visit = [&search](const Hit& hit) {
+            search.add(hit);
+            return false;
+        };
+        const auto last = [&search] { return search.last(); };
+        traverse(tree, search.ray, visit, last);
+    }
+};
+
+struct Occluded {
+    TreeView tree;
+    Rays rays;
+    std::uint8_t* out;
+
+    FOURD_DEVICE void operator()(std::size_t index) const {
+        Ray ray;
+        out[index] = 0;
+        if (!prepare_ray(tree, rays, index, &ray)) return;
+        std::uint8_t* const flag = out + index;
+        const auto visit = [flag](const Hit&) {
+            *flag = 1;
+            return true;
+        };
+        const float bound = ray.t_max * ray.inverse_scale + kTiny * ray.inverse_scale;
+        const auto last = [bound] { return bound; };
+        traverse(tree, ray, visit, last);
+    }
+};
+
+struct Backward {
+    Mesh mesh;
+    HitGradients gradients;
+
+    FOURD_DEVICE void operator()(std::size_t ray) const {
+        const std::size_t layers = static_cast<std::size_t>(gradients.layers);
+        float to_origin[3] = {0.0f, 0.0f, 0.0f}, to_direction[3] = {0.0f, 0.0f, 0.0f};
+        for (std::size_t hit = ray * layers; hit < (ray + 1) * layers; ++hit) {
+            const std::int32_t triangle = gradients.triangle[hit];
+            if (triangle < 0 || static_cast<std::size_t>(triangle) >= mesh.triangles) continue;
+            std::size_t at[3];
+            for (std::size_t k = 0; k < 3; ++k) {
+                at[k] = static_cast<std::uint32_t>(mesh.tri[3 * static_cast<std::size_t>(triangle) + k]);
+                if (at[k] >= mesh.vertices) return;
+            }
+            float y[3];
+            hit_gradient(gradients.directions + 3 * ray, mesh.xyz + 3 * at[0], mesh.xyz + 3 * at[1],
+                         mesh.xyz + 3 * at[2], gradients.to_t[hit], gradients.to_u[hit], gradients.to_v[hit], y);
+            const float u = gradients.u[hit], v = gradients.v[hit], weights[3] = {u, v, (1.0f - u) - v};
+            for (int i = 0; i < 3; ++i) {
+                to_origin[i] += y[i];
+                to_direction[i] += gradients.t[hit] * y[i];
+                for (int k = 0; k < 3; ++k) device::atomic_add(gradients.xyz + 3 * at[k] + i, -weights[k] * y[i]);
+            }
+        }
+        for (int i = 0; i < 3; ++i) {
+            gradients.to_origins[3 * ray + i] = to_origin[i];
+            gradients.to_directions[3 * ray + i] = to_direction[i];
+        }
+    }
+};
+
+}  // namespace
+
+void trace(const TreeView& tree, const Rays& rays, const Hits& hits, void* stream) {
+    device::Executor(stream).for_each(rays.count, Trace{tree, rays, hits});
+}
+
+void occluded(const TreeView& tree, const Rays& rays, std::uint8_t* out, void* stream) {
+    device::Executor(stream).for_each(rays.count, Occluded{tree, rays, out});
+}
+
+void trace_backward(const Mesh& mesh, const HitGradients& gradients, void* stream) {
+    const device::Executor executor(stream);
+    executor.for_each(3 * mesh.vertices, device::Clear{gradients.xyz});
+    executor.for_each(gradients.count, Backward{mesh, gradients});
+}
+
+}  // namespace fourd::rays::cuda

@@ -1,0 +1,16 @@
+// Ray tracing (rays/rays.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU
+// memory. Trees are built on the CPU.
+#pragma once
+
+#include "rays/rays.h"
+
+namespace fourd::rays::cuda {
+
+void trace(const TreeView& tree, const Rays& rays, const Hits& hits, void* stream);
+
+void occluded(const TreeView& tree, const Rays& rays, std::uint8_t* out, void* stream);
+
+// Sums over hits have no fixed order, so the last bits of the gradient of xyz can differ between calls.
+void trace_backward(const Mesh& mesh, const HitGradients& gradients, void* stream);
+
+}  // namespace fourd::rays::cuda

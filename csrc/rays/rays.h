@@ -1,0 +1,108 @@
+// Ray tracing of triangle meshes. Callers check shapes. Every pointer points to a dense row-major array.
+//
+// A bounding volume hierarchy (BVH) has nodes with up to eight children, and blocks with up to eight triangles. Child
+// indices are larger than the index of their node. The tree decides only which triangles are tested, so that the hits
+// of a ray are those of a loop over all triangles (maths.h).
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/buffer.h"
+#include "common/simd.h"
+
+namespace fourd::rays {
+
+constexpr int kWidth = 8;                       // Children of a node, and triangles of a block.
+constexpr std::int32_t kNoChild = -2147483647;  // Other negative children c are the blocks ~c.
+constexpr int kMaxDepth = 56;                   // Largest depth of a tree.
+constexpr int kMaxStack = kWidth * kMaxDepth;   // A traversal never has more entries on its stack.
+
+struct alignas(64) Node {
+    float bounds[6][kWidth];  // Smallest x, largest x, smallest y, largest y, smallest z, largest z of each child.
+    std::int32_t child[kWidth];
+    std::int32_t unused[kWidth];
+};
+
+struct alignas(64) Block {
+    float corner[3][3][kWidth];     // Vertex, axis, triangle. NaN where a triangle has no position.
+    std::int32_t triangle[kWidth];  // Index of the triangle, or -1.
+};
+
+struct Mesh {
+    const float* xyz;  // (vertices, 3).
+    std::size_t vertices;
+    const std::int32_t* tri;  // (triangles, 3), each below `vertices`.
+    std::size_t triangles;
+};
+
+struct Tree {
+    Buffer<Node> nodes;
+    Buffer<Block> blocks;
+    float magnitude = 0.0f;  // The largest absolute coordinate of all triangles that can be hit.
+};
+
+struct TreeView {
+    const Node* nodes;
+    std::size_t node_count;
+    const Block* blocks;
+    std::size_t block_count;
+    float magnitude;
+};
+
+// Builds the tree by the surface area heuristic. The tree is the same for any number of threads. Triangles with a
+// coordinate that is not finite or above kMaxMagnitude are never hit.
+Tree build(const Mesh& mesh, int threads);
+
+// Moves the triangles of a tree to the positions of `mesh`, which has the triangles that the tree was built for.
+// Returns the new magnitude.
+float refit(const Mesh& mesh, Node* nodes, std::size_t node_count, Block* blocks, std::size_t block_count, int threads);
+
+// The expected number of visited nodes and blocks of a random ray that hits the root's box.
+double expected_cost(const TreeView& tree);
+
+struct Rays {
+    const float* origins;     // (count, 3).
+    const float* directions;  // (count, 3), of any length. The point at t is origin + t direction.
+    std::size_t count;
+    const float* t_min;  // (count,), or one number if t_min_stride is 0.
+    std::size_t t_min_stride;
+    const float* t_max;  // (count,), or one number if t_max_stride is 0.
+    std::size_t t_max_stride;
+    const float* after_t;               // (count,), may be null. Only hits after (after_t, after_triangle) in the order
+    const std::int32_t* after_triangle; // of (t, triangle) are found.
+    int threads;
+    Simd simd;
+};
+
+// The `layers` nearest hits of each ray in the order of (t, triangle).
+struct Hits {
+    int layers;
+    float* t;                // (count, layers). Infinite where there is no hit.
+    float* u;                // (count, layers). Barycentric weight of the triangle's vertex 0; 0 where there is no hit.
+    float* v;                // (count, layers). Weight of vertex 1.
+    std::int32_t* triangle;  // (count, layers); -1 where there is no hit.
+};
+
+void trace(const TreeView& tree, const Rays& rays, const Hits& hits);
+
+// Writes 1 for each ray that has a hit with t in [t_min, t_max], and 0 for all other rays.
+void occluded(const TreeView& tree, const Rays& rays, std::uint8_t* out);
+
+// Gradients of `count` x `layers` hits.
+struct HitGradients {
+    const float* origins;
+    const float* directions;
+    std::size_t count;
+    int layers;
+    const float *t, *u, *v;
+    const std::int32_t* triangle;
+    const float *to_t, *to_u, *to_v;     // (count, layers).
+    float *xyz, *to_origins, *to_directions;  // Shapes of the inputs. Overwritten.
+    int threads;
+};
+
+// Sums have a fixed order, so the result is the same for any number of threads.
+void trace_backward(const Mesh& mesh, const HitGradients& gradients);
+
+}  // namespace fourd::rays

@@ -1,0 +1,1 @@
+"""Ray tracing of triangle meshes (``csrc/rays``)."""

@@ -1,0 +1,34 @@
+"""Differentiable ray tracing of triangle meshes: the public API.
+
+Importing this package does not import torch. The first use of one of the names imports torch.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fourd.raster.rays.bvh import Bvh
+    from fourd.raster.rays.tracing import Hits, occluded, trace, visibility
+
+_MODULES: dict[str, str] = {
+    "Bvh": "bvh",
+    "Hits": "tracing",
+    "occluded": "tracing",
+    "trace": "tracing",
+    "visibility": "tracing",
+}
+"""Public names -> modules of this package that define them."""
+
+__all__ = ["Bvh", "Hits", "occluded", "trace", "visibility"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

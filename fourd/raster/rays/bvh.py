@@ -1,0 +1,102 @@
+"""Bounding volume hierarchies over triangles: :class:`Bvh`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.ops.meshes.checks import check_tensor, check_triangles
+from fourd.ops.rays.op import build_tree, refit_tree, tree_cost
+
+
+@dataclass(frozen=True)
+class Bvh:
+    """A tree of boxes over the triangles of a mesh, for :func:`~fourd.raster.rays.tracing.trace`.
+
+    Create one with :meth:`build`. A Bvh does not change: :meth:`refit` and :meth:`update` return a new one.
+
+    Attributes:
+        xyz: (V, 3) float32 positions that the tree was built for or refitted to, without gradient.
+        triangles: (T, 3) int32 vertex indices.
+        nodes, blocks: the native records of the tree, as rows of floats.
+        magnitude: largest absolute coordinate of the triangles, in world units.
+        cost_when_built: :attr:`cost` of the tree when it was built.
+    """
+
+    xyz: Tensor
+    triangles: Tensor
+    nodes: Tensor
+    blocks: Tensor
+    magnitude: float
+    cost_when_built: float
+
+    @classmethod
+    def build(cls, xyz: Tensor, triangles: Tensor, *, threads: int = 0) -> Bvh:
+        """Build a tree by the surface area heuristic. The tree is always built on the CPU.
+
+        Args:
+            xyz: (V, 3) float32 positions in world units, on the CPU or a CUDA device. The tree keeps a copy. A triangle
+                with a coordinate that is not finite, or above 1e18, is never hit.
+            triangles: (T, 3) int32 vertex indices, on the same device. T may be 0.
+            threads: number of threads; 0 means the environment variable FOURD_THREADS, or torch.get_num_threads(). The
+                tree is the same for any number of threads.
+
+        Raises:
+            TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+            RuntimeError: for a CUDA tensor if fourd was built without CUDA.
+        """
+        check_tensor("xyz", xyz, ("V", 3))
+        tri = check_triangles(triangles, xyz.shape[0], ("xyz", xyz))
+        if xyz.device.type == "cuda" and (missing := cuda_unavailable_reason()):
+            raise RuntimeError(f"xyz: expected a CPU tensor, because fourd was built without CUDA ({missing})")
+        positions = xyz.detach().clone(memory_format=torch.contiguous_format)
+        nodes, blocks, magnitude = build_tree(positions, tri, threads)
+        return cls(positions, tri, nodes, blocks, magnitude, tree_cost(nodes, blocks))
+
+    @property
+    def cost(self) -> float:
+        """Expected number of boxes that a random ray through the box of the whole mesh hits."""
+        return tree_cost(self.nodes, self.blocks)
+
+    def refit(self, xyz: Tensor, *, threads: int = 0) -> Bvh:
+        """Return a tree with the same structure for moved vertices. Hits stay exact, but tracing becomes slower if
+        triangles that were close to each other move apart.
+
+        Args:
+            xyz: (V, 3) float32 positions, with the number of vertices and the device of :attr:`xyz`.
+            threads: as in :meth:`build`.
+
+        Raises:
+            TypeError, ValueError: for an invalid argument, also for another number of vertices.
+        """
+        check_tensor("xyz", xyz, ("V", 3), like=("the tree's xyz", self.xyz))
+        if xyz.shape != self.xyz.shape:
+            raise ValueError(
+                f"xyz: expected the {self.xyz.shape[0]} vertices that the tree was built for, got {xyz.shape[0]}; "
+                "build a new tree with Bvh.build"
+            )
+        positions = xyz.detach().clone(memory_format=torch.contiguous_format)
+        nodes, blocks, magnitude = refit_tree(positions, self.triangles, self.nodes, self.blocks, threads)
+        return replace(self, xyz=positions, nodes=nodes, blocks=blocks, magnitude=magnitude)
+
+    def update(self, xyz: Tensor, *, rebuild_above: float = 1.5, threads: int = 0) -> Bvh:
+        """Return a refitted tree, or a new tree if the refitted tree's cost is more than ``rebuild_above`` times the
+        cost of the tree when it was built."""
+        refitted = self.refit(xyz, threads=threads)
+        if refitted.cost <= rebuild_above * self.cost_when_built:
+            return refitted
+        return Bvh.build(xyz, self.triangles, threads=threads)
+
+    def require_positions(self, xyz: Tensor) -> None:
+        """Raise ValueError unless ``xyz`` has the values of the positions that the tree was refitted to."""
+        # Bits are compared, because positions may be NaN.
+        given = xyz.detach().to(self.xyz.dtype).contiguous()
+        is_same = xyz.shape == self.xyz.shape and xyz.device == self.xyz.device
+        if not is_same or not torch.equal(given.view(torch.int32), self.xyz.view(torch.int32)):
+            raise ValueError(
+                "xyz: expected the positions that the tree was built for or refitted to, got other positions; "
+                "call bvh = bvh.refit(xyz) first"
+            )

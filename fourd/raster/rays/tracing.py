@@ -1,0 +1,201 @@
+"""Ray tracing of triangle meshes: :func:`trace`, :func:`occluded` and :func:`visibility`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from fourd.ops.meshes.checks import check_tensor
+from fourd.ops.rays.op import occluded_rays, trace_rays
+from fourd.ops.rays.reference import trace_rays_reference
+from fourd.raster.rays.bvh import Bvh
+
+MAX_LAYERS = 1024
+
+
+@dataclass(frozen=True)
+class Hits:
+    """The K nearest hits of R rays, in the order of (t, triangle).
+
+    Attributes:
+        t: (R, K) float32. The hit is at origin + t direction. Infinite where there is no hit. Differentiable.
+        u, v: (R, K) float32 barycentric weights of the vertices 0 and 1 of the triangle. Vertex 2 has the weight
+            1 - u - v. 0 where there is no hit. Differentiable.
+        triangle: (R, K) int32 index of the triangle; -1 where there is no hit.
+    """
+
+    t: Tensor
+    u: Tensor
+    v: Tensor
+    triangle: Tensor
+
+    @property
+    def is_hit(self) -> Tensor:
+        """(R, K) bool: whether there is a hit."""
+        return self.triangle >= 0
+
+    def last(self) -> tuple[Tensor, Tensor]:
+        """Return t (R,) and triangle (R,) of the last layer, for the argument ``after`` of :func:`trace`. Rays that had
+        fewer than K hits find no further hits."""
+        return self.t[:, -1].detach(), self.triangle[:, -1]
+
+
+def trace(
+    bvh: Bvh,
+    xyz: Tensor,
+    origins: Tensor,
+    directions: Tensor,
+    *,
+    t_min: float | Tensor = 0.0,
+    t_max: float | Tensor = torch.inf,
+    layers: int = 1,
+    after: tuple[Tensor, Tensor] | None = None,
+    backend: str = "auto",
+    threads: int = 0,
+) -> Hits:
+    """Find the nearest hits of rays with triangles.
+
+    Hits are those of a loop over all triangles, in the order of (t, triangle index). The test is watertight (Woop,
+    Benthin and Wald 2013): a ray that passes through a common edge of two triangles hits at least one of them. Both
+    sides of triangles are hit. A triangle with two equal corners, and a triangle that is seen exactly edge-on, is not
+    hit.
+
+    Args:
+        bvh: tree over the triangles.
+        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. They receive the gradient.
+        origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
+        directions: (R, 3) float32, of any length whose largest coordinate is between 1e-18 and 1e18. t is measured in
+            multiples of the direction. Other directions, also zero and NaN, hit nothing.
+        t_min, t_max: hits have t in [t_min, t_max]: a number, or one for each ray (R,). A ray with t_min > t_max hits
+            nothing.
+        layers: number K of hits for each ray, from 1 to 1024.
+        after: t (R,) and triangle (R,) of a hit of each ray. Only later hits are found, so that ``hits.last()`` of one
+            call continues it in the next call, without losing or repeating hits of equal t.
+        backend: "auto" for the kernels of the tensors' device, or "reference" for plain torch (float32 or float64,
+            slow).
+        threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or
+            torch.get_num_threads(). Results are bit-identical for any number of threads and any instruction set.
+
+    Returns:
+        The hits. t, u and v are differentiable in xyz, origins and directions (implicit differentiation of the equation
+        of Moeller and Trumbore 1997). Which triangle is hit is not differentiable. On a GPU, the last bits of the
+        gradient of xyz can differ between calls.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+    """
+    low, high = _check_rays(bvh, origins, directions, t_min, t_max, threads, backend)
+    like = ("origins", origins)
+    check_tensor("xyz", xyz, ("V", 3), like=like)
+    bvh.require_positions(xyz)
+    if isinstance(layers, bool) or not isinstance(layers, int):
+        raise TypeError(f"layers: expected an integer, got {type(layers).__name__}")
+    if not 1 <= layers <= MAX_LAYERS:
+        raise ValueError(f"layers: expected 1 to {MAX_LAYERS}, got {layers}")
+    after_t, after_triangle = None, None
+    if after is not None:
+        after_t = check_tensor("after[0]", after[0], (len(origins),), like=like).detach()
+        after_triangle = check_tensor("after[1]", after[1], (len(origins),), dtypes=(torch.int32,))
+    if backend == "reference":
+        return Hits(
+            *trace_rays_reference(xyz, bvh.triangles, origins, directions, low, high, after_t, after_triangle, layers)
+        )
+    return Hits(
+        *trace_rays(
+            bvh.nodes,
+            bvh.blocks,
+            bvh.magnitude,
+            xyz,
+            bvh.triangles,
+            origins,
+            directions,
+            low,
+            high,
+            after_t,
+            after_triangle,
+            layers,
+            threads,
+        )
+    )
+
+
+def occluded(
+    bvh: Bvh,
+    origins: Tensor,
+    directions: Tensor,
+    *,
+    t_min: float | Tensor = 0.0,
+    t_max: float | Tensor = torch.inf,
+    threads: int = 0,
+) -> Tensor:
+    """Return (R,) bool: whether each ray hits any triangle with t in [t_min, t_max].
+
+    The arguments are those of :func:`trace`. The result is not differentiable.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+    """
+    low, high = _check_rays(bvh, origins, directions, t_min, t_max, threads, "auto")
+    return occluded_rays(bvh.nodes, bvh.blocks, bvh.magnitude, origins, directions, low, high, threads)
+
+
+def visibility(bvh: Bvh, points: Tensor, targets: Tensor, *, margin: float = 1e-4, threads: int = 0) -> Tensor:
+    """Return (N, M) bool: whether each of N points sees each of M targets past the triangles.
+
+    Args:
+        bvh: tree over the triangles.
+        points: (N, 3) float32 in world units.
+        targets: (M, 3) float32 in world units, for example the centres of cameras.
+        margin: share of the distance at both ends of the segment in which triangles do not occlude, from 0 to 0.5. It
+            keeps a surface from occluding its own points.
+        threads: as in :func:`trace`.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+    """
+    check_tensor("points", points, ("N", 3), like=("bvh.xyz", bvh.xyz))
+    check_tensor("targets", targets, ("M", 3), like=("bvh.xyz", bvh.xyz))
+    if not 0 <= margin < 0.5:
+        raise ValueError(f"margin: expected a share from 0 to 0.5, got {margin}")
+    shape = (len(points), len(targets), 3)
+    origins = points.detach()[:, None].expand(shape).reshape(-1, 3).contiguous()
+    directions = (targets.detach()[None] - points.detach()[:, None]).reshape(-1, 3).contiguous()
+    is_occluded = occluded(bvh, origins, directions, t_min=margin, t_max=1 - margin, threads=threads)
+    return ~is_occluded.reshape(shape[:2])
+
+
+def _check_rays(
+    bvh: Bvh,
+    origins: Tensor,
+    directions: Tensor,
+    t_min: float | Tensor,
+    t_max: float | Tensor,
+    threads: int,
+    backend: str,
+) -> tuple[Tensor, Tensor]:
+    """Check the rays, and return t_min and t_max as tensors with one element or one for each ray."""
+    if backend not in ("auto", "reference"):
+        raise ValueError(f"backend: expected 'auto' or 'reference', got {backend!r}")
+    if threads < 0:
+        raise ValueError(f"threads: expected 0 (for the default) or more, got {threads}")
+    dtypes = (torch.float32, torch.float64) if backend == "reference" else (torch.float32,)
+    check_tensor("origins", origins, ("R", 3), dtypes=dtypes)
+    check_tensor("directions", directions, ("R", 3), like=("origins", origins))
+    if origins.device != bvh.xyz.device:
+        raise ValueError(f"origins: expected device {bvh.xyz.device}, that of the tree, got {origins.device}")
+    if len(directions) != len(origins):
+        raise ValueError(f"directions: expected {len(origins)} rays, as in origins, got {len(directions)}")
+    low, high = (_limit(name, value, origins) for name, value in (("t_min", t_min), ("t_max", t_max)))
+    if len(low) == 1 and len(high) == 1 and not bool(low[0] <= high[0]):
+        raise ValueError(f"t_min: expected at most t_max, got {float(low[0])} and {float(high[0])}")
+    return low, high
+
+
+def _limit(name: str, value: float | Tensor, origins: Tensor) -> Tensor:
+    if isinstance(value, Tensor):
+        return check_tensor(name, value, (len(origins),), like=("origins", origins)).detach()
+    if value != value:
+        raise ValueError(f"{name}: expected a number, got NaN")
+    return torch.tensor([value], dtype=origins.dtype, device=origins.device)
