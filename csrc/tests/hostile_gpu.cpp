@@ -14,6 +14,7 @@
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
 #include "rasterize/cuda/rasterize.h"
+#include "rays/cuda/trace.h"
 #include "soft_triangles/cuda/render.h"
 #include "sources/cuda/sample.h"
 #include "splat_triangles/cuda/render.h"

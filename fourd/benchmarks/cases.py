@@ -12,6 +12,7 @@ from torch import Tensor
 from fourd.baking.player import Player
 from fourd.benchmarks.meshes import antialiasing, interpolating, make_mesh, project, rasterizing
 from fourd.benchmarks.peers import pytorch3d_compositor, pytorch3d_rasterizer
+from fourd.benchmarks.rays import ray_works
 from fourd.benchmarks.soft_triangles import soft_silhouette, splatting
 from fourd.benchmarks.textures import trilinear_texture
 from fourd.benchmarks.timing import Work
@@ -68,6 +69,8 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     yield _similarity(512)
     yield from _meshes(100_000, 1024)
     yield _peer_mesh(10_000, 512)
+    for name, work, rivals in ray_works(100_000, 1024):
+        yield Case(name, work, rivals)
     silhouette = soft_silhouette(1_300, 256, 50)
     yield Case("soft silhouette, 1,300 triangles, 256 x 256, K = 50, forward + backward", silhouette)
     for backward in (False, True):

@@ -18,7 +18,7 @@ from fourd.cameras import Camera
 
 def missing_peers() -> list[str]:
     """Return the names of the libraries that CPU benchmarks compare with and that are not installed."""
-    return [name for name in ("pytorch3d",) if find_spec(name) is None]
+    return [name for name in ("pytorch3d", "embreex") if find_spec(name) is None]
 
 
 def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool) -> Work | None:
@@ -111,3 +111,19 @@ def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) ->
         return torch.autograd.grad(image.sum() + alpha.sum(), list(free.values())) if backward else image
 
     return work
+
+
+def embree_tracer(xyz: Tensor, tri: Tensor, origins: Tensor, directions: Tensor) -> Work | None:
+    """Return a function that finds the nearest hits with Embree, which runs on one thread in the package embreex.
+
+    Returns None if embreex is not installed.
+    """
+    try:
+        core: Any = import_module("embreex.rtcore_scene")
+        mesh: Any = import_module("embreex.mesh_construction")
+    except ImportError:
+        return None
+    scene = core.EmbreeScene()
+    mesh.TriangleMesh(scene, xyz[tri.long()].numpy())
+    rays = origins.numpy(), directions.numpy()
+    return lambda: scene.run(*rays)

@@ -87,38 +87,11 @@ def trace(
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
     """
     low, high = _check_rays(bvh, origins, directions, t_min, t_max, threads, backend)
-    like = ("origins", origins)
-    check_tensor("xyz", xyz, ("V", 3), like=like)
-    bvh.require_positions(xyz)
-    if isinstance(layers, bool) or not isinstance(layers, int):
-        raise TypeError(f"layers: expected an integer, got {type(layers).__name__}")
-    if not 1 <= layers <= MAX_LAYERS:
-        raise ValueError(f"layers: expected 1 to {MAX_LAYERS}, got {layers}")
-    after_t, after_triangle = None, None
-    if after is not None:
-        after_t = check_tensor("after[0]", after[0], (len(origins),), like=like).detach()
-        after_triangle = check_tensor("after[1]", after[1], (len(origins),), dtypes=(torch.int32,))
+    after_t, after_triangle = _check_trace(bvh, xyz, origins, layers, after)
+    rays = (xyz, bvh.triangles, origins, directions, low, high, after_t, after_triangle, layers)
     if backend == "reference":
-        return Hits(
-            *trace_rays_reference(xyz, bvh.triangles, origins, directions, low, high, after_t, after_triangle, layers)
-        )
-    return Hits(
-        *trace_rays(
-            bvh.nodes,
-            bvh.blocks,
-            bvh.magnitude,
-            xyz,
-            bvh.triangles,
-            origins,
-            directions,
-            low,
-            high,
-            after_t,
-            after_triangle,
-            layers,
-            threads,
-        )
-    )
+        return Hits(*trace_rays_reference(*rays))
+    return Hits(*trace_rays(bvh.nodes, bvh.blocks, bvh.magnitude, *rays, threads))
 
 
 def occluded(
@@ -191,6 +164,23 @@ def _check_rays(
     if len(low) == 1 and len(high) == 1 and not bool(low[0] <= high[0]):
         raise ValueError(f"t_min: expected at most t_max, got {float(low[0])} and {float(high[0])}")
     return low, high
+
+
+def _check_trace(
+    bvh: Bvh, xyz: Tensor, origins: Tensor, layers: int, after: tuple[Tensor, Tensor] | None
+) -> tuple[Tensor | None, Tensor | None]:
+    """Check the arguments of :func:`trace` alone, and return the two tensors of ``after``, or None."""
+    like = ("origins", origins)
+    check_tensor("xyz", xyz, ("V", 3), like=like)
+    bvh.require_positions(xyz)
+    if isinstance(layers, bool) or not isinstance(layers, int):
+        raise TypeError(f"layers: expected an integer, got {type(layers).__name__}")
+    if not 1 <= layers <= MAX_LAYERS:
+        raise ValueError(f"layers: expected 1 to {MAX_LAYERS}, got {layers}")
+    if after is None:
+        return None, None
+    after_t = check_tensor("after[0]", after[0], (len(origins),), like=like).detach()
+    return after_t, check_tensor("after[1]", after[1], (len(origins),), dtypes=(torch.int32,))
 
 
 def _limit(name: str, value: float | Tensor, origins: Tensor) -> Tensor:

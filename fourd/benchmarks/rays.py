@@ -1,0 +1,55 @@
+"""Benchmark work of ray tracing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from fourd.benchmarks.meshes import make_mesh
+from fourd.benchmarks.peers import embree_tracer
+from fourd.benchmarks.timing import Work
+from fourd.benchmarks.workloads import make_camera
+from fourd.raster.rays import Bvh, trace
+
+
+def primary_rays(side: int) -> tuple[Tensor, Tensor]:
+    """Return origins and directions (side^2, 3) of the rays through the pixel centres of the benchmarks' camera."""
+    camera = make_camera(side, side)
+    pixels = torch.arange(side, dtype=torch.float64) + 0.5
+    rows, columns = torch.meshgrid(pixels, pixels, indexing="ij")
+    at = torch.stack([columns, rows, torch.ones_like(rows)], -1).reshape(-1, 3)
+    directions = at @ torch.from_numpy(camera.rotation.T @ np.linalg.inv(camera.intrinsics)).T
+    origins = torch.from_numpy(camera.centre.copy()).expand_as(directions)
+    return origins.float().contiguous(), directions.float().contiguous()
+
+
+def random_rays(count: int) -> tuple[Tensor, Tensor]:
+    """Return rays between random points of a cube that contains the mesh, which are not coherent."""
+    generator = torch.Generator().manual_seed(count)
+    ends = 2 * torch.rand(2, count, 3, generator=generator) - 1
+    return ends[0], ends[1] - ends[0]
+
+
+def ray_works(count: int, side: int) -> Iterator[tuple[str, Work, dict[str, Work]]]:
+    """Yield name, work and rivals of building, refitting and tracing about ``count`` triangles."""
+    xyz, tri = make_mesh(count)
+    bvh = Bvh.build(xyz, tri)
+    yield f"build a BVH over {count:,} triangles", lambda: Bvh.build(xyz, tri), {}
+    yield f"refit a BVH over {count:,} triangles", lambda: bvh.refit(xyz), {}
+    primary, scattered = primary_rays(side), random_rays(side * side)
+    for name, rays, layers in (
+        ("primary", primary, 1),
+        ("primary", primary, 16),
+        ("scattered", scattered, 1),
+    ):
+        label = f"trace {side * side:,} {name} rays, {count:,} triangles, K = {layers}"
+        embree = embree_tracer(xyz, tri, *rays) if layers == 1 else None
+        rivals = {"Embree, 1 thread": embree} if embree is not None else {}
+        yield label, _tracing(bvh, xyz, rays, layers), rivals
+
+
+def _tracing(bvh: Bvh, xyz: Tensor, rays: tuple[Tensor, Tensor], layers: int) -> Work:
+    return lambda: trace(bvh, xyz, *rays, layers=layers)
