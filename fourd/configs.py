@@ -285,7 +285,7 @@ def _literal(options: tuple[Any, ...], node: yaml.Node, place: _Place) -> Any:
         elif _plain_tag(node) is not None and node.value == _yaml_word(option):
             return option
     shown = ", ".join(_yaml_word(option) for option in options)
-    near = difflib.get_close_matches(str(node.value), [_yaml_word(option) for option in options], n=1)
+    near = difflib.get_close_matches(_describe(node).strip("'"), [_yaml_word(option) for option in options], n=1)
     hint = f"did you mean '{near[0]}'?" if near else "write one of them"
     raise place.error(node, f"expected one of {shown}, got {_describe(node)}; {hint}")
 
@@ -306,7 +306,7 @@ def _scalar(kind: Any, node: yaml.Node, place: _Place) -> Any:
             return _float(text)
         raise place.error(node, f"expected a number, got {_describe(node)}; write for example 0.5 or 1e-3")
     if kind is str or (isinstance(kind, type) and issubclass(kind, Path)):
-        if _is_text(node) and plain not in (_NULL_TAG, _BOOL_TAG):
+        if _is_text(node) and plain not in (_NULL_TAG, _BOOL_TAG) and "\0" not in text:
             return kind(text)
         raise place.error(node, f"expected text, got {_describe(node)}; put the text in quotes")
     raise TypeError(f"{place.key}: expected a supported field type, got {kind}")

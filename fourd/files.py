@@ -5,10 +5,13 @@ from __future__ import annotations
 import glob
 import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+from fourd.limits import require_regular
 
 UNFINISHED = ".unfinished-"
 """Prefix of the names of temporary files."""
@@ -18,25 +21,27 @@ UNFINISHED = ".unfinished-"
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``. On success, rename the temporary file to ``target``.
 
+    A named pipe, a socket or a device in the place of ``target`` is refused, because renaming would replace it.
+
     The temporary file is synced to disk before it is renamed. The context manager is meant for file writers
     that take a path. If the ``with`` block raises an exception, the temporary file is removed and ``target`` is
     unchanged. A killed process leaves the temporary file behind, and :func:`remove_unfinished` removes temporary files.
     The temporary file keeps the suffix of ``target``, because some writers choose the file format by the suffix.
     """
     target = Path(target)
+    require_regular(target)
     target.parent.mkdir(parents=True, exist_ok=True)
     descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix)
     os.close(descriptor)
     temporary = Path(name)
     try:
         yield temporary
-        with temporary.open("rb+") as stream:
-            os.fsync(stream.fileno())
+        _fsync(temporary)
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
         os.replace(temporary, target)
-        _fsync_folder(target.parent)
+        _fsync(target.parent)
     except OSError as error:
         if error.filename not in (None, name) or error.errno is None:
             raise
@@ -62,10 +67,13 @@ def atomic_folder(target: Path) -> Iterator[Path]:
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o777 & ~umask)
+        for path in temporary.rglob("*"):
+            if path.is_file() and not path.is_symlink():
+                _fsync(path)
         if target.exists():
             os.replace(target, old)
         os.replace(temporary, target)
-        _fsync_folder(target.parent)
+        _fsync(target.parent)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
         shutil.rmtree(old, ignore_errors=True)
@@ -102,6 +110,22 @@ def remove_unfinished_file(target: Path | str) -> None:
         path.unlink(missing_ok=True)
 
 
+def remove_unfinished_folder(target: Path) -> None:
+    """Remove the temporary folders that killed processes left for the folder ``target``.
+
+    If a process was killed while it replaced ``target``, its old content is restored. Call this function only while
+    ``target`` is locked.
+    """
+    pattern = f"{UNFINISHED}{glob.escape(target.name)}-????????"
+    for old in sorted(target.parent.glob(f"{pattern}-old")):
+        if not target.exists() or (target.is_dir() and not any(target.iterdir())):
+            os.replace(old, target)
+        else:
+            shutil.rmtree(old, ignore_errors=True)
+    for path in target.parent.glob(pattern):
+        shutil.rmtree(path, ignore_errors=True)
+
+
 def is_unused(folder: Path | str) -> bool:
     """Whether a folder is missing, or contains no files except temporary files of killed processes."""
     folder = Path(folder)
@@ -112,8 +136,11 @@ def is_unused(folder: Path | str) -> bool:
     )
 
 
-def _fsync_folder(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
+def _fsync(path: Path) -> None:
+    """Write a file or the entries of a folder to the disk."""
+    if sys.platform == "win32" and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDWR if sys.platform == "win32" else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import stat
 from pathlib import Path
 
 import pytest
 
+from fourd.errors import UserError
 from fourd.files import (
     UNFINISHED,
     atomic_folder,
@@ -14,6 +16,7 @@ from fourd.files import (
     is_unused,
     remove_unfinished,
     remove_unfinished_file,
+    remove_unfinished_folder,
     write_text_atomically,
 )
 
@@ -90,3 +93,31 @@ def test_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
     (leftover / "a.txt").write_text("half")
     remove_unfinished(tmp_path)
     assert not leftover.exists()
+
+
+def test_pipes_and_devices_are_not_replaced(tmp_path: Path) -> None:
+    """Catches an output that replaces a device node, which is possible as root, and a write that waits for a pipe."""
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "device").symlink_to("/dev/null")
+    for name, kind in (("pipe", "a named pipe"), ("device", "a device")):
+        with pytest.raises(UserError, match=f"{name}: expected a file, got {kind}; name a file"):
+            write_text_atomically(tmp_path / name, "text")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["device", "pipe"]
+
+
+def test_a_folder_is_whole_after_a_kill(tmp_path: Path) -> None:
+    """Catches an old folder that is lost if a process is killed while it replaces the folder, and folders that stay."""
+    target = tmp_path / "site"
+    with atomic_folder(target) as folder:
+        (folder / "page").write_text("old")
+    unfinished = tmp_path / f"{UNFINISHED}site-abcdefgh"
+    unfinished.mkdir()
+    target.rename(tmp_path / f"{UNFINISHED}site-abcdefgh-old")
+    (tmp_path / f"{UNFINISHED}other-abcdefgh").mkdir()
+    remove_unfinished_folder(target)
+    assert (target / "page").read_text() == "old"
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{UNFINISHED}other-abcdefgh", "site"]
+    (tmp_path / f"{UNFINISHED}site-abcdefgh-old").mkdir()
+    remove_unfinished_folder(target)
+    assert (target / "page").read_text() == "old"
+    assert not (tmp_path / f"{UNFINISHED}site-abcdefgh-old").exists()

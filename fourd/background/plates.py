@@ -129,12 +129,12 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
     """The cameras ``names``, with the names as keys. These cameras have lens distortion and the full size of the
     frames."""
-    whole = open_capture(capture.path, views=names, frames="0:1", mattes=False)
     calibrations = read_calibration(capture.path)
-    return {
-        name: replace(camera, distortion=calibrations[name].distortion)
-        for name, camera in zip(whole.names, whole.cameras, strict=True)
-    }
+    with open_capture(capture.path, views=names, frames="0:1", mattes=False) as whole:
+        return {
+            name: replace(camera, distortion=calibrations[name].distortion)
+            for name, camera in zip(whole.names, whole.cameras, strict=True)
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +149,9 @@ class _Still:
 
     def describe(self, frame: int) -> str:
         return str(self.path)
+
+    def close(self) -> None:
+        """Do nothing: the image is in memory."""
 
 
 def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera], file: _File) -> PlateView:

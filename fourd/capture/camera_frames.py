@@ -28,6 +28,9 @@ class CameraFrames(Protocol):
     def describe(self, frame: int) -> str:
         """Description of the frame for error messages: the file, and in a video also the frame number."""
 
+    def close(self) -> None:
+        """Close open files. The next read opens them again."""
+
 
 @dataclass(frozen=True)
 class PictureFrames:
@@ -42,6 +45,9 @@ class PictureFrames:
     def describe(self, frame: int) -> str:
         return str(self.paths[frame])
 
+    def close(self) -> None:
+        """Do nothing: image files are open only while they are read."""
+
 
 @dataclass(frozen=True)
 class VideoFrames:
@@ -55,3 +61,6 @@ class VideoFrames:
 
     def describe(self, frame: int) -> str:
         return f"{self.reader.path} frame {self.numbers[frame]}"
+
+    def close(self) -> None:
+        self.reader.close()

@@ -67,6 +67,8 @@ class Footage:
 class Capture:
     """Selected cameras and frames of a multi-view video.
 
+    Use the object as a context manager, or call :meth:`close`, because videos keep files and threads open.
+
     Images and mattes are undistorted and scaled to match ``cameras``. Images and mattes are decoded on demand. A cache
     of limited size keeps decoded images and mattes, so that memory does not grow with the number of frames. The class
     is not thread-safe.
@@ -107,6 +109,17 @@ class Capture:
         self._footage = tuple(footage)
         frame_bytes = sum(3 * camera.width * camera.height for camera in self.cameras)
         self._cache = _ArrayCache((cache_mb << 20) + cache_frames * frame_bytes)
+
+    def __enter__(self) -> Capture:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close all videos. The next read opens its video again."""
+        for footage in self._footage:
+            footage.images.close()
 
     @property
     def distorted_cameras(self) -> tuple[Camera, ...]:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass, replace
 from fractions import Fraction
 from math import floor
 from pathlib import Path
+from typing import Any
 
 import av
 import numpy as np
@@ -16,9 +18,10 @@ from numpy.typing import NDArray
 
 from fourd.capture.frame_rate import STANDARD_TOLERANCE, standard_rate
 from fourd.capture.matroska import missing_bytes
-from fourd.capture.video_picture import reduced_size, to_rgb, transfer_of, turn_of
+from fourd.capture.video_picture import HLG, PQ, reduced_size, to_rgb, transfer_of, turn_of
 from fourd.errors import UserError
-from fourd.limits import require_regular
+from fourd.limits import read_fraction, require_regular
+from fourd.processes.isolation import ParserProcess
 
 CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,h264,hevc"
 """Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams. A
@@ -31,6 +34,12 @@ If a frame deviates by more than this value, the index stores the time of every 
 MAX_RATE_ERROR = 5e-3
 """If the mean rate of uneven frames deviates from a standard rate by less than this share, the standard rate is
 used."""
+MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
+"""Minimum and maximum frame rate in 1/s. Scenes have the same limits."""
+PROBE_THREADS = 2
+"""Number of threads that decode the first and the last frame of a video, each of which keeps several frames."""
+FRACTIONS = ("start", "fps", "tick")
+"""Fields of an index that JSON stores as text."""
 GAP = 1.5
 """An interval between two frames contains dropped frames if it is longer than the median interval times this factor."""
 
@@ -116,8 +125,14 @@ def open_container(path: Path) -> InputContainer:
     return av.open(str(path), options={"protocol_whitelist": "file", "format_whitelist": CONTAINERS})
 
 
-def index_video(path: Path) -> VideoIndex:
+def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
     """Create a video's index from its packets, and decode the first and the last frame as a check.
+
+    The video is read in a child process, because a damaged video can crash FFmpeg.
+
+    Args:
+        path: the video.
+        parser: the child process to use, or None to start one.
 
     Raises:
         UserError: if the file is not a video, is truncated, or has fewer than 2 frames or frames without times. Also if
@@ -125,6 +140,52 @@ def index_video(path: Path) -> VideoIndex:
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy the video again")
+    require_regular(path)
+    with ParserProcess() if parser is None else nullcontext(parser) as process:
+        values = process.call("fourd.capture.video:probe_in_child", path).value
+    try:
+        return index_from_json(values)
+    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
+        raise _damaged(path, error) from error
+
+
+def probe_in_child(name: str) -> dict[str, Any]:
+    """Create a video's index like :func:`index_video`, in this process. Returns the index as JSON values."""
+    return index_to_json(_probe(Path(name)))
+
+
+def index_to_json(index: VideoIndex) -> dict[str, Any]:
+    """Convert an index to JSON values."""
+    return asdict(index) | {name: str(getattr(index, name)) for name in FRACTIONS}
+
+
+def index_from_json(values: Any) -> VideoIndex:
+    """Create an index from its JSON values. Raises TypeError, KeyError, ValueError or ZeroDivisionError for other
+    values."""
+    values = dict(values)
+    values |= {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
+    values |= {name: _whole_numbers(values.get(name, ())) for name in ("keyframes", "times")}
+    index = VideoIndex(**values)
+    _whole_numbers((index.frames, index.width, index.height))
+    is_turned = index.turn in (0, 90, 180, 270) and index.transfer in ("", HLG, PQ) and 0 < index.scale <= 1
+    has_times = not index.times or len(index.times) == index.frames
+    is_ordered = all(list(each) == sorted(set(each)) for each in (index.keyframes, index.times))
+    is_rate = MIN_FPS <= index.fps <= MAX_FPS and index.tick > 0
+    if min(index.frames, index.width, index.height) < 1 or not is_rate:
+        raise ValueError("expected an index with frames")
+    if not (is_turned and has_times and is_ordered) or (index.keyframes and index.keyframes[-1] >= index.frames):
+        raise ValueError("expected frames in order")
+    return index
+
+
+def _whole_numbers(values: Any) -> tuple[int, ...]:
+    for value in values:
+        if not isinstance(value, int) or isinstance(value, bool) or not 0 <= value < 1 << 62:
+            raise ValueError("expected whole numbers")
+    return tuple(values)
+
+
+def _probe(path: Path) -> VideoIndex:
     try:
         with open_container(path) as container:
             if not container.streams.video:
@@ -163,9 +224,9 @@ def index_video(path: Path) -> VideoIndex:
         keyframes = tuple(number for number, (_, is_key) in enumerate(packets) if is_key)
         start = packets[0][0] * base
         index = VideoIndex(width, height, len(packets), start, fps, keyframes, turn, transfer, 1.0, base, ticks)
-        with VideoReader(path, index) as reader:
+        with VideoReader(path, index, PROBE_THREADS) as reader:
             reader.read(len(packets) - 1)
-    except (av.FFmpegError, OSError, ValueError) as error:
+    except (av.FFmpegError, OSError, ValueError, OverflowError) as error:
         raise _damaged(path, error) from error
     return index
 
@@ -178,17 +239,19 @@ class VideoReader:
     context manager. The reader is not thread-safe.
     """
 
-    def __init__(self, path: Path, index: VideoIndex) -> None:
+    def __init__(self, path: Path, index: VideoIndex, threads: int = 0) -> None:
+        """Create a reader that decodes with ``threads`` threads. If ``threads`` is 0, FFmpeg chooses the number."""
         self.path = path
         self.index = index
+        self._threads = threads
         self._container: av.container.InputContainer | None = None
         self._frames: Iterator[av.VideoFrame] = iter(())
         self._next = 0
         self._last: tuple[int, NDArray[np.uint8]] | None = None
 
-    def __reduce__(self) -> tuple[type[VideoReader], tuple[Path, VideoIndex]]:
+    def __reduce__(self) -> tuple[type[VideoReader], tuple[Path, VideoIndex, int]]:
         """Pickle the reader without its open file. After unpickling, the next read opens the file again."""
-        return VideoReader, (self.path, self.index)
+        return VideoReader, (self.path, self.index, self._threads)
 
     def __enter__(self) -> VideoReader:
         return self
@@ -260,6 +323,7 @@ class VideoReader:
         if self._container is None:
             self._container = open_container(self.path)
             self._container.streams.video[0].thread_type = "AUTO"
+            self._container.streams.video[0].codec_context.thread_count = self._threads
         stream = self._container.streams.video[0]
         assert stream.time_base is not None
         self._container.seek(round(self.index.time(frame) / stream.time_base), stream=stream)
@@ -303,17 +367,25 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     step = Fraction(int(pts[-1] - pts[0]), len(pts) - 1)
     jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step))
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
-        return (1 / (step * base)).limit_denominator(1001), True
+        return _rounded_rate(path, 1 / (step * base)), True
     usual = steps[steps <= GAP * np.median(steps)]
     # In a short video, jitter of the first and last frame changes the mean interval.
     tolerance = min(max(2 * float(usual.std()) / float(usual.sum()), STANDARD_TOLERANCE), MAX_RATE_ERROR)
-    return standard_rate(1 / (Fraction(int(usual.sum()), len(usual)) * base), tolerance), False
+    rate = 1 / (Fraction(int(usual.sum()), len(usual)) * base)
+    return standard_rate(rate, tolerance) if rate >= 1 else _rounded_rate(path, rate), False
+
+
+def _rounded_rate(path: Path, rate: Fraction) -> Fraction:
+    """Round a frame rate in 1/s to a fraction with a small denominator, or with a small numerator for time-lapses."""
+    if not MIN_FPS <= rate <= MAX_FPS:
+        raise _no_times(path, f"one frame each {float(1 / rate):.3g} s")
+    return rate.limit_denominator(1001) if rate >= 1 else 1 / (1 / rate).limit_denominator(1001)
 
 
 def _no_times(path: Path, got: str) -> UserError:
     return UserError(
-        f"{path}: expected frames at increasing times, got {got}; write times of, for example, 30 frames per second "
-        f"with: ffmpeg -r 30 -i {path.name} -crf 12 timed-{path.name}"
+        f"{path}: expected frames at increasing times, 0.1 ms to 1000 s apart, got {got}; write times of, for example, "
+        f"30 frames per second with: ffmpeg -r 30 -i {path.name} -crf 12 timed-{path.name}"
     )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from fourd.capture.layout import VIDEOS, camera_folders, find_videos, refuse_symlinks
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_list import CACHE, NAME, is_entry_current, load_video, make_entry, read_entries, write_entries
+from fourd.processes.isolation import ParserProcess
 from fourd.progress import Track
 
 
@@ -28,13 +29,14 @@ def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dic
     path = folder / CACHE
     known = read_entries(path)
     indices = {}
-    for name in track(list(files), len(files), "videos") if files else ():
-        video = load_video(path, files[name], known.get(name))
-        if not is_entry_current(known.get(name), files[name]):
-            refuse_symlinks(folder, path)
-            known[name] = make_entry(video)
-            write_entries(path, known)
-        indices[name] = video.index
+    with ParserProcess() as parser:
+        for name in track(list(files), len(files), "videos") if files else ():
+            video = load_video(path, files[name], known.get(name), parser)
+            if not is_entry_current(known.get(name), files[name]):
+                refuse_symlinks(folder, path)
+                known[name] = make_entry(video)
+                write_entries(path, known)
+            indices[name] = video.index
     return indices
 
 

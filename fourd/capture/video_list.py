@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from math import floor
 from pathlib import Path
@@ -16,11 +16,11 @@ from typing import Any
 
 from fourd.capture.frame_rate import format_rate
 from fourd.capture.layout import DERIVED, VIDEOS, find_videos
-from fourd.capture.video import VideoIndex, index_video
-from fourd.capture.video_picture import HLG, PQ
+from fourd.capture.video import MAX_FPS, MIN_FPS, VideoIndex, index_from_json, index_to_json, index_video
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.limits import read_fraction, read_json
+from fourd.processes.isolation import ParserProcess
 
 NAME = "videos.json"
 CACHE = DERIVED / NAME
@@ -28,8 +28,8 @@ CACHE = DERIVED / NAME
 VERSION = 2
 OFFSET_DECIMALS = 4
 MAX_OFFSET = 1e9
-FRACTIONS = ("start", "fps", "tick")
-"""Fields of an index that are stored as strings with fractions."""
+MAX_PIXELS = 1 << 28
+"""Maximum number of pixels of a frame. A video has fewer frames than bytes."""
 MAX_DRIFT_FRAMES = 0.5
 """Two frame rates count as equal if two videos with these rates drift apart by at most this number of frames."""
 
@@ -107,11 +107,12 @@ def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, 
     fps = read_clock(path)
     listed, cached = read_entries(path), read_entries(cache)
     videos = {}
-    for name in files if names is None else [name for name in names if name in files]:
-        if name in listed:
-            videos[name] = replace(load_video(path, files[name], listed[name]), fps=fps)
-        else:
-            videos[name] = load_video(cache, files[name], cached.get(name))
+    with ParserProcess() as parser:
+        for name in files if names is None else [name for name in names if name in files]:
+            if name in listed:
+                videos[name] = replace(load_video(path, files[name], listed[name], parser), fps=fps)
+            else:
+                videos[name] = load_video(cache, files[name], cached.get(name), parser)
     return videos
 
 
@@ -186,12 +187,11 @@ def common_rate(videos: Mapping[str, Video]) -> Fraction | None:
 def make_entry(video: Video) -> Entry:
     """Create a video's entry for videos.json."""
     status = video.path.stat()
-    index = asdict(video.index) | {name: str(getattr(video.index, name)) for name in FRACTIONS}
     return {
         "file": video.path.name,
         "bytes": status.st_size,
         "offset": video.offset,
-        "index": index,
+        "index": index_to_json(video.index),
     }
 
 
@@ -200,23 +200,26 @@ def is_entry_current(entry: Entry | None, path: Path) -> bool:
     return entry is not None and (entry.get("file"), entry.get("bytes")) == (path.name, path.stat().st_size)
 
 
-def load_video(listing: Path, path: Path, entry: Entry | None) -> Video:
+def load_video(listing: Path, path: Path, entry: Entry | None, parser: ParserProcess | None = None) -> Video:
     """Create a video from its ``entry`` in the file ``listing``.
 
     A new index is created if there is no entry, or if the file at ``path`` has changed since the entry was written.
+    ``parser`` is the child process that creates the index, see :func:`fourd.capture.video.index_video`.
 
     Raises:
         UserError: if the entry is damaged or the video cannot be used.
     """
     if entry is None:
-        return Video(path, index_video(path), 0)
+        return Video(path, index_video(path, parser), 0)
     try:
         offset = entry["offset"]
-        index = _load_index(dict(entry["index"]))
+        index = index_from_json(entry["index"])
         if not (isinstance(offset, int | float) and 0 <= offset < MAX_OFFSET):
             raise ValueError
         if not is_entry_current(entry, path):
-            index = index_video(path).reduce(index.scale)
+            index = index_video(path, parser).reduce(index.scale)
+        if index.frames > path.stat().st_size or index.width * index.height > MAX_PIXELS:
+            raise ValueError
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise _damaged(listing, f"the index of {path.name}") from error
     return Video(path, index, offset)
@@ -248,25 +251,11 @@ def read_clock(path: Path) -> Fraction | None:
     try:
         fps = read_json(path).get("fps") if path.exists() else None
         rate = None if fps is None else read_fraction(fps)
-        if rate is not None and rate <= 0:
+        if rate is not None and not MIN_FPS <= rate <= MAX_FPS:
             raise ValueError
     except (ValueError, TypeError, AttributeError, ZeroDivisionError) as error:
         raise _damaged(path, "the list of this capture's videos") from error
     return rate
-
-
-def _load_index(values: dict[str, Any]) -> VideoIndex:
-    """Create an index from its JSON values. Raises TypeError, KeyError or ValueError for invalid values."""
-    values |= {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
-    values["times"] = tuple(int(ticks) for ticks in values.get("times", ()))
-    index = VideoIndex(**values | {"keyframes": tuple(int(number) for number in values["keyframes"])})
-    is_turned = index.turn in (0, 90, 180, 270) and index.transfer in ("", HLG, PQ) and 0 < index.scale <= 1
-    has_times = not index.times or len(index.times) == index.frames
-    if min(index.frames, index.width, index.height) < 1 or min(index.fps, index.tick) <= 0:
-        raise ValueError
-    if not (is_turned and has_times):
-        raise ValueError
-    return index
 
 
 def _damaged(listing: Path, expected: str) -> UserError:

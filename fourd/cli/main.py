@@ -7,6 +7,7 @@ import os
 import select
 import sys
 from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
 
 from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
@@ -50,8 +51,19 @@ FILE_ERRORS = (
     errno.ENAMETOOLONG,
     errno.ELOOP,
     errno.EIO,
+    errno.EMFILE,
+    errno.ENFILE,
+    errno.EBUSY,
+    errno.ENXIO,
+    errno.ENOTEMPTY,
+    errno.ESTALE,
 )
 """File system errors that the user can fix."""
+
+MAX_MESSAGE = 4000
+"""Number of characters of an error message. Longer messages quote long text from a file."""
+MAX_SHOWN = 200
+"""Number of characters of a wrong name that an error message shows."""
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
@@ -161,6 +173,13 @@ def _report_errors(words: list[str]) -> int:
         return _fail(words[0], f"expected input that fits in memory, got larger input{asked}; {LESS_MEMORY}")
     except RecursionError:
         return _fail(words[0], "expected files of moderate depth, got deeply nested content; restore the files")
+    except UnicodeEncodeError as error:
+        # Paths with other bytes are text with lone surrogates, which cannot be stored.
+        got = f"got {printable(str(error.object))[:MAX_SHOWN]}"
+        return _fail(words[0], f"expected names of files and cameras in UTF-8, {got}; rename the file or the folder")
+    except BrokenExecutor:
+        got = "got one that the system ended, usually because of missing memory"
+        return _fail(words[0], f"expected worker processes that finish, {got}; use fewer --workers, or {LESS_MEMORY}")
     except OSError as error:
         if error.errno not in FILE_ERRORS:
             raise
@@ -174,7 +193,9 @@ def _report_errors(words: list[str]) -> int:
 
 def _fail(command: str, message: str) -> int:
     """Print an error as one line and return the exit code 2."""
-    print(f"fourd {printable(command)}: {printable(message)}", file=sys.stderr)
+    text = printable(message)
+    text = text if len(text) <= MAX_MESSAGE else f"{text[: MAX_MESSAGE // 2]} ... {text[-MAX_MESSAGE // 2 :]}"
+    print(f"fourd {printable(command)}: {text}", file=sys.stderr)
     return 2
 
 

@@ -33,6 +33,9 @@ class EncodedFrames:
         """Name of a frame for error messages."""
         return f"frame {frame}{self.frames.suffix}"
 
+    def close(self) -> None:
+        """Do nothing: the file is open only while it is read."""
+
 
 class SynchronizedFrames:
     """Time-aligned frames of all cameras of a source. Leaving this context manager closes the videos.

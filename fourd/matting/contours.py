@@ -41,19 +41,20 @@ def find_foreign_mattes(path: Path | str, track: Track = untracked) -> list[str]
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.
     """
-    capture = open_capture(path)
-    if not capture.has_masks:
-        return []
-    frames = sample_indices(capture.frame_count, FRAMES)
-    foreign = []
-    for index in track(range(len(capture.names)), len(capture.names), "mattes"):
-        fits = [fits_image(capture.image(index, frame), capture.mask(index, frame)) for frame in frames]
-        judged = [fit for fit in fits if fit is not None]
-        if len(judged) >= MIN_MATTES and sum(judged) <= MAX_FITTING * len(judged):
-            foreign.append(capture.names[index])
+    with open_capture(path) as capture:
+        count = len(capture.names)
+        if not capture.has_masks:
+            return []
+        frames = sample_indices(capture.frame_count, FRAMES)
+        foreign = []
+        for index in track(range(len(capture.names)), len(capture.names), "mattes"):
+            fits = [fits_image(capture.image(index, frame), capture.mask(index, frame)) for frame in frames]
+            judged = [fit for fit in fits if fit is not None]
+            if len(judged) >= MIN_MATTES and sum(judged) <= MAX_FITTING * len(judged):
+                foreign.append(capture.names[index])
     if not foreign:
         return []
-    which = "all cameras" if len(foreign) == len(capture.names) else f"camera {', '.join(foreign)}"
+    which = "all cameras" if len(foreign) == count else f"camera {', '.join(foreign)}"
     return [
         f"{path}: the mattes of {which} do not follow the contours in the images; they may belong to another recording "
         "or to other frames; make them again with fourd matte, or copy the right masks"

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
+from fourd.limits import require_regular
 from fourd.matting.rvm import automatic_ratio
 
 if TYPE_CHECKING:
@@ -121,6 +122,7 @@ def load_onnx(path: Path | str) -> OnnxNetwork:
     if not path.is_file():
         got = "a folder" if path.is_dir() else "no such file"
         raise UserError(f"{path}: expected an ONNX file, got {got}; check the path of --onnx")
+    require_regular(path)
     try:
         import onnxruntime
     except ImportError as error:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
 from fourd.files import atomic_path, remove_unfinished, write_text_atomically
-from fourd.limits import read_json
+from fourd.limits import open_regular, read_json
 from fourd.matting.selection import Selection
 from fourd.parallel import run_jobs
 from fourd.progress import Track
@@ -132,7 +132,8 @@ def _camera_key(capture: Capture, name: str, key: str) -> str:
         for folder in (Path("masks"), MATTES):
             matte = capture.path / folder / name / f"{capture.frame_names[frame]}.png"
             if matte.exists():
-                digest.update(matte.read_bytes())
+                with open_regular(matte) as stream:
+                    digest.update(hashlib.file_digest(stream, hashlib.sha256).digest())
     return digest.hexdigest()
 
 
@@ -147,8 +148,8 @@ class _Job:
 
 def _make_plate(job: _Job) -> Iterator[str]:
     """Write one camera's plate, then yield the camera's name."""
-    capture = replace(job.selection, views=(job.name,)).open()
-    write_plate(job.folder / f"{job.name}.png", clean_plate(capture, 0))
+    with replace(job.selection, views=(job.name,)).open() as capture:
+        write_plate(job.folder / f"{job.name}.png", clean_plate(capture, 0))
     yield job.name
 
 

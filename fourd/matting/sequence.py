@@ -93,14 +93,21 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
     # Models are learned from the whole recording, and --frames only selects the mattes to write. Optical flow may
     # therefore reach frames that are not selected.
     recording = replace(selection, frames=None)
-    capture = recording.open(mattes=False)
+    with recording.open(mattes=False) as capture:
+        return _make_missing(capture, recording, selection.frames, settings, workers, track)
+
+
+def _make_missing(
+    capture: Capture, recording: Selection, frames: str | None, settings: MatteSettings, workers: int, track: Track
+) -> int:
+    """Make the mattes of :func:`make_mattes`. ``capture`` is the opened ``recording``."""
     folder = capture.path / MATTES
     refuse_symlinks(capture.path, folder)
     # Invalid painted images are reported before the models are learned.
     read_strokes(settings.paint, capture, matting_cameras(capture))
     model_key = matte_key(capture, replace(settings, paint=()))
     _prepare_folder(folder, matte_key(capture, settings), model_key)
-    chosen = parse_frame_range(selection.frames, capture.frame_count)
+    chosen = parse_frame_range(frames, capture.frame_count)
     missing = [frame for frame in chosen if not _is_made(folder, capture, frame)]
     if not missing:
         return 0
@@ -252,20 +259,20 @@ class _Job:
 def _make_frames(job: _Job) -> Iterator[int]:
     """Compute the mattes of a job's frames, and yield the index of each frame after its files are written."""
     cv2.setNumThreads(1)
-    capture = job.selection.open(mattes=False)
-    maker = load_matte_maker(job.model, matting_cameras(capture)) if isinstance(job.model, Path) else None
-    strokes = read_strokes(job.paint, capture, matting_cameras(capture))
-    for frame in job.frames:
-        if maker is not None:
-            mattes = maker.mattes(capture, frame, strokes)
-        elif isinstance(job.model, tuple):
-            mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.model)]
-        for name, matte in zip(capture.names, mattes, strict=True):
-            path = job.folder / name / f"{capture.frame_names[frame]}.png"
-            # Existing mattes of an incomplete frame are kept, because the user may have edited these mattes.
-            if not path.exists():
-                write_matte(path, matte)
-        yield frame
+    with job.selection.open(mattes=False) as capture:
+        maker = load_matte_maker(job.model, matting_cameras(capture)) if isinstance(job.model, Path) else None
+        strokes = read_strokes(job.paint, capture, matting_cameras(capture))
+        for frame in job.frames:
+            if maker is not None:
+                mattes = maker.mattes(capture, frame, strokes)
+            elif isinstance(job.model, tuple):
+                mattes = [chroma_matte(capture.image(index, frame), screen) for index, screen in enumerate(job.model)]
+            for name, matte in zip(capture.names, mattes, strict=True):
+                path = job.folder / name / f"{capture.frame_names[frame]}.png"
+                # Existing mattes of an incomplete frame are kept, because the user may have edited these mattes.
+                if not path.exists():
+                    write_matte(path, matte)
+            yield frame
 
 
 def write_matte(path: Path, matte: Picture) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from fourd.capture import open_capture
+from fourd.capture import Capture, open_capture
 from fourd.capture.layout import MATTES, sample_indices
 from fourd.errors import UserError
 from fourd.pipeline.capture_graph import has_masks
@@ -34,18 +34,14 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
     if has_masks(capture) or (capture / MATTES).is_dir():
         return False
     views = None if train.views is None else list(train.views)
-    opened = open_capture(capture, views=views, frames=train.frames)
-    if opened.frame_count > 1:
-        widest = max(camera.width for camera in opened.cameras)
-        scale = min(1.0, WIDTH_PX / widest)
-        opened = open_capture(capture, views=views, frames=train.frames, scale=scale)
-        frames = sample_indices(opened.frame_count, SAMPLED_FRAMES)
-        for index in range(len(opened.names)):
-            greys = [cv2.GaussianBlur(opened.image(index, frame).astype(np.float32), (0, 0), 1.0) for frame in frames]
-            if any((np.abs(grey - greys[0]).max(axis=2) > MIN_DIFFERENCE).mean() > MAX_CHANGED for grey in greys):
+    with open_capture(capture, views=views, frames=train.frames) as opened:
+        count, widest = opened.frame_count, max(camera.width for camera in opened.cameras)
+    if count > 1:
+        with open_capture(capture, views=views, frames=train.frames, scale=min(1.0, WIDTH_PX / widest)) as opened:
+            if _has_motion(opened):
                 return False
     if train.scene != "full":
-        what = "only one frame" if opened.frame_count == 1 else "images without motion"
+        what = "only one frame" if count == 1 else "images without motion"
         raise UserError(
             f"{capture}: expected a moving subject or a folder masks/, got {what} and no masks; add --scene full to "
             "reconstruct everything in the images as a static scene, or provide masks/CAM/FRAME.png"
@@ -53,12 +49,22 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
     return True
 
 
+def _has_motion(capture: Capture) -> bool:
+    """Whether pixels of an image change between a few frames."""
+    frames = sample_indices(capture.frame_count, SAMPLED_FRAMES)
+    for index in range(len(capture.names)):
+        greys = [cv2.GaussianBlur(capture.image(index, frame).astype(np.float32), (0, 0), 1.0) for frame in frames]
+        if any((np.abs(grey - greys[0]).max(axis=2) > MIN_DIFFERENCE).mean() > MAX_CHANGED for grey in greys):
+            return True
+    return False
+
+
 def still_config(train: TrainConfig, capture: Path, log: Log) -> TrainConfig:
     """The config of a scene without foreground: only one frame is used, and all steps train the background."""
     views = None if train.views is None else list(train.views)
-    opened = open_capture(capture, views=views, frames=train.frames)
-    first = opened.frame_numbers[0]
-    which = "one frame" if opened.frame_count == 1 else f"{opened.frame_count} frames in which nothing moves"
+    with open_capture(capture, views=views, frames=train.frames) as opened:
+        first, count = opened.frame_numbers[0], opened.frame_count
+    which = "one frame" if count == 1 else f"{count} frames in which nothing moves"
     log(
         f"still scene: {which}: the background is made from the images of frame {first}, and there is no moving "
         "foreground"

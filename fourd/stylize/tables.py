@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import stat
 from pathlib import Path
 
 import cv2
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
+from fourd.limits import read_limited
 from fourd.ops.stylize.parameters import MAX_ROWS, TONES
 from fourd.stylize.styles import Ramp, Style
 
@@ -39,13 +39,9 @@ def make_table(style: Style) -> NDArray[np.uint8]:
 def read_map(path: Path, most_rows: int) -> NDArray[np.float64]:
     """Read a shade map: (rows, columns, 3) in [0, 1]. Raises ShadeMapError."""
     try:
-        state = path.stat()
-        if not stat.S_ISREG(state.st_mode):
-            # A pipe or a device could be read for ever.
-            raise ShadeMapError(f"{path}: expected a PNG, got a folder, a pipe or a device; check the path of ramp.map")
-        if state.st_size > _MAX_MAP_BYTES:
-            raise ShadeMapError(f"{path}: expected a shade map of at most 16 MiB, got a larger file; name another PNG")
-        content = np.fromfile(path, np.uint8)
+        content = np.frombuffer(read_limited(path, _MAX_MAP_BYTES), np.uint8)
+    except UserError as error:
+        raise ShadeMapError(str(error)) from error
     except OSError as error:
         raise ShadeMapError(f"{path}: expected a PNG, got '{error.strerror}'; check the path of ramp.map") from error
     is_png = content[:8].tobytes() == b"\x89PNG\r\n\x1a\n"

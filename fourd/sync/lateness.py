@@ -37,26 +37,27 @@ def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.
     """
-    capture = open_capture(path)
-    if capture.frame_count < MIN_FRAMES or len(capture.names) < 3:
+    with open_capture(path) as capture:
+        names, total = capture.names, capture.frame_count
+        widest = max(camera.width for camera in capture.cameras)
+    if total < MIN_FRAMES or len(names) < 3:
         return []
-    widest = max(camera.width for camera in capture.cameras)
-    capture = open_capture(path, scale=min(1.0, WIDTH_PX / widest))
-    count = min(capture.frame_count, MAX_FRAMES)
-    first = (capture.frame_count - count) // 2
+    count = min(total, MAX_FRAMES)
+    first = (total - count) // 2
     energies = []
-    for index, name in enumerate(capture.names):
-        numbers = track(range(first, first + count), count, f"motion of {name}")
-        energies.append(
-            motion_energy(
-                np.asarray(cv2.cvtColor(capture.image(index, number), cv2.COLOR_RGB2GRAY), np.uint8)
-                for number in numbers
+    with open_capture(path, scale=min(1.0, WIDTH_PX / widest)) as capture:
+        for index, name in enumerate(names):
+            numbers = track(range(first, first + count), count, f"motion of {name}")
+            energies.append(
+                motion_energy(
+                    np.asarray(cv2.cvtColor(capture.image(index, number), cv2.COLOR_RGB2GRAY), np.uint8)
+                    for number in numbers
+                )
             )
-        )
     found = estimate_offsets(energies, min(count // 3, count - MIN_OVERLAP))
     usual = int(np.median(found.frames))
     lines = []
-    for name, frames, confidence in zip(capture.names, found.frames, found.confidence, strict=True):
+    for name, frames, confidence in zip(names, found.frames, found.confidence, strict=True):
         late = frames - usual
         if abs(late) > UNRELIABLE_FRAMES and confidence >= MIN_CONFIDENCE:
             lines.append(

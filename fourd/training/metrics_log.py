@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.limits import open_regular, require_regular
 
 METRICS_NAME = "metrics.jsonl"
 FLUSH_SECONDS = 10
@@ -40,6 +41,7 @@ class MetricsLog:
         path = folder / METRICS_NAME
         with self._os_errors_as_user_errors():
             folder.mkdir(parents=True, exist_ok=True)
+            require_regular(path)
             if path.exists():
                 _truncate(path, resume_step)
             self._stream = path.open("a", encoding="utf-8")
@@ -97,7 +99,7 @@ def _truncate(path: Path, last_step: int) -> None:
 
     The file is processed line by line, because the log of a long run is large.
     """
-    with path.open("rb") as lines, atomic_path(path) as temporary, temporary.open("wb") as kept:
+    with open_regular(path) as lines, atomic_path(path) as temporary, temporary.open("wb") as kept:
         for line in lines:
             if line.endswith(b"\n") and _step_of(line) <= last_step:
                 kept.write(line)
@@ -107,7 +109,7 @@ def _step_of(line: bytes) -> float:
     """The step of the record in a line, or infinity if the line is not a record."""
     try:
         record = json.loads(line)
-    except ValueError:
+    except (ValueError, RecursionError):
         return math.inf
     step = record.get("step") if isinstance(record, dict) else None
     return step if isinstance(step, int) else math.inf

@@ -98,6 +98,12 @@ class Run:
     training: list[int]
     test: list[int]
 
+    def __enter__(self) -> Run:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.capture.close()
+
     @property
     def focus(self) -> NDArray[np.float64]:
         """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles

@@ -67,3 +67,17 @@ def write_numbered_video(
             container.mux(stream.encode(frame))
         container.mux(stream.encode(None))
     return path
+
+
+def write_slow_video(path: Path, interval: Fraction) -> None:
+    """Write a video of 4 frames with a constant interval in seconds."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        base = Fraction(1, 1000) if interval >= 1 else Fraction(1, 10**6)
+        stream.time_base = base
+        for number in range(4):
+            frame = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 60 * number, np.uint8), format="rgb24")
+            frame.pts, frame.time_base = int(number * interval / base), base
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))

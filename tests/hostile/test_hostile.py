@@ -6,11 +6,13 @@ import os
 import resource
 import signal
 import sys
+from itertools import chain
 from pathlib import Path
 
 import pytest
 
 from fourd.cli.main import main
+from tests.hostile.classes import HostileClasses
 from tests.hostile.files import Case, HostileFiles
 
 MAX_SECONDS = 10
@@ -65,12 +67,12 @@ def test_hostile_files_end_with_one_line(tmp_path: Path) -> None:
     """Catches tracebacks, crashes, hangs, memory without bound, and files that are deleted outside the capture."""
     hostile = HostileFiles(tmp_path)
     faults, count = {}, 0
-    for case in hostile.cases():
+    for case in chain(hostile.cases(), HostileClasses(hostile).cases()):
         fault = run_case(case, tmp_path / "log")
         count += 1
         if fault:
             faults[case.name] = fault
     assert not faults, "\n".join(f"{name}: {fault}" for name, fault in faults.items())
-    assert count > 100
+    assert count > 300
     assert (tmp_path / "outside" / "precious").read_text() == "kept"
     assert not (tmp_path / "out").exists()

@@ -15,6 +15,7 @@ from fourd.capture.video import VideoIndex, index_video
 from fourd.errors import UserError
 from fourd.importing.detection import pick_format
 from fourd.importing.importer import ImportOptions, import_source
+from fourd.processes.isolation import ParserProcess
 from fourd.progress import untracked
 from tests.capture.numbered_videos import HEIGHT, WIDTH, number_of, write_numbered_video
 from tests.captures import ring_cameras
@@ -140,7 +141,7 @@ def test_videos_are_read_through_once(tmp_path: Path, monkeypatch: pytest.Monkey
     source, out = write_source(tmp_path / "source"), tmp_path / "out"
     indexed: list[str] = []
 
-    def counted(path: Path) -> VideoIndex:
+    def counted(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
         if len(indexed) == 2 and not out.joinpath("stopped").exists():
             out.joinpath("stopped").touch()
             raise KeyboardInterrupt

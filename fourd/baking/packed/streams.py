@@ -20,6 +20,13 @@ LEVEL, ZLIB_LEVEL = 19, 9
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
+MAX_RATIO = 1024
+"""Maximum ratio of the content of a member to its compressed bytes. Points that differ from each other compress far
+less. Members of zeros compress more, and small files of zeros would take gigabytes of memory."""
+SMALL_BYTES = 1 << 24
+"""Contents up to this size in bytes may be compressed by any ratio."""
+
+
 class StreamError(ValueError):
     """A damaged member. The message has the form "expected ..., got ..."."""
 
@@ -45,6 +52,7 @@ def decompress(member: bytes, largest: int) -> NDArray[np.uint8]:
     Raises:
         StreamError: if the member is damaged, declares no size or has more than ``largest`` bytes.
     """
+    largest = min(largest, max(SMALL_BYTES, MAX_RATIO * len(member)))
     content = _from_zstd(member, largest) if member.startswith(_ZSTD_MAGIC) else _from_zlib(member, largest)
     return np.frombuffer(content, np.uint8)
 

@@ -95,14 +95,13 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
     Raises:
         UserError: if the capture cannot be opened; see :func:`fourd.capture.open_capture`.
     """
-    whole = open_capture(path)
-    largest = max(camera.width * camera.height for camera in whole.cameras)
-    max_pixels = min(MAX_PICTURE_PIXELS, MAX_FRAME_PIXELS / len(whole.cameras))
-    scale = min(1.0, float(np.sqrt(max_pixels / largest)))
-    capture = whole if scale == 1 else open_capture(path, scale=scale)
-    has_few = len(capture.cameras) <= FEW_CAMERAS
-    frames = sample_indices(capture.frame_count, FEW_CAMERAS_FRAMES) if has_few else [capture.frame_count // 2]
-    pictures = [[capture.image(camera, frame) for camera in range(len(capture.cameras))] for frame in frames]
+    with open_capture(path) as whole:
+        largest = max(camera.width * camera.height for camera in whole.cameras)
+        max_pixels = min(MAX_PICTURE_PIXELS, MAX_FRAME_PIXELS / len(whole.cameras))
+    with open_capture(path, scale=min(1.0, float(np.sqrt(max_pixels / largest)))) as capture:
+        has_few = len(capture.cameras) <= FEW_CAMERAS
+        frames = sample_indices(capture.frame_count, FEW_CAMERAS_FRAMES) if has_few else [capture.frame_count // 2]
+        pictures = [[capture.image(camera, frame) for camera in range(len(capture.cameras))] for frame in frames]
     cameras = capture.distorted_cameras
     reduced = match_cameras(pictures, capture.cameras, track)
     reduced |= _match_unmatched(pictures[0], capture.cameras, reduced)

@@ -14,6 +14,8 @@ from fourd.board_calibration.printing import print_board
 from fourd.boards import read_board
 from fourd.cli.options import Frames, option, parse_offsets
 from fourd.errors import UserError
+from fourd.files import remove_unfinished_folder
+from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
 
 VIDEOS_HELP = (
@@ -91,7 +93,9 @@ def run(arguments: Arguments) -> None:
         arguments.floor_frame,
         parse_offsets(arguments.offset),
     )
-    calibrate_rig(arguments.videos, arguments.out, settings, log=log, warn=warn, track=Tracker(console).track)
+    with locked_folder(arguments.out):
+        remove_unfinished_folder(arguments.out)
+        calibrate_rig(arguments.videos, arguments.out, settings, log=log, warn=warn, track=Tracker(console).track)
     text = f"next: fourd import VIDEOS CAPTURE --calibration {arguments.out}"
     Terminal().print(Text(f"{arguments.out}: written; {text}"), soft_wrap=True)
 

@@ -72,7 +72,8 @@ def _agreement(path: Path) -> Agreement:
 
 
 def _quality(path: Path) -> MatteQuality | None:
-    return measure_mattes(open_capture(path), max_frames=MEASURED_FRAMES, track=Tracker(Terminal(stderr=True)).track)
+    with open_capture(path) as capture:
+        return measure_mattes(capture, max_frames=MEASURED_FRAMES, track=Tracker(Terminal(stderr=True)).track)
 
 
 def _facts(path: Path, report: Report, agreement: Agreement | None, quality: MatteQuality | None) -> Table:

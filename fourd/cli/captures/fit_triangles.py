@@ -62,7 +62,8 @@ def run(arguments: Arguments) -> None:
     """Fit the triangles, write the mesh and print the scores of held-out views."""
     check_format(arguments.out)
     settings = _settings(arguments)
-    count = open_capture(arguments.capture).frame_count
+    with open_capture(arguments.capture) as capture:
+        count = capture.frame_count
     if not 0 <= arguments.frame < count:
         raise UserError(f"--frame: expected 0 to {count - 1}, the frames of the capture, got {arguments.frame}")
     selection = DataSelection(

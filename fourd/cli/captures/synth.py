@@ -11,6 +11,7 @@ import tyro
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.cli.options import option
 from fourd.errors import UserError
+from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
 from fourd.synth import SynthSettings, is_finished, make_synthetic
 from fourd.synth.board_videos import BoardSettings, make_board_videos
@@ -43,6 +44,11 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Make the capture, unless a finished capture with the same options exists."""
+    with locked_folder(arguments.out):
+        _make(arguments)
+
+
+def _make(arguments: Arguments) -> None:
     console = Terminal(stderr=True)
     defaults = BoardSettings(seed=arguments.seed) if arguments.board else SynthSettings(seed=arguments.seed)
     frames = defaults.frames if arguments.frames is None else _frame_count(arguments.frames)

@@ -29,6 +29,9 @@ Rows = list[tuple[str, str]]
 
 _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
+_MOST_VALUE = 1e300
+_MOST_TEXT = 1000
+"""Number of characters of a text from a file that is shown."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ def _checkpoint(path: Path) -> Rows:
     """
     damaged = UserError(f"{path}: expected a whole safetensors file, got a damaged file; name another checkpoint")
     size = path.stat().st_size
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         length = int.from_bytes(stream.read(8), "little")
         if size < 8 or length > min(size - 8, _MOST_HEADER):
             raise damaged
@@ -221,20 +224,44 @@ def _turned_size(path: Path) -> str:
 
 def _run(path: Path) -> Rows:
     bad = UserError(f"{path / 'config.yaml'}: expected the config.yaml of a run, got other content; restore the file")
-    config = _parsed(read_limited(path / "config.yaml", MAX_CONFIG_BYTES), yaml.safe_load, bad)
-    train = config.get("train")
-    train = train if isinstance(train, dict) else {}
+    try:
+        # The nodes are not converted to Python objects, because aliases can describe objects of any size.
+        config = yaml.compose(read_limited(path / "config.yaml", MAX_CONFIG_BYTES), Loader=yaml.SafeLoader)
+    except (ValueError, RecursionError, yaml.YAMLError) as error:
+        raise bad from error
+    if not isinstance(config, yaml.MappingNode):
+        raise bad
+    train = _entry(config, "train")
     steps = [int(file.stem) for file in checkpoint_files(path / CHECKPOINTS)]
     rows = [
-        ("capture", str(config.get("capture", "unknown"))),
+        ("capture", _text(_entry(config, "capture")) or "unknown"),
         ("checkpoints", ", ".join(f"step {step:,}" for step in steps) or "none yet"),
-        ("held out", ", ".join(map(str, train.get("test_views") or [])) or "no views"),
-        ("frames", str(train.get("frames") or "all")),
+        ("held out", _text(_entry(train, "test_views")) or "no views"),
+        ("frames", _text(_entry(train, "frames")) or "all"),
     ]
     rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
     rows.append(("first points", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
     rows.append(("size", _bytes(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))
     return rows
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) < _MOST_VALUE
+
+
+def _entry(node: yaml.Node | None, key: str) -> yaml.Node | None:
+    """The value of a key of a YAML mapping, or None."""
+    entries = node.value if isinstance(node, yaml.MappingNode) else []
+    return next((value for name, value in entries if isinstance(name.value, str) and name.value == key), None)
+
+
+def _text(node: yaml.Node | None) -> str:
+    """The text of a YAML scalar, or of a list of scalars. Other nodes and null have no text."""
+    if isinstance(node, yaml.SequenceNode):
+        return _names(_text(item) for item in node.value if isinstance(item, yaml.ScalarNode))
+    if not isinstance(node, yaml.ScalarNode) or node.value in ("null", "~"):
+        return ""
+    return node.value if len(node.value) <= _MOST_TEXT else f"{node.value[:_MOST_TEXT]}..."
 
 
 def _last_metrics(path: Path) -> list[str]:
@@ -244,16 +271,16 @@ def _last_metrics(path: Path) -> list[str]:
     """
     if not path.is_file():
         return []
-    with path.open("rb") as stream:
+    with open_regular(path) as stream:
         stream.seek(max(0, path.stat().st_size - (64 << 10)))
         lines = stream.read().splitlines()
     for line in reversed(lines):
         try:
             values = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
         if isinstance(values, dict):
-            shown = [f"{key} {value:g}" for key, value in values.items() if isinstance(value, int | float)]
+            shown = [f"{key[:40]} {value:g}" for key, value in values.items() if _is_number(value)]
             return [", ".join(shown[:8])]
     return []
 
@@ -266,12 +293,12 @@ def _capture(path: Path) -> Rows:
     if calibrated and (folders or videos):
         from fourd.capture import open_capture
 
-        capture = open_capture(path)
-        rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
-        rate = f" at {format_rate(capture.fps)} per second" if capture.fps else f", {UNKNOWN_RATE}"
-        rows.append(("frames", f"{capture.frame_count}{rate}; {_numbers(capture.frame_numbers)}"))
-        rows.append(("image sizes", _sizes((camera.width, camera.height) for camera in capture.cameras)))
-        rows.append(("masks", "yes" if capture.has_masks else "none"))
+        with open_capture(path) as capture:
+            rows.append(("cameras", f"{len(capture.names)}, calibrated: {_names(capture.names)}"))
+            rate = f" at {format_rate(capture.fps)} per second" if capture.fps else f", {UNKNOWN_RATE}"
+            rows.append(("frames", f"{capture.frame_count}{rate}; {_numbers(capture.frame_numbers)}"))
+            rows.append(("image sizes", _sizes((camera.width, camera.height) for camera in capture.cameras)))
+            rows.append(("masks", "yes" if capture.has_masks else "none"))
     else:
         rows.append(("cameras", f"{len(folders)} in images/: {_names(folders)}" if folders else "none in images/"))
         rows.append(("calibration", "yes" if calibrated else "none: training needs intri.yml and extri.yml"))

@@ -13,6 +13,8 @@ from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.rate import Choice, choose_tier
 from fourd.cli.options import TIER_HELP, MaxMbps, ScenePath, check_mbps, describe, option
 from fourd.errors import UserError
+from fourd.files import remove_unfinished_folder
+from fourd.processes import locked_folder
 from fourd.progress import Terminal, Track, Tracker
 
 
@@ -42,7 +44,9 @@ def run(arguments: Arguments) -> None:
         choice = _choose(arguments.scene, arguments.max_mbps, track)
         tier, level = choice.tier, choice.level
         console.print(f"--max-mbps {arguments.max_mbps:g}: {choice}", soft_wrap=True)
-    write_site(arguments.scene, arguments.out, tier, arguments.title, track, level=level)
+    with locked_folder(arguments.out):
+        remove_unfinished_folder(arguments.out)
+        write_site(arguments.scene, arguments.out, tier, arguments.title, track, level=level)
     size = sum(path.stat().st_size for path in arguments.out.rglob("*") if path.is_file()) / 1e6
     line = f"{arguments.out}: {size:.1f} MB; next: fourd serve {arguments.out}"
     console.print(line, soft_wrap=True, markup=False)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 from collections import defaultdict
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -17,9 +18,10 @@ import numpy as np
 from fourd.cameras import Camera
 from fourd.capture.layout import find_pictures
 from fourd.errors import UserError
-from fourd.importing.folders import find_frames, join_calibrations, list_entries, make_camera
+from fourd.importing.folders import find_frames, join_calibrations, list_entries, make_camera, parse_numbers
 from fourd.importing.imported import Frames, Imported, PictureFiles
 from fourd.limits import open_regular, read_limited
+from fourd.processes.isolation import ParserProcess
 
 MODEL_FOLDERS = (".", "sparse", "sparse/0")
 PHOTO_FOLDERS = ("images", "input", ".")
@@ -45,6 +47,25 @@ MAX_MOTION = 1e-3
 
 The rotation difference is in radians. The position difference is relative to the size of the rig.
 """
+
+
+@dataclass(frozen=True, eq=False)
+class _Lens:
+    """A camera of the model: lens model, image size in pixels, and parameters in COLMAP's order."""
+
+    kind: str
+    width: int
+    height: int
+    parameters: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Photo:
+    """An image of the model: name, number of its lens, and world-to-camera matrix (3, 4)."""
+
+    name: str
+    lens: str
+    pose: np.ndarray
 
 
 def looks_like(source: Path) -> bool:
@@ -75,15 +96,14 @@ def read(source: Path) -> Imported:
 
 def read_cameras(path: Path) -> dict[str, Camera]:
     """Read a model folder. Returns cameras by name. Raises UserError as :func:`read` does."""
-    model = _load_model(path)
-    images: dict[str, list[Any]] = defaultdict(list)
-    for image in sorted((model.images[number] for number in model.reg_image_ids()), key=lambda image: image.name):
+    lenses, photos = _read_model(path)
+    images: dict[str, list[_Photo]] = defaultdict(list)
+    for image in photos:
         file = PurePosixPath(image.name.replace("\\", "/"))
         images[file.parent.as_posix() if file.parent.name else file.stem].append(image)
     if not images:
         raise UserError(f"{path}: expected images with poses, got none; reconstruct again")
-    poses = {camera: [_pose(image) for image in of_camera] for camera, of_camera in images.items()}
-    centres = np.array([-pose[:, :3].T @ pose[:, 3] for of_camera in poses.values() for pose in of_camera])
+    centres = np.array([-image.pose[:, :3].T @ image.pose[:, 3] for image in photos])
     size = float(np.linalg.norm(np.ptp(centres, axis=0)))
     cameras: dict[str, Camera] = {}
     for folder, of_camera in images.items():
@@ -91,7 +111,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
         where = f"{path}: camera '{name}'"
         if name in cameras:
             raise UserError(f"{where}: expected each camera once, got two folders with this name; rename one")
-        cameras[name] = _make_camera(where, model, of_camera, poses[folder], size)
+        cameras[name] = _make_camera(where, lenses, of_camera, size)
     return cameras
 
 
@@ -107,10 +127,11 @@ def _find_photos(source: Path, calibrations: Mapping[str, Camera]) -> dict[str, 
     return {}
 
 
-def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarray], rig_size: float) -> Camera:
+def _make_camera(where: str, lenses: dict[str, _Lens], images: list[_Photo], rig_size: float) -> Camera:
     """Make a camera from its first image. Raises UserError if another image has another pose or other intrinsics."""
-    camera, pose = model.cameras[images[0].camera_id], poses[0]
-    for image, other in zip(images[1:], poses[1:], strict=True):
+    lens, pose = lenses[images[0].lens], images[0].pose
+    for image in images[1:]:
+        other = image.pose
         angle = float(np.linalg.norm(other[:, :3] - pose[:, :3])) / np.sqrt(2)
         distance = float(np.linalg.norm(other[:, :3].T @ other[:, 3] - pose[:, :3].T @ pose[:, 3]))
         if not (angle <= MAX_MOTION and distance <= MAX_MOTION * rig_size):
@@ -118,26 +139,62 @@ def _make_camera(where: str, model: Any, images: list[Any], poses: list[np.ndarr
                 f"{where}: expected a static camera, got poses of {images[0].name} and {image.name} that differ by "
                 f"{angle:.2g} rad and {distance:.2g} units; leave the moving camera out"
             )
-        intrinsics_of_image = model.cameras[image.camera_id]
-        is_same_model = intrinsics_of_image.model == camera.model
-        if not is_same_model or not np.allclose(intrinsics_of_image.params, camera.params, rtol=1e-3, atol=1e-3):
+        of_image = lenses[image.lens]
+        is_same_kind = of_image.kind == lens.kind
+        if not is_same_kind or not np.allclose(of_image.parameters, lens.parameters, rtol=1e-3, atol=1e-3):
             raise UserError(
                 f"{where}: expected the same intrinsics for all images, got different intrinsics for "
                 f"{images[0].name} and {image.name}; reconstruct with one camera per folder"
             )
-    kind = camera.model.name
+    kind = lens.kind
     if kind not in LENS_MODELS:
         raise UserError(
             f"{where}: expected a lens model among {', '.join(LENS_MODELS)}, got {kind}; "
             "undistort the images with COLMAP, or reconstruct with OPENCV"
         )
     focals, coefficients = LENS_MODELS[kind]
-    values = np.asarray(camera.params, np.float64)
+    values = lens.parameters
     centre_x, centre_y = values[focals : focals + 2]
     intrinsics = np.array([[values[0], 0, centre_x], [0, values[focals - 1], centre_y], [0, 0, 1]])
     distortion = np.zeros(max(coefficients, 4))
     distortion[:coefficients] = values[focals + 2 :]
-    return make_camera(where, intrinsics, pose[:, :3], pose[:, 3], (camera.width, camera.height), distortion)
+    return make_camera(where, intrinsics, pose[:, :3], pose[:, 3], (lens.width, lens.height), distortion)
+
+
+def _read_model(path: Path) -> tuple[dict[str, _Lens], list[_Photo]]:
+    """Read the lenses by number, and the registered images in the order of their names."""
+    with ParserProcess() as parser:
+        values = parser.call("fourd.importing.formats.colmap:read_in_child", path).value
+    try:
+        lenses = {
+            str(number): _Lens(
+                str(kind), int(width), int(height), parse_numbers(f"{path}: camera {number}", each, (-1,))
+            )
+            for number, (kind, width, height, each) in values["lenses"].items()
+        }
+        photos = [
+            _Photo(str(name), str(lens), parse_numbers(f"{path}: image '{name}'", pose, (3, 4)))
+            for name, lens, pose in values["images"]
+        ]
+        is_complete = all(image.lens in lenses for image in photos)
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        is_complete = False
+    if not is_complete:
+        raise UserError(f"{path}: expected a COLMAP model, got images without a camera; reconstruct it again")
+    return lenses, sorted(photos, key=lambda image: image.name)
+
+
+def read_in_child(name: str) -> dict[str, Any]:
+    """Read a model with pycolmap, in this process. Returns JSON values. Raises UserError as :func:`read` does."""
+    model = _load_model(Path(name))
+    registered = [model.images[number] for number in model.reg_image_ids()]
+    return {
+        "lenses": {
+            str(number): [camera.model.name, camera.width, camera.height, [float(value) for value in camera.params]]
+            for number, camera in model.cameras.items()
+        },
+        "images": [[image.name, str(image.camera_id), _pose(image).tolist()] for image in registered],
+    }
 
 
 def _pose(image: Any) -> np.ndarray:

@@ -18,11 +18,28 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.importing.folders import Array, find_frames, make_camera, parse_numbers
 from fourd.importing.imported import Imported, ImportedCamera
-from fourd.limits import require_regular
+from fourd.limits import read_limited
 
 NAME = "poses_bounds.npy"
 COLUMNS = 17
+MAGIC = b"\x93NUMPY"
+PARSER_ERRORS = (
+    OSError,
+    ValueError,
+    EOFError,
+    SyntaxError,
+    TokenError,
+    OverflowError,
+    TypeError,
+    AttributeError,
+    KeyError,
+    MemoryError,
+    RecursionError,
+)
+"""Errors of NumPy for invalid headers, which it parses as a Python literal."""
 MAX_PIXELS = 1 << 20
+MAX_BYTES = 1 << 20
+"""Maximum size of the file in bytes. A camera has 136 bytes."""
 
 
 def looks_like(source: Path) -> bool:
@@ -59,12 +76,11 @@ def read(source: Path) -> Imported:
 def _rows(path: Path) -> Array:
     try:
         # With memory mapping, a header that declares a too large array raises an error before memory is allocated.
-        require_regular(path)
+        if read_limited(path, MAX_BYTES)[:6] != MAGIC:
+            raise ValueError("another format")
         array = np.load(path, mmap_mode="r", allow_pickle=False)
-        if not isinstance(array, np.ndarray):
-            raise ValueError("an archive of arrays")
-    except (OSError, ValueError, EOFError, SyntaxError, TokenError, OverflowError, TypeError) as error:
-        reason = str(error).partition("\n")[0]
+    except PARSER_ERRORS as error:
+        reason = str(error).partition("\n")[0] or type(error).__name__
         raise UserError(f"{path}: expected a NumPy array, got '{reason}'; copy it again") from error
     if array.dtype.kind not in "fiu":
         raise UserError(f"{path}: expected real numbers, got {array.dtype}; write it again")

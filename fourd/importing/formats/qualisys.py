@@ -15,13 +15,16 @@ import numpy as np
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.importing.folders import find_frames, match_names
+from fourd.importing.folders import MAX_VALUE, find_frames, match_names
 from fourd.importing.imported import Imported, ImportedCamera
 from fourd.limits import read_limited
 
 SUBPIXELS = 64
 METRES_PER_MM = 1e-3
 SUFFIX = ".qca.txt"
+MAX_PIXELS = 1 << 20
+MAX_SHOWN = 40
+"""Number of characters of a wrong value that an error message shows."""
 
 
 def looks_like(source: Path) -> bool:
@@ -96,6 +99,8 @@ class _CameraNode:
         left, top = self.value("fov_video", "left"), self.value("fov_video", "top")
         width = round(self.value("fov_video", "right") - left) + 1
         height = round(self.value("fov_video", "bottom") - top) + 1
+        if not (1 <= width <= MAX_PIXELS and 1 <= height <= MAX_PIXELS):
+            raise UserError(f"{self.where}: <fov_video>: expected a part of the sensor, got none; export it again")
         focal_x, focal_y, centre_x, centre_y, skew = (
             self.value("intrinsic", name) / SUBPIXELS
             for name in ("focalLengthU", "focalLengthV", "centerPointU", "centerPointV", "skew")
@@ -118,11 +123,15 @@ class _CameraNode:
         if text is None and default is not None:
             return default
         try:
-            return float(text or "")
+            number = float(text or "")
+            if not abs(number) < MAX_VALUE:
+                raise ValueError
         except ValueError as error:
             raise UserError(
-                f"{self.where}: <{tag} {name}>: expected a number, got '{text or 'nothing'}'; export it again"
+                f"{self.where}: <{tag} {name}>: expected a finite number, got '{(text or 'nothing')[:MAX_SHOWN]}'; "
+                "export it again"
             ) from error
+        return number
 
 
 def _find_file(source: Path) -> Path | None:

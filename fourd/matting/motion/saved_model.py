@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,17 @@ import numpy as np
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.limits import require_regular
 from fourd.matting.motion.background_model import BackgroundModel, Deviations
 from fourd.matting.motion.colour_models import ColourHistogram
 from fourd.matting.motion.evidence import Appearance
 from fourd.matting.motion.mattes import MatteMaker
 from fourd.matting.motion.subject import Subject
+
+MAX_BYTES_PER_PIXEL = 64
+"""Maximum size of a model in bytes for each pixel of its cameras. Models have 20 bytes for each pixel."""
+MAX_OTHER_BYTES = 256 << 20
+"""Maximum size in bytes of the other arrays of a model, such as histograms of colours."""
 
 
 def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:
@@ -44,6 +51,8 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
         UserError: if the file is damaged or belongs to other cameras.
     """
     try:
+        require_regular(path)
+        _check_size(path, cameras)
         with np.load(path, allow_pickle=False) as arrays:
             box = arrays["box"]
             appearances, backgrounds = [], []
@@ -58,7 +67,16 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
                 region, still_px = arrays[f"region_{index}"], float(arrays[f"still_{index}"])
                 deviations = Deviations(*(float(share) for share in arrays[f"deviations_{index}"]))
                 appearances.append(Appearance(fine, colours, surround, region, still_px, deviations))
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error, EOFError) as error:
         raise UserError(f"{path}: expected a learned model of the subject, got '{error}'; delete the file") from error
     subject = Subject(tuple(appearances), tuple(cameras), (box[0], box[1]) if len(box) else None)
     return MatteMaker.from_subject(subject, backgrounds, cameras)
+
+
+def _check_size(path: Path, cameras: Sequence[Camera]) -> None:
+    """Raise ValueError if the arrays are larger than those of any model, because they are compressed."""
+    most = MAX_OTHER_BYTES + MAX_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in cameras)
+    with zipfile.ZipFile(path) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > most:
+        raise ValueError(f"arrays of {size} bytes")

@@ -30,6 +30,7 @@ from fourd.formats.glb import (
     up_rotation,
     write_parts,
 )
+from fourd.limits import MAX_TEXT_BYTES, open_regular
 from fourd.mesh.texturing.texture import TexturedMesh
 
 LINEAR, LINEAR_MIPMAP_LINEAR, CLAMP_TO_EDGE = 9729, 9987, 33071
@@ -57,7 +58,7 @@ class GlbFile:
     def view(self, index: int) -> bytes:
         """The bytes of the buffer view ``index``."""
         view = self.document["bufferViews"][index]
-        with self.path.open("rb") as stream:
+        with open_regular(self.path) as stream:
             stream.seek(self.start + view.get("byteOffset", 0))
             return stream.read(view["byteLength"])
 
@@ -89,9 +90,11 @@ def read_glb(path: Path) -> GlbFile:
         UserError: if the file is missing, is damaged or is not a GLB file.
     """
     try:
-        with path.open("rb") as stream:
+        with open_regular(path) as stream:
             magic, version, total = struct.unpack("<III", stream.read(12))
             length, kind = struct.unpack("<II", stream.read(8))
+            if length > MAX_TEXT_BYTES:
+                raise ValueError("a JSON part of more than 64 MB")
             if magic != MAGIC or version != 2 or kind != JSON_CHUNK or total != path.stat().st_size:
                 raise ValueError(
                     "a file that is not GLB version 2, or whose length differs from the length in its header"
@@ -103,7 +106,7 @@ def read_glb(path: Path) -> GlbFile:
             return GlbFile(path, document, stream.tell(), binary_length)
     except FileNotFoundError as error:
         raise UserError(f"{path}: expected a GLB file, got no such file; run fourd mesh") from error
-    except (struct.error, ValueError) as error:
+    except (struct.error, ValueError, RecursionError) as error:
         raise UserError(f"{path}: expected an intact GLB file, got {error}; delete it and run fourd mesh") from error
 
 
@@ -128,7 +131,7 @@ def read_mesh(path: Path) -> TexturedMesh:
             _floats(file, attributes["TEXCOORD_0"], 2),
             np.asarray(texture, np.uint8),
         )
-    except (KeyError, IndexError, TypeError, ValueError) as error:
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError, OSError, cv2.error) as error:
         raise UserError(
             f"{path}: expected a textured mesh that fourd mesh wrote, got none ({error}); run fourd mesh again"
         ) from error

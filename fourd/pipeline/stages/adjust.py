@@ -18,7 +18,7 @@ from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
 from fourd.training.cameras.calibration import write_corrected
 from fourd.training.cameras.rig import Rig
-from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.cameras.selection import DataSelection, RunViews, open_run_views
 from fourd.training.config import RefineConfig
 from fourd.training.run_layout import CALIBRATION, START
 
@@ -82,7 +82,11 @@ def run_adjust(files: AdjustFiles, settings: AdjustSettings, context: Context) -
     """
     if (files.run / CALIBRATION / START / INTRINSICS_NAME).exists():
         return
-    views = open_run_views(files.capture, settings.selection)
+    with open_run_views(files.capture, settings.selection) as views:
+        _adjust(files, settings, views, context)
+
+
+def _adjust(files: AdjustFiles, settings: AdjustSettings, views: RunViews, context: Context) -> None:
     capture, log = views.capture, context.log
     if settings.focal:
         _require_no_tilt(capture)

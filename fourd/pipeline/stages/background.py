@@ -91,9 +91,9 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
         write_ply(target, points.xyz, points.rgb)
         return
     log = context.log
-    views = open_run_views(files.capture, settings.selection, files.run if files.adjusted else None)
-    plates = read_run_plates(views.capture, views.training, files.run, log)
-    _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
+    with open_run_views(files.capture, settings.selection, files.run if files.adjusted else None) as views:
+        plates = read_run_plates(views.capture, views.training, files.run, log)
+        _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
     points = _find_points(plates, settings, context)
     cameras = [plate.camera for plate in plates]
     shell = build_shell(points, cameras, viewing_centre(cameras))

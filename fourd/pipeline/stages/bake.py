@@ -46,10 +46,11 @@ def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = 
 
 def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None:
     """Load the newest checkpoint and write every frame to the scene file."""
-    run = load_run(files.run)
-    if settings.pack is None:
-        bake_run(run, files.scene, context.console, settings.layers, settings.fps)
-        return
-    with atomic_path(files.scene) as unpacked:
-        bake_run(run, unpacked, context.console, settings.layers, settings.fps)
-        pack_and_report(unpacked, unpacked, settings.pack, context.console, files.scene)
+    trained = load_run(files.run)
+    with trained.run:
+        if settings.pack is None:
+            bake_run(trained, files.scene, context.console, settings.layers, settings.fps)
+            return
+        with atomic_path(files.scene) as unpacked:
+            bake_run(trained, unpacked, context.console, settings.layers, settings.fps)
+            pack_and_report(unpacked, unpacked, settings.pack, context.console, files.scene)

@@ -91,27 +91,27 @@ def carve_run_stage(
 
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
     """Carve every frame. Frames that an earlier call with the same settings has finished are kept."""
-    capture = _open_training_views(files, settings.selection)
-    if not capture.has_masks:
-        raise UserError(
-            f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
-            f"make mattes with: fourd matte {capture.path}"
+    with _open_training_views(files, settings.selection) as capture:
+        if not capture.has_masks:
+            raise UserError(
+                f"{capture.path}: expected masks/CAM/FRAME.png or mattes, got none; "
+                f"make mattes with: fourd matte {capture.path}"
+            )
+        if not settings.accept_mattes:
+            _require_hull(capture, settings, context)
+        files.hull.parent.mkdir(parents=True, exist_ok=True)
+        carve_capture(
+            capture,
+            files.hull,
+            points=settings.points,
+            agreement=settings.agreement,
+            least_views=settings.least_views,
+            trim=settings.trim,
+            inset=settings.inset,
+            seed=settings.seed,
+            track=context.track,
+            workers=context.workers,
         )
-    if not settings.accept_mattes:
-        _require_hull(capture, settings, context)
-    files.hull.parent.mkdir(parents=True, exist_ok=True)
-    carve_capture(
-        capture,
-        files.hull,
-        points=settings.points,
-        agreement=settings.agreement,
-        least_views=settings.least_views,
-        trim=settings.trim,
-        inset=settings.inset,
-        seed=settings.seed,
-        track=context.track,
-        workers=context.workers,
-    )
 
 
 def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
@@ -137,9 +137,9 @@ def _open_training_views(files: CarveFiles, selection: DataSelection) -> Capture
     if not selection.test_views and files.run is None:
         views = None if selection.views is None else list(selection.views)
         return _open(files.capture, selection, views)
-    run = open_run_views(files.capture, selection, files.run)
-    cameras = [run.capture.cameras[index] for index in run.training]
-    return _open(files.capture, selection, list(run.training_names)).with_cameras(cameras)
+    with open_run_views(files.capture, selection, files.run) as run:
+        cameras = [run.capture.cameras[index] for index in run.training]
+        return _open(files.capture, selection, list(run.training_names)).with_cameras(cameras)
 
 
 def _open(path: Path, selection: DataSelection, views: list[str] | None) -> Capture:

@@ -56,7 +56,8 @@ def given_points_stage(
 def run_given_points(files: GivenPointFiles, settings: GivenPointSettings, context: Context) -> None:
     """Copy a uniform random sample of each frame's points. Also write the bounds of the points of all frames, extended
     by 5%."""
-    capture = open_run_views(files.capture, settings.selection).capture
+    with open_run_views(files.capture, settings.selection) as views:
+        capture = views.capture
     rng = np.random.default_rng(settings.seed)
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
     hull = files.run / HULL

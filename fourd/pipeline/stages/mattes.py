@@ -58,9 +58,9 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
     sheet = files.capture / SHEET
     if made or not sheet.exists():
         views = None if settings.views is None else list(settings.views)
-        capture = open_capture(files.capture, views=views, frames=settings.frames)
-        write_quality(capture, context)
-        write_contact_sheet(capture, sheet, track=context.track)
+        with open_capture(files.capture, views=views, frames=settings.frames) as capture:
+            write_quality(capture, context)
+            write_contact_sheet(capture, sheet, track=context.track)
 
 
 def write_quality(capture: Capture, context: Context) -> None:

@@ -82,14 +82,15 @@ def mesh_stage(files: MeshFiles, settings: MeshStageSettings) -> Stage[MeshFiles
 def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) -> None:
     """Make the mesh of every frame. Frames that an earlier call with the same settings has finished are kept."""
     whole, training, test = _open_views(files, settings.selection)
-    paths = mesh_capture(training, files.meshes, settings.mesh, context.track)
-    if not test or settings.mesh.format != "glb":
-        return
-    scores = [
-        score
-        for frame in context.track(range(len(paths)), len(paths), "scores")
-        for score in score_mesh(paths[frame], whole, test, frame)
-    ]
+    with whole, training:
+        paths = mesh_capture(training, files.meshes, settings.mesh, context.track)
+        if not test or settings.mesh.format != "glb":
+            return
+        scores = [
+            score
+            for frame in context.track(range(len(paths)), len(paths), "scores")
+            for score in score_mesh(paths[frame], whole, test, frame)
+        ]
     content = {"mean": asdict(mean_score(scores)), "pictures": [asdict(score) for score in scores]}
     write_text_atomically(files.meshes / SCORES_NAME, json.dumps(content, indent=1) + "\n")
 
@@ -149,7 +150,8 @@ def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Ca
 
 def _with_run_cameras(capture: Capture, run: Path) -> Capture:
     """The capture with the newest cameras of a run, which may have been refined by training."""
-    refined = load_run(run).run.capture
+    with load_run(run).run as opened:
+        refined = opened.capture
     known = dict(zip(refined.names, refined.cameras, strict=True))
     for name in capture.names:
         if name not in known:

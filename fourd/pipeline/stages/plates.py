@@ -50,7 +50,8 @@ def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context
     """Make missing plates. Existing plates are kept if they were made from the same mattes."""
     index_capture(files.capture, settings.views, context.track)
     selection = Selection(files.capture, settings.views, settings.frames)
-    key = matte_key(selection.open(), settings.mattes)
+    with selection.open() as capture:
+        key = matte_key(capture, settings.mattes)
     make_plates(selection, key, context.workers, context.track)
 
 
@@ -73,7 +74,8 @@ def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Con
     views are not used."""
     folder = files.run / BACKGROUND
     folder.mkdir(parents=True, exist_ok=True)
-    names = open_run_views(files.capture, selection).training_names
+    with open_run_views(files.capture, selection) as views:
+        names = views.training_names
     if all(has_plate(files.capture, name) for name in names):
         return
     part = Selection(files.capture, names, selection.frames)

@@ -66,13 +66,13 @@ def run_still(files: StillFiles, settings: NoSettings, context: Context) -> None
     """Link the files of the capture, and write an empty matte for each image."""
     files.still.mkdir(parents=True, exist_ok=True)
     link_entries(files.capture, files.still, left_out={DERIVED.name, "masks"})
-    capture = open_capture(files.capture, mattes=False)
-    for name, lens in zip(capture.names, capture.distorted_cameras, strict=True):
-        folder = files.still / "masks" / name
-        folder.mkdir(parents=True, exist_ok=True)
-        for frame in capture.frame_names:
-            with atomic_path(folder / f"{frame}.png") as temporary:
-                cv2.imwrite(str(temporary), np.zeros((lens.height, lens.width), np.uint8))
+    with open_capture(files.capture, mattes=False) as capture:
+        for name, lens in zip(capture.names, capture.distorted_cameras, strict=True):
+            folder = files.still / "masks" / name
+            folder.mkdir(parents=True, exist_ok=True)
+            for frame in capture.frame_names:
+                with atomic_path(folder / f"{frame}.png") as temporary:
+                    cv2.imwrite(str(temporary), np.zeros((lens.height, lens.width), np.uint8))
     write_text_atomically(files.still / DONE, json.dumps({"capture": str(files.capture.resolve())}) + "\n")
 
 

@@ -45,18 +45,20 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
     """Start the run, or resume the run from its newest checkpoint. For a resumed run, only the budget may change."""
     lpips = load_lpips(files.lpips_weights)
-    run = open_run(files.run) if (files.run / CONFIG_NAME).exists() else start_run(files.capture, files.run, config)
+    opened = open_run(files.run) if (files.run / CONFIG_NAME).exists() else start_run(files.capture, files.run, config)
     if lpips is None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
-    budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
-    summary = Trainer(run, lpips, context.console, budget).train()
+    with opened as run:
+        budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
+        summary = Trainer(run, lpips, context.console, budget).train()
     context.log(f"{files.run}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
 
 
 def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
     """Write config.yaml into a run folder that contains the results of the stages before training."""
     selection = DataSelection.of(train)
-    capture = open_run_views(capture_path, selection, folder if train.refine.cameras else None).capture
+    with open_run_views(capture_path, selection, folder if train.refine.cameras else None) as views:
+        capture = views.capture
     bounds = read_bounds(folder / HULL)
     first = read_ply(folder / HULL / f"{capture.frame_numbers[0]:06d}.ply").xyz
     lower, upper = ((float(x), float(y), float(z)) for x, y, z in (bounds.lower, bounds.upper))

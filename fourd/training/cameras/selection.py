@@ -48,6 +48,12 @@ class RunViews:
     training: list[int]
     test: list[int]
 
+    def __enter__(self) -> RunViews:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.capture.close()
+
     @property
     def training_names(self) -> tuple[str, ...]:
         """Names of the training cameras."""

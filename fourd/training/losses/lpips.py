@@ -21,6 +21,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from fourd.errors import UserError
+from fourd.limits import require_regular
 
 # Numbers of output channels of VGG-16's convolutions. Each group of convolutions except the last one is followed by a
 # pooling layer.
@@ -223,6 +224,7 @@ def _read(file: Path) -> dict[str, Tensor]:
 
 def _load(file: Path) -> Mapping[str, Tensor]:
     try:
+        require_regular(file)
         if file.suffix == ".safetensors":
             return load_file(file)
         content = torch.load(file, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(file))

@@ -112,7 +112,7 @@ def _replace(name: str, value: object) -> object:
         (_replace("Camera_Parameter/02/K", np.eye(4)), r"Camera_Parameter/02/K: expected 3 x 3 numbers, got 4 x 4"),
         (
             _replace("Camera_Parameter/02/D", "none"),
-            r"Camera_Parameter/02/D: expected some numbers, got something else",
+            r"Camera_Parameter/02/D: expected a matrix of numbers, got object",
         ),
         (_replace("Camera_5mp/2/color", None), r"0012_11.smc: expected the group Camera_5mp/2/color, got none"),
         (

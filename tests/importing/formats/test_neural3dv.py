@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from dataclasses import replace
 from pathlib import Path
 
@@ -66,6 +67,12 @@ def _save(array: object) -> object:
     return lambda path: np.save(path, np.asarray(array))
 
 
+def _save_header(shape: str) -> object:
+    """Write a file whose header, a Python literal, has the given shape."""
+    text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({shape})}}\n".encode()
+    return lambda path: path.write_bytes(b"\x93NUMPY\2\0" + struct.pack("<I", len(text)) + text)
+
+
 def _save_edited(column: int, value: float) -> object:
     array = rows()
     array[1, column] = value
@@ -82,10 +89,13 @@ def _save_edited(column: int, value: float) -> object:
         (_save_edited(3, np.nan), r"poses_bounds.npy: expected finite numbers, got"),
         (_save_edited(0, 9.0), r"poses_bounds.npy: row 1: rotation: expected an orthonormal matrix"),
         (_save_edited(4, 0.0), r"poses_bounds.npy: row 1: expected height and width in pixels, got 0 and 24"),
+        (_save_header("-" * 5000 + "1, 17"), r"poses_bounds.npy: expected a NumPy array, got"),
+        (_save_header("(" * 5000 + ")" * 5000 + ", 17"), r"poses_bounds.npy: expected a NumPy array, got"),
+        (_save_header("1000000000000, 17"), r"poses_bounds.npy: expected a NumPy array, got"),
         (lambda path: path.write_text("no array"), r"poses_bounds.npy: expected a NumPy array, got"),
         (
             lambda path: np.savez(path.open("wb"), rows()),
-            r"expected a NumPy array, got .*an archive of arrays",
+            r"expected a NumPy array, got 'another format'",
         ),
     ],
 )

@@ -78,8 +78,10 @@ def test_cameras_without_video_are_noted(source: Path) -> None:
         ("<calibration>", "<calibration", r"Calib.qca.txt: expected Qualisys' XML, got '.*'; export it again"),
         ('serial="12"', 'serial="11"', r"expected a unique serial number, got '11'"),
         ('viewrotation="0"', 'viewrotation="90"', r"camera '11': expected viewrotation 0"),
-        ('skew="0.0"', 'skew="no"', r"camera '11': <intrinsic skew>: expected a number, got 'no'"),
-        ('r11="', 'r11="nan" r19="', r"camera '11': rotation: expected finite numbers"),
+        ('skew="0.0"', 'skew="no"', r"camera '11': <intrinsic skew>: expected a finite number, got 'no'"),
+        ('r11="', 'r11="nan" r19="', r"camera '11': <transform r11>: expected a finite number, got 'nan'"),
+        ('right="', 'right="inf" x="', r"camera '11': <fov_video right>: expected a finite number, got 'inf'"),
+        ('right="', 'right="1e99" x="', r"camera '11': <fov_video>: expected a part of the sensor, got none"),
         ('r11="', 'r11="9" r19="', r"camera '11': rotation: expected an orthonormal matrix"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Locks on folders, and deferral of Ctrl-C.
+"""Locks on folders.
 
 Two commands that change the same run, capture or work folder would delete each other's files.
 """
@@ -8,14 +8,11 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import signal
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
-from types import FrameType, TracebackType
 
 from fourd.errors import UserError
 from fourd.limits import printable
@@ -51,37 +48,6 @@ def locked_folder(folder: Path) -> Iterator[None]:
             with contextlib.suppress(OSError):
                 folder.rmdir()
         os.close(descriptor)
-
-
-class DeferredInterrupt:
-    """A context manager in which the first Ctrl-C only sets :attr:`is_pending`. The second raises KeyboardInterrupt.
-
-    Signals are only deferred in the main thread, because Python handles signals only there. A process that ignores
-    Ctrl-C, or handles it in another way, is not changed.
-    """
-
-    def __init__(self) -> None:
-        self.is_pending = False
-        self._is_active = False
-
-    def __enter__(self) -> DeferredInterrupt:
-        is_main = threading.current_thread() is threading.main_thread()
-        if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._handle)
-            self._is_active = True
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        if self._is_active:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-            self._is_active = False
-
-    def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.is_pending:
-            raise KeyboardInterrupt
-        self.is_pending = True
 
 
 def _lock(folder: Path) -> int:

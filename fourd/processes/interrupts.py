@@ -1,0 +1,38 @@
+"""Deferral of Ctrl-C."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from types import FrameType, TracebackType
+
+
+class DeferredInterrupt:
+    """A context manager in which the first Ctrl-C only sets :attr:`is_pending`. The second raises KeyboardInterrupt.
+
+    Signals are only deferred in the main thread, because Python handles signals only there. A process that ignores
+    Ctrl-C, or handles it in another way, is not changed.
+    """
+
+    def __init__(self) -> None:
+        self.is_pending = False
+        self._is_active = False
+
+    def __enter__(self) -> DeferredInterrupt:
+        is_main = threading.current_thread() is threading.main_thread()
+        if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self._handle)
+            self._is_active = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._is_active:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            self._is_active = False
+
+    def _handle(self, number: int, frame: FrameType | None) -> None:
+        if self.is_pending:
+            raise KeyboardInterrupt
+        self.is_pending = True
