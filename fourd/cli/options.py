@@ -70,6 +70,12 @@ StyleName = Annotated[
 ]
 
 
+PageStyles = Annotated[
+    tyro.conf.UseAppendAction[tuple[Path, ...]],
+    option("FILE.yaml", "none", "A style that the page offers besides the presets. Write the option once per style."),
+]
+
+
 def check_mbps(max_mbps: float | None) -> None:
     """Raise UserError if ``max_mbps`` is given and not a number above 0."""
     if max_mbps is not None and not 0 < max_mbps < 1e9:

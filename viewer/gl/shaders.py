@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from importlib.resources import files
 from typing import Any
 
 import moderngl
 
 from fourd.ops.play.op import MIN_TRANSMITTANCE
+from fourd.viewer.shader_files import read_shader
 
 TEXELS_PER_ROW = 4096
 """Width in texels of the textures that store arrays. The width is a power of two, so that shaders can use bit
@@ -21,7 +20,6 @@ In the bounds of a dual peeling pass, this value means that the pixel has no lay
 """
 
 _DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}
-_INCLUDE = re.compile(r'^#include "([\w/]+\.glsl)"$', re.MULTILINE)
 
 
 def compile_program(
@@ -47,8 +45,6 @@ def set_uniforms(program: moderngl.Program, **values: Any) -> None:
 
 
 def _load_source(name: str) -> str:
-    folder = files("fourd.viewer") / "shaders"
-    text = _INCLUDE.sub(lambda match: (folder / match[1]).read_text(), (folder / name).read_text())
-    version, _, rest = text.partition("\n")
+    version, _, rest = read_shader(name).partition("\n")
     defines = "\n".join(f"#define {key} {value}" for key, value in _DEFINES.items())
     return f"{version}\n{defines}\n{rest}"

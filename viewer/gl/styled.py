@@ -73,6 +73,7 @@ class SurfaceBuffer:
                 "old_normal": targets.texture(f"normal {previous}"),
             },
             depth_unit=depth_unit(request.camera, request.manifest),
+            is_upside_down=True,
             persistence=persistence,
         )
         return SurfaceTextures(*(targets.texture(name) for name in names))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import threading
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from rich.console import Console
 from fourd.baking.files.encoding import Tier
 from fourd.errors import UserError
 from fourd.progress import Tracker
+from fourd.stylize import Style
 from fourd.training.run_layout import newest_checkpoint
 from fourd.viewer.publish.site import POSTER_NAME, SCENE_NAME, copy_player, write_poster, write_scene
 
@@ -26,12 +28,20 @@ class LiveSite:
         folder: the folder of the site. The folder must not exist.
         tier: tier to which an unpacked scene is packed.
         console: prints progress and errors of updates.
+        styles: the styles that the page offers, by name. None for the presets.
 
     Raises:
         UserError: if the source is not a scene and not a run with a checkpoint.
     """
 
-    def __init__(self, source: Path, folder: Path, tier: Tier, console: Console) -> None:
+    def __init__(
+        self,
+        source: Path,
+        folder: Path,
+        tier: Tier,
+        console: Console,
+        styles: Mapping[str, Style] | None = None,
+    ) -> None:
         self._source = source
         self._folder = folder
         self._tier = tier
@@ -40,7 +50,7 @@ class LiveSite:
         self._version = self._read_version()
         folder.mkdir(parents=True)
         self._write()
-        copy_player(folder, source.stem, is_live=True)
+        copy_player(folder, source.stem, is_live=True, styles=styles)
 
     def update(self) -> bool:
         """Write the scene again if the source has changed. Returns whether the scene was written.

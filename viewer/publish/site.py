@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import shutil
+from collections.abc import Mapping
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -18,7 +19,9 @@ from fourd.baking.player import Player
 from fourd.errors import UserError
 from fourd.files import atomic_folder, is_unused
 from fourd.progress import Track, untracked
+from fourd.stylize import Style
 from fourd.viewer.navigation.paths import order_by_azimuth
+from fourd.viewer.publish.styles import STYLES_NAME, load_styles, write_styles
 
 SCENE_NAME, PAGE_NAME, POSTER_NAME, PLAYER_FOLDER = "scene.4dv", "index.html", "poster.jpg", "player"
 _POSTER_SIDE = 960
@@ -33,6 +36,8 @@ def write_site(
     track: Track = untracked,
     *,
     level: int | None = None,
+    styles: Mapping[str, Style] | None = None,
+    has_normals: bool = True,
 ) -> None:
     """Write a folder with a page, a poster image, the player's modules and the scene.
 
@@ -46,6 +51,8 @@ def write_site(
         title: title of the page, by default the name of the file.
         track: reports progress.
         level: level of the tier, see :func:`fourd.baking.packing.pack.pack_scene`.
+        styles: the styles that the page offers, by name. None for the presets.
+        has_normals: whether the scene has normals, which styles need. Normals that the source lacks are estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene, or if ``out`` has other content.
@@ -53,9 +60,9 @@ def write_site(
     if not is_unused(out) and not is_site(out):
         raise UserError(f"{out}: expected a new folder or an earlier site, got a folder with other files; change -o")
     with atomic_folder(out) as folder:
-        write_scene(source, folder / SCENE_NAME, tier, track, level=level)
+        write_scene(source, folder / SCENE_NAME, tier, track, level=level, has_normals=has_normals)
         write_poster(folder / SCENE_NAME, folder / POSTER_NAME)
-        copy_player(folder, title or source.stem)
+        copy_player(folder, title or source.stem, styles=styles)
 
 
 def is_site(folder: Path) -> bool:
@@ -63,8 +70,17 @@ def is_site(folder: Path) -> bool:
     return all((folder / name).exists() for name in (PAGE_NAME, SCENE_NAME, PLAYER_FOLDER))
 
 
-def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked, *, level: int | None = None) -> None:
-    """Write a scene in the form that browsers read: packed, with zlib. Raises UserError."""
+def write_scene(
+    source: Path,
+    out: Path,
+    tier: Tier,
+    track: Track = untracked,
+    *,
+    level: int | None = None,
+    has_normals: bool = True,
+) -> None:
+    """Write a scene in the form that browsers read: packed, with zlib. The arguments are those of :func:`write_site`.
+    Raises UserError."""
     reader = SceneReader(source)
     manifest = reader.manifest
     is_packed = manifest.encoding is not None
@@ -75,9 +91,9 @@ def write_scene(source: Path, out: Path, tier: Tier, track: Track = untracked, *
     order = order_by_azimuth(manifest.source_cameras, manifest.focus) if manifest.source_cameras else []
     storage = Storage("zlib", tuple(order))
     if is_packed:
-        transcode_scene(source, out, storage, track)
+        transcode_scene(source, out, storage, track, has_normals=has_normals)
     else:
-        pack_scene(source, out, tier, track, level=level, storage=storage)
+        pack_scene(source, out, tier, track, level=level, storage=storage, has_normals=has_normals)
 
 
 def write_poster(scene: Path, out: Path) -> None:
@@ -92,13 +108,15 @@ def write_poster(scene: Path, out: Path) -> None:
     Image.fromarray(pixels[..., :3]).save(out, quality=85)
 
 
-def copy_player(folder: Path, title: str, is_live: bool = False) -> None:
-    """Copy the page and the player's modules.
+def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping[str, Style] | None = None) -> None:
+    """Copy the page and the player's modules, and write the styles that the player offers.
 
-    With ``is_live``, the open page loads the scene file again whenever the file changes on the server.
+    With ``is_live``, the open page loads the scene file again whenever the file changes on the server. ``styles`` None
+    stands for the presets.
     """
     with as_file(files("fourd.viewer") / "web") as web:
         shutil.copytree(web, folder / PLAYER_FOLDER, ignore=shutil.ignore_patterns(*_NOT_SERVED))
+        write_styles(folder / PLAYER_FOLDER / STYLES_NAME, load_styles(()) if styles is None else styles)
         page = (web / "index.html").read_text(encoding="utf-8")
         page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{scene}}", SCENE_NAME)
         page = page.replace("{{live}}", " live" if is_live else "")

@@ -1,4 +1,5 @@
 #version 330 core
+#include "stylize/octahedral.glsl"
 // Projects and shades one point. Transform feedback stores the result once per image, and all geometry passes draw the
 // stored result. The operations and their order are those of fourd/ops/points/reference.py and fourd/baking/shade.py.
 
@@ -84,10 +85,7 @@ vec3 blend_source_views() {
 
 // Returns the normal in the frame of the camera.
 vec3 camera_normal() {
-    vec2 plane = (texelFetch(normals, at(slot), 0).rg * 255.0 - 128.0) / 127.0;
-    float z = 1.0 - abs(plane.x) - abs(plane.y), folded = max(-z, 0.0);
-    plane -= folded * vec2(plane.x > 0.0 ? 1.0 : -1.0, plane.y > 0.0 ? 1.0 : -1.0);
-    vec3 n = vec3(plane, z) / max(length(vec3(plane, z)), 1e-12);
+    vec3 n = decode_octahedral(texelFetch(normals, at(slot), 0).rg);
     return vec3(dot(rotation_x, n), dot(rotation_y, n), dot(rotation_z, n));
 }
 

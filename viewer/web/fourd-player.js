@@ -8,6 +8,7 @@ import { ChangedError, SceneError, describeError } from "./scene/errors.js";
 import { SceneFile } from "./scene/scene_file.js";
 import { Panel } from "./ui/panel.js";
 import { addShortcuts } from "./ui/shortcuts.js";
+import { StyleMenu } from "./ui/style_menu.js";
 import { STYLE } from "./ui/style.js";
 import { VrSession, supportsVr } from "./xr/vr_session.js";
 /** @typedef {import("./navigate/pose.js").Pose} Pose */
@@ -23,13 +24,13 @@ const LIVE_MS = 2000;
  * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
  *
  * Attributes: `src`, `poster` (image that is shown first), `autoplay`, `controls="none"` (no buttons), `background`
- * (a colour such as #203040), `mode="reference"` (exact depth peeling), `links` (the address of the page contains the
+ * (a colour such as #203040), `stylize` (name of a style), `mode="reference"` (exact depth peeling), `links` (the address of the page contains the
  * view and the time), `timeout` (seconds without data after which a request is repeated, 15 by default), `live` (the
  * scene is opened again when it changes on the server).
  * Events: `ready` after the first image, and `error`.
  */
 export class FourdPlayer extends HTMLElement {
-  static observedAttributes = ["src"];
+  static observedAttributes = ["src", "stylize"];
 
   constructor() {
     super();
@@ -51,6 +52,7 @@ export class FourdPlayer extends HTMLElement {
     this.lastInput = performance.now();
     /** Milliseconds from the start of loading to the first image. */
     this.firstImageMs = 0;
+    this.styleMenu = new StyleMenu(this);
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
     /** Follows links that the user opens while the page is shown. */
     this.followLink = () => this.#follow(location.hash);
@@ -78,8 +80,11 @@ export class FourdPlayer extends HTMLElement {
     this.#close();
   }
 
-  attributeChangedCallback() {
-    if (this.isConnected) this.#open();
+  /** @param {string} name */
+  attributeChangedCallback(name) {
+    if (!this.isConnected) return;
+    if (name === "src") this.#open();
+    else this.styleMenu.follow();
   }
 
   /** Resolves when the image shows the current time and view at full resolution. */
@@ -263,6 +268,7 @@ export class FourdPlayer extends HTMLElement {
       stage.clock.seek(Math.round(kept.seconds * manifest.fps));
       stage.clock.isPlaying = kept.isPlaying;
     }
+    this.styleMenu.follow();
     this.#run(stage, started);
   }
 
@@ -310,6 +316,7 @@ export class FourdPlayer extends HTMLElement {
   #announce(started) {
     this.firstImageMs = performance.now() - started;
     this.panel.poster.hidden = true;
+    this.styleMenu.offer();
     this.dispatchEvent(new CustomEvent("ready"));
   }
 

@@ -31,7 +31,7 @@ class LightFit:
         sh = np.zeros((points, 3, SH_TERMS), np.float16)
         sh[..., : self._fit.terms] = self._fit.fit(cloud)
         weights, rgb = np.zeros((points, 0), np.float16), np.zeros((points, 0, 3), np.uint8)
-        return replace(cloud, sh=sh, blend_weights=weights, rgb=rgb, normals=None)
+        return replace(cloud, sh=sh, blend_weights=weights, rgb=rgb)
 
 
 def _before_tanh(colour: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -20,6 +20,7 @@ from fourd.baking.packing.precision import DEFAULT_LEVELS, LEVELS
 from fourd.baking.packing.visible import find_visible
 from fourd.baking.packing.writer import PackedWriter, Storage
 from fourd.baking.scene import BakedFrame, SceneManifest, make_frame
+from fourd.baking.styled.normals import add_normals
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
@@ -49,6 +50,7 @@ def pack_scene(
     *,
     level: int | None = None,
     storage: Storage | None = None,
+    has_normals: bool = False,
 ) -> PackReport:
     """Write the scene ``source`` as a packed scene of a tier. Each frame is read twice, and only one frame is kept in
     memory.
@@ -61,6 +63,8 @@ def pack_scene(
         level: index of the tier's level in :data:`fourd.baking.packing.precision.LEVELS`. 0 is the finest. None selects
             the level of :data:`fourd.baking.packing.precision.DEFAULT_LEVELS`.
         storage: compression and order of the members.
+        has_normals: whether the packed scene has normals, which styles of web pages need. If ``source`` has no normals,
+            they are estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.
@@ -68,7 +72,8 @@ def pack_scene(
     reader = SceneReader(source)
     try:
         chosen = DEFAULT_LEVELS[tier] if level is None else level
-        packer = _Packer(reader, tier, chosen, range(reader.manifest.frame_count), track)
+        frames = range(reader.manifest.frame_count)
+        packer = _Packer(reader, tier, chosen, frames, track, has_normals=has_normals)
         return packer.write(out, track, storage)
     finally:
         reader.close()
@@ -110,16 +115,20 @@ class _Packer:
         track: Track,
         *,
         has_background: bool = True,
+        has_normals: bool = False,
     ) -> None:
         if not frames:
             raise UserError(f"{reader.path}: expected a scene with at least one frame, got none; export the run again")
         self.reader = reader
         self.precision = LEVELS[tier][level]
+        self.has_normals = has_normals
         self.convert, manifest = _conversion(reader.manifest, tier)
+        if has_normals:
+            manifest = replace(manifest, optional_attributes=(*manifest.optional_attributes, "normals"))
         sampled = (sample_cloud(self._read(index), len(frames)) for index in frames)
         dynamic = merge_samples(track(sampled, len(frames), "sample"))
         background = reader.read_background() if has_background else None
-        self.background = None if background is None else self.convert(background)
+        self.background = None if background is None else self._prepare(background)
         self.encoding = SceneEncoding(
             tier,
             fit_encoding(dynamic, self.precision),
@@ -129,7 +138,7 @@ class _Packer:
 
     def frame(self, index: int) -> _Cloud:
         """Encode the points of a frame, without its shadow."""
-        cloud = self._read(index)
+        cloud = self._read(index, for_file=True)
         return self._encode(cloud, self.encoding.dynamic, morton_sorted(cloud, self.encoding.dynamic))
 
     def write(self, out: Path, track: Track, storage: Storage | None) -> PackReport:
@@ -147,13 +156,23 @@ class _Packer:
                 writer.add_frame(index, encoded.points, encoded.members, shadow_bytes)
         return _report(out.stat().st_size, writer.sizes, len(frames), self.manifest)
 
-    def _read(self, index: int) -> BakedFrame:
-        """Read the points of a frame that some viewer sees, prepared for the tier.
+    def _read(self, index: int, *, for_file: bool = False) -> BakedFrame:
+        """Read the points of a frame that some viewer sees, prepared for the tier. Samples have no normals.
 
         Points of the background are kept, because the shell shows directions that no view of the capture shows.
         """
         cloud = self.reader.read_dynamic(index)
-        return self.convert(_select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility)))
+        visible = _select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility))
+        return self._prepare(visible) if for_file else self.convert(replace(visible, normals=None))
+
+    def _prepare(self, cloud: BakedFrame) -> BakedFrame:
+        """Convert a cloud for the tier, with normals if the packed scene has them.
+
+        Normals are estimated before the conversion, because the source views show which side is outside.
+        """
+        if not self.has_normals:
+            return self.convert(replace(cloud, normals=None))
+        return self.convert(cloud if cloud.normals is not None else add_normals(cloud, self.reader.manifest))
 
     def _encode(self, cloud: BakedFrame, encoding: CloudEncoding, order: NDArray[np.int64]) -> _Cloud:
         """Encode a cloud in the given order, and check the errors of the result."""
@@ -172,14 +191,11 @@ def _select(cloud: BakedFrame, indices: NDArray[np.int64]) -> BakedFrame:
 
 
 def _conversion(manifest: SceneManifest, tier: Tier) -> tuple[Callable[[BakedFrame], BakedFrame], SceneManifest]:
-    """Return the function that converts a cloud for the tier, and the manifest of the packed scene.
-
-    Packed scenes have no normals, which players can estimate from the points.
-    """
+    """Return the function that converts a cloud for the tier, and the manifest of a packed scene without normals."""
     optional = tuple(name for name in manifest.optional_attributes if name != "normals")
     manifest = replace(manifest, optional_attributes=optional)
     if tier != "light" or manifest.view_count == 0:
-        return lambda cloud: replace(cloud, normals=None), manifest
+        return lambda cloud: cloud, manifest
     fit = LightFit(manifest)
     described = replace(
         manifest,

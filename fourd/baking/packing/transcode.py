@@ -3,20 +3,25 @@ precision is lost."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from fourd.baking.container import BACKGROUND, SceneReader, frame_folder
 from fourd.baking.files.encoding import SH_NUMBERS, CloudEncoding
-from fourd.baking.packed.members import packed_names
+from fourd.baking.packed.members import optional_member, packed_names
 from fourd.baking.packed.streams import decompress
 from fourd.baking.packing.writer import PackedWriter, Storage
+from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.baking.styled.normals import add_normals
 from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 
-def transcode_scene(source: Path, out: Path, storage: Storage, track: Track = untracked) -> None:
+def transcode_scene(
+    source: Path, out: Path, storage: Storage, track: Track = untracked, *, has_normals: bool = False
+) -> None:
     """Write the packed scene ``source`` as ``out``, with another compression and another order of the members. The
-    frames of ``source`` are checked.
+    frames of ``source`` are checked. With ``has_normals``, normals are estimated if ``source`` has none.
 
     Raises:
         UserError: if ``source`` is damaged or is not a packed scene, or if ``out`` cannot be written.
@@ -26,15 +31,19 @@ def transcode_scene(source: Path, out: Path, storage: Storage, track: Track = un
         manifest = reader.manifest
         if manifest.encoding is None:
             raise UserError(f"{source}: expected a packed scene, got version {manifest.version}; use fourd pack first")
-        with PackedWriter(out, manifest, storage) as writer:
+        adds_normals = has_normals and "normals" not in manifest.optional_attributes
+        written = replace(manifest, optional_attributes=(*manifest.optional_attributes, "normals"))
+        with PackedWriter(out, written if adds_normals else manifest, storage) as writer:
             background = reader.read_background()
             if background is not None and manifest.encoding.background is not None:
                 points = background.point_count
-                writer.add_background(_contents(reader, BACKGROUND, points, manifest.encoding.background))
+                contents = _contents(reader, BACKGROUND, points, manifest.encoding.background)
+                writer.add_background(contents | (_normals(background, manifest) if adds_normals else {}))
             for index in track(range(manifest.frame_count), manifest.frame_count, "compress"):
-                reader.read_dynamic(index)
+                frame = reader.read_dynamic(index)
                 points = manifest.points[index]
                 contents = _contents(reader, frame_folder(index), points, manifest.encoding.dynamic)
+                contents |= _normals(frame, manifest) if adds_normals else {}
                 shadow = reader.read_shadow(index)
                 writer.add_frame(index, points, contents, None if shadow is None else shadow.tobytes())
     finally:
@@ -48,3 +57,8 @@ def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEnco
     largest = max(points * max(encoding.code_bytes + 3, 2 * SH_NUMBERS), *optional, 0)
     names = packed_names(manifest)
     return {name: decompress(reader.read_member(f"{folder}/{name}"), largest).tobytes() for name in names}
+
+
+def _normals(cloud: BakedFrame, manifest: SceneManifest) -> dict[str, bytes]:
+    """Return the member with the estimated normals of a cloud."""
+    return {optional_member("normals"): add_normals(cloud, manifest).arrays["normals"].tobytes()}

@@ -19,7 +19,7 @@ from types import TracebackType
 from fourd.baking.container import BACKGROUND, MANIFEST_NAME, SHADOW, frame_folder
 from fourd.baking.files.archive import disk_errors, make_member, open_zip
 from fourd.baking.manifest import manifest_to_json
-from fourd.baking.packed.members import packed_names, view_member
+from fourd.baking.packed.members import optional_member, packed_names, view_member
 from fourd.baking.packed.streams import Compression, compress
 from fourd.baking.scene import PACKED_VERSION, SceneManifest
 from fourd.files import atomic_path
@@ -119,7 +119,10 @@ class PackedWriter:
         assert self._zip is not None
         total = 0
         views = [view_member(view) for view in self._storage.view_order]
-        names = [name for name in members if name not in views] + [name for name in views if name in members]
+        # Most players do not fetch optional attributes, which therefore follow the views.
+        optional = [name for name in members if name.startswith(optional_member(""))]
+        base = [name for name in members if name not in {*views, *optional}]
+        names = [*base, *(name for name in views if name in members), *optional]
         for name in names:
             compressed = compress(members[name], self._storage.compression)
             with disk_errors(self.path):

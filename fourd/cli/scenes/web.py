@@ -11,7 +11,7 @@ import tyro
 from fourd.baking.container import SceneReader
 from fourd.baking.files.encoding import Tier
 from fourd.baking.packing.rate import Choice, choose_tier
-from fourd.cli.options import TIER_HELP, MaxMbps, ScenePath, check_mbps, describe, option
+from fourd.cli.options import TIER_HELP, MaxMbps, PageStyles, ScenePath, check_mbps, describe, option
 from fourd.errors import UserError
 from fourd.files import remove_unfinished_folder
 from fourd.processes import locked_folder
@@ -30,13 +30,19 @@ class Arguments:
     title: Annotated[str | None, option("TEXT", "the name of the file")] = None
     """Title of the page."""
     max_mbps: MaxMbps = None
+    style: PageStyles = ()
+    normals: bool = True
+    """Store normals, which styles need. If the scene has none, normals are estimated. With --no-normals, the page shows
+    no styles."""
 
 
 def run(arguments: Arguments) -> None:
     """Write the folder and print its size."""
     from fourd.viewer.publish.site import write_site
+    from fourd.viewer.publish.styles import load_styles
 
     check_mbps(arguments.max_mbps)
+    styles = load_styles(arguments.style)
     console = Terminal(stderr=True)
     track = Tracker(console).track
     tier, level = arguments.tier, None
@@ -46,7 +52,16 @@ def run(arguments: Arguments) -> None:
         console.print(f"--max-mbps {arguments.max_mbps:g}: {choice}", soft_wrap=True)
     with locked_folder(arguments.out):
         remove_unfinished_folder(arguments.out)
-        write_site(arguments.scene, arguments.out, tier, arguments.title, track, level=level)
+        write_site(
+            arguments.scene,
+            arguments.out,
+            tier,
+            arguments.title,
+            track,
+            level=level,
+            styles=styles,
+            has_normals=arguments.normals,
+        )
     size = sum(path.stat().st_size for path in arguments.out.rglob("*") if path.is_file()) / 1e6
     line = f"{arguments.out}: {size:.1f} MB; next: fourd serve {arguments.out}"
     console.print(line, soft_wrap=True, markup=False)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import zipfile
 from pathlib import Path
@@ -10,15 +11,18 @@ import numpy as np
 import pytest
 
 from fourd.baking import SceneReader
+from fourd.baking.files.encoding import Tier
 from fourd.baking.packed.streams import StreamError, compress, decompress
 from fourd.baking.packing.pack import pack_scene
 from fourd.baking.packing.transcode import transcode_scene
 from fourd.baking.packing.writer import Storage
 from fourd.cli.main import main
 from fourd.errors import UserError
+from fourd.stylize import decode_octahedral
 from fourd.viewer.publish.server import SiteServer
 from fourd.viewer.publish.site import SCENE_NAME, is_site, write_site
 from tests.baking.scenes import write_full_scene, write_scene
+from tests.viewer.scenes import write_shells
 
 
 def test_files_of_a_site(tmp_path: Path) -> None:
@@ -29,7 +33,7 @@ def test_files_of_a_site(tmp_path: Path) -> None:
     write_site(tmp_path / "scene.4dv", tmp_path / "site", "stream", title="<b>")
     names = {path.relative_to(tmp_path / "site").as_posix() for path in (tmp_path / "site").rglob("*.*")}
     assert {"index.html", "page.css", "poster.jpg", SCENE_NAME, "player/fourd-player.js"} <= names
-    assert {"player/decode/worker.js", "player/sort/worker.js"} <= names
+    assert {"player/decode/worker.js", "player/sort/worker.js", "player/stylize.json"} <= names
     assert not any("examples" in name for name in names)
     page = (tmp_path / "site" / "index.html").read_text()
     assert "<title>&lt;b&gt;</title>" in page
@@ -54,6 +58,29 @@ def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
     assert views == ["003", "004", "005", "002", "000", "001"]
     packed.close()
     web.close()
+
+
+@pytest.mark.parametrize("tier", ["stream", "light"])
+def test_sites_have_normals(tier: Tier, tmp_path: Path) -> None:
+    """Catches normals in another order than the points, a scene that loses its normals, and members between those that
+    every player fetches."""
+    write_shells(tmp_path / "scene.4dv", frames=1, points=3000)
+    write_site(tmp_path / "scene.4dv", tmp_path / "site", tier)
+    pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", tier)
+    transcode_scene(tmp_path / "packed.4dv", tmp_path / "web.4dv", Storage("zlib"), has_normals=True)
+    transcode_scene(tmp_path / "web.4dv", tmp_path / "again.4dv", Storage("zlib"))
+    for path in (tmp_path / "site" / SCENE_NAME, tmp_path / "web.4dv", tmp_path / "again.4dv"):
+        reader = SceneReader(path)
+        frame = reader.read(0)
+        reader.close()
+        assert frame.normals is not None
+        outwards = frame.xyz / np.linalg.norm(frame.xyz, axis=1, keepdims=True)
+        assert np.median(np.abs((decode_octahedral(frame.normals) * outwards).sum(1))) > 0.9
+        with zipfile.ZipFile(path) as archive:
+            assert archive.namelist()[-1] == "frames/000000/optional/normals"
+    packed = SceneReader(tmp_path / "packed.4dv")
+    assert packed.read(0).normals is None
+    packed.close()
 
 
 def test_errors_of_zlib_members() -> None:
@@ -96,6 +123,31 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert expected in error
         assert len(error.strip().splitlines()) == 1
     assert not (tmp_path / "other").exists()
+
+
+def test_styles_of_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a style that the page lacks, and wrong style files that end with a traceback or an old page."""
+    write_scene(tmp_path / "scene.4dv", frames=1)
+    for name, text in (("blue", "shading: gooch"), ("toon", ""), ("wrong", "shadin: toon")):
+        (tmp_path / f"{name}.yaml").write_text(text)
+    words = ["web", str(tmp_path / "scene.4dv"), "-o", str(tmp_path / "site")]
+    for name, expected in (
+        ("toon.yaml", "expected a style with a new name, got"),
+        ("wrong.yaml", "shading"),
+        ("none.yaml", "expected a style with a new name"),
+        ("other.yaml", "other.yaml"),
+        ("gooch", "expected a .yaml file, got"),
+    ):
+        assert main([*words, "--style", str(tmp_path / name)]) == 2
+        error = capsys.readouterr().err
+        assert expected in error
+        assert len(error.strip().splitlines()) == 1
+    assert not (tmp_path / "site").exists()
+    assert main([*words, "--style", str(tmp_path / "blue.yaml"), "--no-normals"]) == 0
+    styles = json.loads((tmp_path / "site" / "player" / "stylize.json").read_text())["styles"]
+    assert [style["name"] for style in styles] == ["toon", "xtoon", "gooch", "ink", "blue"]
+    assert main(["serve", str(tmp_path / "site"), "--style", str(tmp_path / "blue.yaml")]) == 2
+    assert "--style: expected a scene or a run, got the site" in capsys.readouterr().err
 
 
 def test_a_connection_chooses_the_level(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

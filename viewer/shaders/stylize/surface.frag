@@ -1,11 +1,12 @@
 #version 330 core
 // Converts composited colours, normals and depths to the visible surface (class Surface of
-// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image, and row 0 of the inputs is the bottom.
+// fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This text is also valid GLSL ES 3.00.
 
 uniform sampler2D colours;  // Premultiplied by alpha. Normals and depths are also premultiplied.
 uniform sampler2D normals;
 uniform sampler2D depths;     // Depth in units of depth_unit, and alpha in the fourth component.
 uniform float depth_unit;     // Unit of `depths`, in world units.
+uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
 uniform float persistence;  // Weight of the surface of the previous image. With 0, the previous image is ignored.
@@ -23,7 +24,7 @@ vec3 bytes(vec3 texel) { return floor(255.0 * texel + 0.5); }
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
-    ivec2 source = ivec2(pixel.x, textureSize(depths, 0).y - 1 - pixel.y);
+    ivec2 source = ivec2(pixel.x, is_upside_down ? textureSize(depths, 0).y - 1 - pixel.y : pixel.y);
     vec4 depth = texelFetch(depths, source, 0);
     vec3 sum = texelFetch(normals, source, 0).xyz;
     float alpha = depth.a, coverage = clamp(3.0 * alpha - 0.5, 0.0, 1.0), square = dot(sum, sum);

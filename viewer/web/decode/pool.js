@@ -7,8 +7,8 @@ import { SceneError } from "../scene/errors.js";
  *   members: {points: Uint8Array, sh: Uint8Array, colour: Uint8Array | null}}} BaseRequest
  * @typedef {{kind: "views", folder: string, encoding: CloudEncoding, mean: Uint8Array,
  *   views: {view: number, member: Uint8Array}[]}} ViewsRequest
- * @typedef {{kind: "shadow", folder: string, points: number, member: Uint8Array}} ShadowRequest
- * @typedef {(BaseRequest | ViewsRequest | ShadowRequest) & {id?: number}} DecodeRequest
+ * @typedef {{kind: "shadow" | "normals", size: number, name: string, member: Uint8Array}} BytesRequest
+ * @typedef {(BaseRequest | ViewsRequest | BytesRequest) & {id?: number}} DecodeRequest
  * @typedef {CloudBase | [number, Uint8Array<ArrayBuffer>][] | Uint8Array<ArrayBuffer>} DecodeResult
  * @typedef {{id?: number, result?: DecodeResult, error?: string, ms: number}} DecodeReply
  */
@@ -22,7 +22,7 @@ export class DecodePool {
     this.load = new Array(count).fill(0);
     this.next = 0;
     /** For each kind of request: [total milliseconds of decoding, number of requests]. */
-    this.times = { base: [0, 0], views: [0, 0], shadow: [0, 0] };
+    this.times = { base: [0, 0], views: [0, 0], shadow: [0, 0], normals: [0, 0] };
     this.workers = this.load.map((_, index) => this.#start(index));
   }
 
@@ -43,10 +43,11 @@ export class DecodePool {
   }
 
   /**
-   * @param {ShadowRequest} request
+   * Decompresses a member of bytes.
+   * @param {BytesRequest} request
    * @returns {Promise<Uint8Array<ArrayBuffer>>}
    */
-  shadow(request) {
+  bytes(request) {
     return this.#send(request);
   }
 

@@ -36,6 +36,6 @@ async function decode(request) {
     );
     return { result: views, transfer: views.map(([, rgba]) => rgba.buffer) };
   }
-  const shadow = (await inflateExactly(request.member, request.points, `${request.folder}/shadow`)).slice();
-  return { result: shadow, transfer: [shadow.buffer] };
+  const bytes = (await inflateExactly(request.member, request.size, request.name)).slice();
+  return { result: bytes, transfer: [bytes.buffer] };
 }

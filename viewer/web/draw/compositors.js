@@ -23,15 +23,16 @@ export class SortedCompositor {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {Discs} discs
-   * @param {{fragment?: string, depth?: string, outputs?: number}} [options] Fragment shader of the discs, GLSL
-   *   expression of their depth, and number of textures (RGBA16F) that the shader draws into.
+   * @param {{fragment?: string, depth?: string, outputs?: number, pass?: import("./discs.js").DiscPass}} [options]
+   *   Fragment shader of the discs, GLSL expression of their depth, and number of textures (RGBA16F) that the shader
+   *   draws into. `pass` replaces the programs of the fragment shader.
    */
-  constructor(gl, discs, { fragment = SORTED_FRAGMENT, depth = NO_DEPTH, outputs = 1 } = {}) {
+  constructor(gl, discs, { fragment = SORTED_FRAGMENT, depth = NO_DEPTH, outputs = 1, pass } = {}) {
     requireFloatTargets(gl, "EXT_color_buffer_half_float");
     this.gl = gl;
     this.discs = discs;
     this.formats = new Array(outputs).fill(gl.RGBA16F);
-    this.pass = discs.makePass(fragment, depth);
+    this.pass = pass ?? discs.makePass(fragment, depth);
     /** @type {Target | null} */
     this.target = null;
   }

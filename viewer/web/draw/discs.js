@@ -8,8 +8,11 @@ const BYTES_PER_DISC = 32;
 
 /**
  * The programs of a pass that draws discs. Sprites need a quarter of the vertices of quads, but their size is limited.
- * @typedef {{sprite: import("./gl.js").Program, quad: import("./gl.js").Program}} DiscPass
+ * The pass of a style has its own vertex arrays, which also contain normals.
+ * @typedef {{sprite: import("./gl.js").Program, quad: import("./gl.js").Program, arrays?: DiscArrays}} DiscPass
  */
+
+/** Vertex arrays of the discs. @typedef {{sprite: WebGLVertexArrayObject, quad: WebGLVertexArrayObject}} DiscArrays */
 
 /** The projected and shaded points, in depth order. All passes of an image draw these points. */
 export class Discs {
@@ -27,8 +30,8 @@ export class Discs {
     this.order = gl.createBuffer();
     this.discs = gl.createBuffer();
     this.shadeArray = gl.createVertexArray();
-    this.quadArray = gl.createVertexArray();
-    this.spriteArray = gl.createVertexArray();
+    /** @type {DiscArrays} */
+    this.arrays = { sprite: gl.createVertexArray(), quad: gl.createVertexArray() };
     /** @type {number} */
     this.maxSprite = gl.getParameter(gl.ALIASED_POINT_SIZE_RANGE)[1];
     /** @type {[number, number]} */
@@ -75,9 +78,19 @@ export class Discs {
     shade.integers({ block_rows: textures.rows, background_first: textures.backgroundFirst });
     this.#setCamera(camera);
     this.#setShading(blended);
+    this.transform(this.feedback, this.discs);
+  }
+
+  /**
+   * Runs the vertex shader in use for the points in depth order, and stores its outputs.
+   * @param {WebGLTransformFeedback} feedback
+   * @param {WebGLBuffer} buffer
+   */
+  transform(feedback, buffer) {
+    const { gl } = this;
     gl.bindVertexArray(this.shadeArray);
-    gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, this.feedback);
-    gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, this.discs);
+    gl.bindTransformFeedback(gl.TRANSFORM_FEEDBACK, feedback);
+    gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, buffer);
     gl.enable(gl.RASTERIZER_DISCARD);
     gl.beginTransformFeedback(gl.POINTS);
     gl.drawArrays(gl.POINTS, 0, this.count);
@@ -101,6 +114,7 @@ export class Discs {
     const margin = Math.ceil(this.largestDisc) + 1;
     const isSprite = 2 * margin <= this.maxSprite && width + 2 * margin <= this.maxViewport[0] && height + 2 * margin <= this.maxViewport[1];
     const program = isSprite ? pass.sprite : pass.quad;
+    const arrays = pass.arrays ?? this.arrays;
     program.use();
     program.integers(integers);
     program.floats({ ...floats, size: [width, height] });
@@ -108,11 +122,11 @@ export class Discs {
       program.floats({ margin });
       // Sprites whose centre is outside the viewport are dropped, so the viewport extends past the image.
       gl.viewport(-margin, -margin, width + 2 * margin, height + 2 * margin);
-      gl.bindVertexArray(this.spriteArray);
+      gl.bindVertexArray(arrays.sprite);
       gl.drawArrays(gl.POINTS, 0, this.count);
     } else {
       gl.viewport(0, 0, width, height);
-      gl.bindVertexArray(this.quadArray);
+      gl.bindVertexArray(arrays.quad);
       gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.count);
     }
     gl.viewport(0, 0, width, height);
@@ -121,7 +135,7 @@ export class Discs {
   release() {
     const { gl } = this;
     for (const buffer of [this.order, this.discs]) gl.deleteBuffer(buffer);
-    for (const array of [this.shadeArray, this.quadArray, this.spriteArray]) gl.deleteVertexArray(array);
+    for (const array of [this.shadeArray, ...Object.values(this.arrays)]) gl.deleteVertexArray(array);
     gl.deleteTransformFeedback(this.feedback);
     this.shade.release();
   }
@@ -132,17 +146,26 @@ export class Discs {
     gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
     gl.enableVertexAttribArray(0);
     gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 4, 0);
-    for (const [array, divisor] of /** @type {const} */ ([[this.quadArray, 1], [this.spriteArray, 0]])) {
-      gl.bindVertexArray(array);
-      gl.bindBuffer(gl.ARRAY_BUFFER, this.discs);
-      for (const location of [0, 1]) {
-        gl.enableVertexAttribArray(location);
-        gl.vertexAttribPointer(location, 4, gl.FLOAT, false, BYTES_PER_DISC, 16 * location);
-        gl.vertexAttribDivisor(location, divisor);
-      }
-    }
+    this.describe(this.arrays.sprite, 0);
+    this.describe(this.arrays.quad, 1);
     gl.bindVertexArray(null);
     gl.bindBuffer(gl.ARRAY_BUFFER, null);
+  }
+
+  /**
+   * Makes `disc` and `paint` the attributes 0 and 1 of a vertex array.
+   * @param {WebGLVertexArrayObject} array
+   * @param {number} divisor 0 for one disc per vertex, 1 for one disc per instance.
+   */
+  describe(array, divisor) {
+    const { gl } = this;
+    gl.bindVertexArray(array);
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.discs);
+    for (const location of [0, 1]) {
+      gl.enableVertexAttribArray(location);
+      gl.vertexAttribPointer(location, 4, gl.FLOAT, false, BYTES_PER_DISC, 16 * location);
+      gl.vertexAttribDivisor(location, divisor);
+    }
   }
 
   /** @param {Uint32Array} order */

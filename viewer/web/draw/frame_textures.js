@@ -7,8 +7,8 @@ import { FULL_SCREEN_VERTEX, HARMONICS_FRAGMENT, TEXELS_PER_ROW } from "./shader
 /** @typedef {import("../decode/cloud.js").CloudBase} CloudBase */
 
 /**
- * A decoded cloud: its points, and its colours in some source views.
- * @typedef {{base: CloudBase, views: Map<number, Uint8Array<ArrayBuffer>>}} Cloud
+ * A decoded cloud: its points, its colours in some source views, and its octahedral normals (N, 2) if they are needed.
+ * @typedef {{base: CloudBase, views: Map<number, Uint8Array<ArrayBuffer>>, normals: Uint8Array<ArrayBuffer> | null}} Cloud
  */
 
 const BLOCKS = 6;
@@ -54,6 +54,10 @@ export class FrameTextures {
     this.layerViews = new Array(this.layers).fill(-1);
     /** @type {Uint8Array | null} */
     this.loadedShadow = null;
+    /** @type {WebGLTexture | null} */
+    this.normals = null;
+    /** @type {(Uint8Array | null)[]} */
+    this.loadedNormals = [null, null];
   }
 
   /**
@@ -80,9 +84,27 @@ export class FrameTextures {
     return layers;
   }
 
+  /**
+   * Uploads the normals that have changed.
+   * @param {(Cloud | null)[]} clouds
+   * @returns {WebGLTexture} RG8: the bytes of the octahedral normals. The texture exists only for styles.
+   */
+  loadNormals(clouds) {
+    const { gl } = this;
+    gl.activeTexture(gl.TEXTURE0); // New textures are bound to the active unit.
+    const texture = this.normals ?? makeTexture(gl, gl.RG8, TEXELS_PER_ROW, this.rows);
+    this.normals = texture;
+    clouds.forEach((cloud, index) => {
+      if (!cloud?.normals || cloud.normals === this.loadedNormals[index]) return;
+      this.#write(texture, index ? this.dynamicRows : 0, cloud.normals, 2, gl.RG, gl.UNSIGNED_BYTE);
+      this.loadedNormals[index] = cloud.normals;
+    });
+    return texture;
+  }
+
   release() {
     const { gl } = this;
-    for (const texture of [this.xyz, this.sizes, this.views, this.harmonics, this.shadow, this.factors]) {
+    for (const texture of [this.xyz, this.sizes, this.views, this.harmonics, this.shadow, this.factors, this.normals]) {
       gl.deleteTexture(texture);
     }
     for (const buffer of this.bases) gl.deleteBuffer(buffer);

@@ -51,7 +51,7 @@ export class Program {
   }
 
   /**
-   * Sets floats, vectors of 2 to 4 floats, or arrays of floats. The program must be in use.
+   * Sets floats, vectors of 2 to 4 floats, or arrays of more floats. The program must be in use.
    * @param {Record<string, number | number[]>} values
    */
   floats(values) {
@@ -60,7 +60,8 @@ export class Program {
       if (typeof value === "number") this.gl.uniform1f(location, value);
       else if (value.length === 2) this.gl.uniform2fv(location, value);
       else if (value.length === 3) this.gl.uniform3fv(location, value);
-      else this.gl.uniform4fv(location, value);
+      else if (value.length === 4) this.gl.uniform4fv(location, value);
+      else this.gl.uniform1fv(location, value);
     }
   }
 

@@ -2,9 +2,11 @@ import { SceneError } from "../scene/errors.js";
 import { PeelingCompositor, SortedCompositor } from "./compositors.js";
 import { bindTexture, makeProgram } from "./gl.js";
 import { ProjectedPoints } from "./projected_points.js";
-import { FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT } from "./shaders.js";
+import { FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT, SCALE_FRAGMENT } from "./shaders.js";
+import { StyledDrawing } from "../stylize/styled_drawing.js";
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 /** @typedef {import("./projected_points.js").Picture} Picture */
+/** @typedef {import("../stylize/styled_drawing.js").ReadyStyle} ReadyStyle */
 
 /** @typedef {"sorted" | "reference"} Mode Compositing in one pass, or exact depth peeling. */
 
@@ -25,6 +27,9 @@ export class CanvasRenderer {
     this.manifest = manifest;
     this.points = new ProjectedPoints(gl, manifest);
     this.overBackground = makeProgram(gl, FULL_SCREEN_VERTEX, OVER_BACKGROUND_FRAGMENT);
+    this.scale = makeProgram(gl, FULL_SCREEN_VERTEX, SCALE_FRAGMENT);
+    /** @type {StyledDrawing | null} */
+    this.styled = null;
     this.emptyArray = gl.createVertexArray();
     /** @type {Partial<Record<Mode, SortedCompositor | PeelingCompositor>>} */
     this.compositors = {};
@@ -35,14 +40,21 @@ export class CanvasRenderer {
    * @param {Picture} picture
    * @param {Mode} mode
    * @param {[number, number, number]} background Colour in [0, 1].
+   * @param {ReadyStyle | null} [style] Ignored until the normals of all points are loaded. A style is always composited
+   *   in one pass.
    */
-  draw(picture, mode, background) {
+  draw(picture, mode, background, style = null) {
     const { gl } = this;
     if (gl.isContextLost()) return;
     this.points.project(picture);
+    if (style && picture.clouds.every((cloud) => !cloud || cloud.normals)) {
+      this.styled ??= new StyledDrawing(gl, this.points, this.manifest.focus, style.shaders);
+      this.#present(this.scale, this.styled.draw(picture, style, background));
+      return;
+    }
     const { width, height } = picture.camera;
     const image = this.#compositor(mode).draw(width, height, picture.layers);
-    this.#present(image, background);
+    this.#present(this.overBackground, image, { background, pixel_filter: this.manifest.pixelFilter });
   }
 
   /**
@@ -67,6 +79,8 @@ export class CanvasRenderer {
     for (const compositor of Object.values(this.compositors)) compositor.release();
     this.points.release();
     this.overBackground.release();
+    this.scale.release();
+    this.styled?.release();
     this.gl.deleteVertexArray(this.emptyArray);
   }
 
@@ -78,19 +92,20 @@ export class CanvasRenderer {
   }
 
   /**
+   * @param {import("./gl.js").Program} program
    * @param {WebGLTexture} image
-   * @param {[number, number, number]} background
+   * @param {Record<string, number | number[]>} [floats]
    */
-  #present(image, background) {
-    const { gl, overBackground } = this;
+  #present(program, image, floats = {}) {
+    const { gl } = this;
     const { width, height } = this.canvas;
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, width, height);
     bindTexture(gl, 0, image);
     for (const name of [gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER]) gl.texParameteri(gl.TEXTURE_2D, name, gl.LINEAR);
-    overBackground.use();
-    overBackground.integers({ image: 0 });
-    overBackground.floats({ background, target: [width, height], pixel_filter: this.manifest.pixelFilter });
+    program.use();
+    program.integers({ image: 0 });
+    program.floats({ ...floats, target: [width, height] });
     gl.bindVertexArray(this.emptyArray);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
   }

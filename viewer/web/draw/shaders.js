@@ -176,10 +176,12 @@ export const RANK_DEPTH = "2.0 * (rank - 0.5) / 16777216.0 - 1.0";
 /** GLSL expression of the depth of a disc, if depths are neither tested nor stored. */
 export const NO_DEPTH = "0.0";
 
-const SHARED_DISC_VERTEX = `
+/** @param {boolean} hasNormals */
+const sharedDiscVertex = (hasNormals) => `
 uniform vec2 size;
 in vec4 disc;
 in vec4 paint;
+${hasNormals ? "in vec4 normal;\nflat out vec3 disc_normal;" : ""}
 flat out vec3 disc_centre;
 flat out float disc_depth;
 flat out vec4 tint;
@@ -190,17 +192,19 @@ void pass_on(int index) {
   disc_depth = disc.z;
   tint = paint;
   rank = float(index + 1);
+  ${hasNormals ? "disc_normal = normal.xyz;" : ""}
 }
 `;
 
 /**
  * Draws the bounding square of a disc as two triangles. Row 0 of the image is at the bottom of the framebuffer.
  * @param {string} depth GLSL expression of the depth in normalised device coordinates.
+ * @param {boolean} hasNormals Whether discs have a normal, which fragments read as `disc_normal`.
  */
-export function quadVertex(depth) {
+export function quadVertex(depth, hasNormals = false) {
   return `${HEADER}
 uniform vec2 depth_range;
-${SHARED_DISC_VERTEX}
+${sharedDiscVertex(hasNormals)}
 void main() {
   pass_on(gl_InstanceID);
   vec2 corner = vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 1.0;
@@ -213,12 +217,13 @@ void main() {
 /**
  * Draws the bounding square of a disc as a point sprite. The viewport extends past the image by `margin`.
  * @param {string} depth GLSL expression of the depth in normalised device coordinates.
+ * @param {boolean} hasNormals
  */
-export function spriteVertex(depth) {
+export function spriteVertex(depth, hasNormals = false) {
   return `${HEADER}
 uniform vec2 depth_range;
 uniform float margin;
-${SHARED_DISC_VERTEX}
+${sharedDiscVertex(hasNormals)}
 void main() {
   pass_on(gl_VertexID);
   gl_Position = vec4(2.0 * (disc.xy + margin) / (size + 2.0 * margin) - 1.0, ${depth}, 1.0);
@@ -270,6 +275,17 @@ export const COPY_FRAGMENT = `${HEADER}
 uniform sampler2D image;
 out vec4 colour;
 void main() { colour = texelFetch(image, ivec2(gl_FragCoord.xy), 0); }
+`;
+
+/** Scales an image to the target. Row 0 of the image is its top. */
+export const SCALE_FRAGMENT = `${HEADER}
+uniform sampler2D image;
+uniform vec2 target;
+out vec4 colour;
+void main() {
+  vec2 position = vec2(gl_FragCoord.x, target.y - gl_FragCoord.y) / target;
+  colour = vec4(texture(image, position).rgb, 1.0);
+}
 `;
 
 /**

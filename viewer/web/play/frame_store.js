@@ -1,4 +1,4 @@
-import { BACKGROUND, baseMembers, describeCloud, viewMember } from "../scene/members.js";
+import { BACKGROUND, baseMembers, describeCloud, normalsMember, viewMember } from "../scene/members.js";
 import { Downloads } from "./downloads.js";
 /** @typedef {import("../scene/scene_file.js").SceneFile} SceneFile */
 /** @typedef {import("../decode/pool.js").DecodePool} DecodePool */
@@ -14,6 +14,7 @@ const CONCURRENT = 4;
  * @property {CloudBase | null} base
  * @property {Map<number, Uint8Array<ArrayBuffer>>} views
  * @property {Uint8Array | null} shadow
+ * @property {Uint8Array<ArrayBuffer> | null} normals (N, 2) Decoded only for styles.
  * @property {boolean} isBusy
  * @property {boolean} hasFailed A failed entry is decoded again only after a call of `retry`.
  * @property {number} used Counter value of the last request for the entry.
@@ -25,6 +26,7 @@ const CONCURRENT = 4;
  * @property {number[]} decoded Frames to decode, in order of urgency.
  * @property {number[]} downloaded Frames to download, in order of urgency. They begin with those of `decoded`.
  * @property {number[]} views Source views whose colours are needed.
+ * @property {boolean} normals Whether the normals are needed.
  * @property {boolean} isPlaying Otherwise, the first frame is downloaded before all others.
  */
 
@@ -52,6 +54,7 @@ export class FrameStore {
     this.wanted = [];
     /** @type {number[]} */
     this.views = [];
+    this.needsNormals = false;
     this.hasDecoded = false;
   }
 
@@ -59,10 +62,11 @@ export class FrameStore {
    * Sets what to load. The background is loaded before the frames.
    * @param {Demand} demand
    */
-  want({ decoded, downloaded, views, isPlaying }) {
+  want({ decoded, downloaded, views, normals, isPlaying }) {
     const background = this.manifest.background ? [BACKGROUND] : [];
     this.wanted = [...background, ...decoded];
     this.views = views;
+    this.needsNormals = normals;
     this.turn++;
     for (const number of this.wanted) this.#entry(number).used = this.turn;
     // Until the first image, and after a jump in time, other frames would delay the frame that is due.
@@ -89,6 +93,14 @@ export class FrameStore {
    * @param {number} frame
    */
   isDrawable(frame) {
+    return this.#parts(frame).every((number) => this.#hasBase(number) && this.#hasNormals(number));
+  }
+
+  /**
+   * Whether a frame can be drawn without a style.
+   * @param {number} frame
+   */
+  hasPoints(frame) {
     return this.#parts(frame).every((number) => this.#hasBase(number));
   }
 
@@ -131,7 +143,7 @@ export class FrameStore {
   #entry(number) {
     let entry = this.entries.get(number);
     if (!entry) {
-      entry = { base: null, views: new Map(), shadow: null, isBusy: false, hasFailed: false, used: 0 };
+      entry = { base: null, views: new Map(), shadow: null, normals: null, isBusy: false, hasFailed: false, used: 0 };
       this.entries.set(number, entry);
     }
     return entry;
@@ -144,9 +156,14 @@ export class FrameStore {
     return number === BACKGROUND || !this.manifest.background?.shadow || entry.shadow !== null;
   }
 
+  /** Whether the normals of a part are decoded, if they are needed. @param {number} number */
+  #hasNormals(number) {
+    return !this.needsNormals || (this.entries.get(number)?.normals ?? null) !== null;
+  }
+
   /** @param {number} number */
   #isLoaded(number) {
-    return this.#hasBase(number) && this.views.every((view) => this.entries.get(number)?.views.has(view));
+    return this.#hasBase(number) && this.#hasNormals(number) && this.views.every((view) => this.entries.get(number)?.views.has(view));
   }
 
   /**
@@ -158,7 +175,8 @@ export class FrameStore {
     const { base, views: members } = this.#namesOf(number);
     const decoded = this.entries.get(number)?.views;
     const missing = views.filter((view) => !decoded?.has(view)).map((view) => members[view]);
-    return this.#hasBase(number) ? missing : [...base, ...missing];
+    const normals = this.#hasNormals(number) ? [] : [normalsMember(this.manifest, number)];
+    return [...(this.#hasBase(number) ? [] : base), ...normals, ...missing];
   }
 
   /** @param {number} number */
@@ -181,7 +199,8 @@ export class FrameStore {
       if (entry.isBusy || entry.hasFailed) continue;
       const views = this.#decodableViews(number, entry);
       const needsBase = !this.#hasBase(number) && this.downloads.hasAll(number, this.#namesOf(number).base);
-      if (!needsBase && (views.length === 0 || !entry.base)) continue;
+      const hasMore = views.length > 0 || this.#normalsToDecode(number) !== null;
+      if (!needsBase && (!hasMore || !entry.base)) continue;
       busy++;
       this.#decode(number, entry, needsBase);
     }
@@ -206,6 +225,7 @@ export class FrameStore {
     entry.isBusy = true;
     try {
       if (needsBase) await this.#decodeBase(number, entry);
+      await this.#decodeNormals(number, entry);
       await this.#decodeViews(number, entry);
     } catch (error) {
       entry.hasFailed = true;
@@ -231,7 +251,7 @@ export class FrameStore {
     const decoding = this.pool.base({ kind: "base", folder, points, encoding, members });
     if (names.shadow) {
       const count = this.manifest.background?.points ?? 0;
-      entry.shadow = await this.pool.shadow({ kind: "shadow", folder, points: count, member: member(names.shadow) });
+      entry.shadow = await this.pool.bytes({ kind: "shadow", size: count, name: names.shadow, member: member(names.shadow) });
     }
     entry.base = await decoding;
     this.hasDecoded = true;
@@ -252,6 +272,23 @@ export class FrameStore {
     for (const [view, rgba] of await this.pool.views({ kind: "views", folder, encoding, mean, views: members })) {
       entry.views.set(view, rgba);
     }
+  }
+
+  /** The downloaded normals of a part, if they are needed and not decoded. @param {number} number */
+  #normalsToDecode(number) {
+    return this.#hasNormals(number) ? null : this.downloads.get(number, normalsMember(this.manifest, number));
+  }
+
+  /**
+   * @param {number} number
+   * @param {Entry} entry
+   */
+  async #decodeNormals(number, entry) {
+    const member = this.#normalsToDecode(number);
+    if (!member || !entry.base) return;
+    const name = normalsMember(this.manifest, number);
+    entry.normals = await this.pool.bytes({ kind: "normals", size: 2 * entry.base.points, name, member });
+    this.changed();
   }
 
   #bytes() {
@@ -279,7 +316,7 @@ export class FrameStore {
 }
 
 /** @param {Entry} entry */
-function bytesOf({ base, views }) {
+function bytesOf({ base, views, normals }) {
   if (!base) return 0;
-  return base.xyz.byteLength + base.sizes.byteLength + base.factors.byteLength + base.mean.byteLength * (1 + views.size);
+  return (normals?.byteLength ?? 0) + base.xyz.byteLength + base.sizes.byteLength + base.factors.byteLength + base.mean.byteLength * (1 + views.size);
 }

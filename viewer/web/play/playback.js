@@ -42,6 +42,8 @@ export class Playback {
     /** Seconds since playback began to wait. */
     this.waited = 0;
     this.sinceAdapted = 0;
+    /** Whether the frames' normals are loaded, which styles need. */
+    this.needsNormals = false;
     /** The newest depth order. @type {(import("../sort/sorter.js").SortedPoints & {frame: number, camera: Camera}) | null} */
     this.order = null;
     this.cloudNumbers = new WeakMap();
@@ -65,7 +67,8 @@ export class Playback {
     const decoded = next.slice(0, 1 + (isPlaying ? this.decodedAhead : PAUSED_AHEAD));
     const isSkipping = isPlaying && clock.stride > 1;
     const skipped = isSkipping ? clock.upcoming(this.downloadedAhead, 1).filter((other) => other % clock.stride) : [];
-    this.store.want({ decoded, downloaded: [...next, ...skipped], views, isPlaying });
+    const { needsNormals: normals } = this;
+    this.store.want({ decoded, downloaded: [...next, ...skipped], views, normals, isPlaying });
     this.#sort(frame, camera);
   }
 
@@ -95,7 +98,7 @@ export class Playback {
    */
   picture(camera, selection) {
     const { order, manifest } = this;
-    if (!order || !this.store.isDrawable(order.frame)) return null;
+    if (!order || !this.store.hasPoints(order.frame)) return null;
     const shadow = this.store.get(order.frame)?.shadow ?? null;
     return { clouds: this.#clouds(order.frame), shadow, order, camera, selection, layers: manifest.layers };
   }
@@ -179,7 +182,7 @@ export class Playback {
    */
   #clouds(frame) {
     return [this.store.get(frame), this.store.get(BACKGROUND)].map((entry) =>
-      entry?.base ? { base: entry.base, views: entry.views } : null,
+      entry?.base ? { base: entry.base, views: entry.views, normals: entry.normals } : null,
     );
   }
 
@@ -206,7 +209,7 @@ function meanBytes({ manifest }) {
   const { sources, neighbours } = manifest;
   let bytes = 0;
   for (const [name, [, size]] of manifest.members) {
-    if (!name.startsWith("frames/")) continue;
+    if (!name.startsWith("frames/") || name.includes("/optional/")) continue;
     bytes += name.includes("/views/") ? (size * Math.min(neighbours, sources.length)) / sources.length : size;
   }
   return Math.max(bytes / manifest.points.length, 1);

@@ -35,6 +35,8 @@ export class Stage {
     this.layers = this.manifest.layers;
     /** @type {[number, number, number]} */
     this.background = [0, 0, 0];
+    /** @type {import("../draw/renderer.js").ReadyStyle | null} */
+    this.style = null;
     this.isDirty = true;
     /** Whether another program draws the scene, so that nothing is drawn into the canvas. */
     this.isSuspended = false;
@@ -49,6 +51,16 @@ export class Stage {
     this.pose = pose;
     this.fixedCamera = null;
     this.movedAt = performance.now();
+    this.isDirty = true;
+  }
+
+  /**
+   * Draws the scene in a style. Until the normals are loaded, the scene is drawn without a style.
+   * @param {import("../draw/renderer.js").ReadyStyle | null} style
+   */
+  setStyle(style) {
+    this.style = style;
+    this.playback.needsNormals = style !== null;
     this.isDirty = true;
   }
 
@@ -128,6 +140,7 @@ export class Stage {
   /** @param {Camera} camera */
   #draw(camera) {
     const picture = this.playback.picture(camera, selectSourceViews(camera, this.manifest));
-    if (picture && this.renderer) this.renderer.draw({ ...picture, layers: this.layers }, this.mode, this.background);
+    if (!picture || !this.renderer) return;
+    this.renderer.draw({ ...picture, layers: this.layers }, this.mode, this.background, this.style);
   }
 }

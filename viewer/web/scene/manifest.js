@@ -47,6 +47,7 @@ import { largestContent } from "./limits.js";
  * @property {number} near
  * @property {number} pixelFilter Weight of a neighbouring pixel in the filter of images, from 0 to 0.25.
  * @property {{points: number, shadow: boolean} | null} background
+ * @property {boolean} hasNormals
  * @property {CloudEncoding} dynamicEncoding
  * @property {CloudEncoding | null} backgroundEncoding
  * @property {Map<string, [number, number]>} members Offset and size in bytes of each member.
@@ -87,12 +88,22 @@ export function parseManifest(text) {
     near: root.number("near", 1e-12, 1e9),
     pixelFilter: root.number("pixel_filter", 0, 0.25, 0),
     background: described && { points: described.integer("points", 0, MAX_POINTS), shadow: described.flag("shadow") },
+    hasNormals: hasNormals(root),
     dynamicEncoding: cloudEncoding(encoding.node("dynamic")),
     backgroundEncoding: full ? cloudEncoding(encoding.node("background")) : null,
     members: members(root.node("members")),
   };
   checkCounts(manifest);
   return manifest;
+}
+
+/** @param {JsonNode} root */
+function hasNormals(root) {
+  const attributes = root.node("attributes");
+  if (!("normals" in attributes.content)) return false;
+  const normals = attributes.node("normals");
+  if (normals.text("dtype") !== "|u1") throw normals.failure("dtype", '"|u1"');
+  return true;
 }
 
 /**

@@ -34,6 +34,15 @@ export function baseMembers(manifest, number) {
 }
 
 /**
+ * Name of the member with the normals, which styles need.
+ * @param {Manifest} manifest
+ * @param {number} number
+ */
+export function normalsMember(manifest, number) {
+  return `${describeCloud(manifest, number).folder}/optional/normals`;
+}
+
+/**
  * Name of the member with the colours of a source view.
  * @param {Manifest} manifest
  * @param {number} number

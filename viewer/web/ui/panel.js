@@ -40,6 +40,7 @@ export class Panel {
     for (const value of SPEEDS) this.speed.append(new Option(`${value}×`, String(value)));
     this.loop = button("loop", "Loop (L)");
     this.camera = element("select", { title: "Cameras of the capture" });
+    this.styles = element("select", { title: "Style", hidden: true });
     this.shoot = button("save", "Save the image (I)");
     this.link = button("link", "Copy a link to this view (C)");
     this.full = button("full", "Full screen (F)");
@@ -47,7 +48,7 @@ export class Panel {
     this.vr.hidden = true;
     this.question = button("help", "Controls");
     this.bar = element("div", { className: "bar" });
-    this.bar.append(this.play, this.scrub, this.time, this.loop, this.speed, this.camera);
+    this.bar.append(this.play, this.scrub, this.time, this.loop, this.speed, this.camera, this.styles);
     this.bar.append(this.shoot, this.link, this.full, this.vr, this.question);
     root.append(this.canvas, this.poster, this.spinner, this.bar, this.help, this.message);
     this.question.addEventListener("click", () => (this.help.hidden = !this.help.hidden));

@@ -1,0 +1,55 @@
+"""Measure how long the web player takes to draw an image with and without a style.
+
+    python tools/web/style_times.py SITE --rounds 15
+
+SITE is a folder of `fourd web`. The page shows frame 0 at 512 x 512 pixels in Chromium. The styles take turns, and each
+image is finished before the next image starts.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from pathlib import Path
+
+from playwright.sync_api import sync_playwright
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from tests.viewer.web.conftest import CHROMIUM, DEFAULT_FLAGS, DRIVER_FLAGS, FLAGS, serving
+from tests.viewer.web.page import PlayerPage
+
+DRAW = """
+const { gl } = stage.renderer, pixel = new Uint8Array(4), started = performance.now();
+stage.redraw();
+gl.readPixels(0, 0, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+return performance.now() - started;
+"""
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("site", type=Path)
+    parser.add_argument("--rounds", type=int, default=15)
+    arguments = parser.parse_args()
+    with sync_playwright() as playwright, serving(arguments.site) as server:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=[*FLAGS, *DRIVER_FLAGS[0]], ignore_default_args=list(DEFAULT_FLAGS)
+        )
+        page = PlayerPage(browser.new_page(viewport={"width": 512, "height": 512}), server.url)
+        page.pause(0)
+        page.wait("!player.panel.styles.hidden")
+        names = page.run("return [...player.panel.styles.options].map((option) => option.value);")
+        times: dict[str, list[float]] = {name: [] for name in names}
+        for _ in range(arguments.rounds):
+            for name in names:
+                page.run("await player.styleMenu.choose(argument); await player.settled();", name)
+                times[name].append(page.run(DRAW))
+        browser.close()
+    plain = statistics.median(times["none"])
+    for name, found in times.items():
+        print(f"{name}: {statistics.median(found):.0f} ms, {statistics.median(found) / plain:.2f} of none")
+
+
+if __name__ == "__main__":
+    main()

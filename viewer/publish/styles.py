@@ -1,0 +1,82 @@
+"""Writes the styles of the web player: a JSON file with the shaders of viewer/shaders/stylize, and the numbers and
+shade tables of styles. viewer/web/stylize reads the file."""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.files import atomic_path
+from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS
+from fourd.stylize import PRESETS, Style, load_style, view_style
+from fourd.stylize.tables import make_table
+from fourd.viewer.shader_files import read_shader_body
+
+STYLES_NAME = "stylize.json"
+NO_STYLE = "none"
+_SHADERS = {
+    "octahedral": "stylize/octahedral.glsl",
+    "surface": "stylize/surface.frag",
+    "close": "stylize/close.frag",
+    "picture": "stylize/picture.frag",
+}
+_OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
+"""Numbers that the player computes for each camera."""
+
+
+def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
+    """Load the presets and style files. The name of a style file is its file name without suffix.
+
+    Raises:
+        UserError: if a file is not a valid style, or if its name is that of another style.
+    """
+    styles = {name: load_style(name) for name in PRESETS}
+    for path in paths:
+        if path.suffix not in (".yaml", ".yml"):
+            raise UserError(f"--style: expected a .yaml file, got '{path}'; the page always has {', '.join(PRESETS)}")
+        if path.stem in styles or path.stem == NO_STYLE:
+            raise UserError(f"--style: expected a style with a new name, got '{path}'; rename the file")
+        styles[path.stem] = load_style(str(path))
+    return styles
+
+
+def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
+    """Write the file that the player reads, atomically. Raises UserError if a shade map cannot be read."""
+    content = {
+        "shaders": {name: read_shader_body(file) for name, file in _SHADERS.items()},
+        "styles": [_describe(name, style) for name, style in styles.items()],
+    }
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(content, allow_nan=False, separators=(",", ":")), encoding="utf-8")
+
+
+def _describe(name: str, style: Style) -> dict[str, Any]:
+    table = make_table(style)
+    # The camera has the axes of the world. Its distance from the centre of the scene is 1.
+    camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 1, 1)
+    parameters = view_style(style, table, camera, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
+    numbers = asdict(parameters.numbers)
+    return {
+        "name": name,
+        "light": numbers["light"],
+        "light_frame": style.light.frame,
+        "paper": style.paper,
+        "persistence": style.persistence,
+        "thickness": style.lines.thickness,
+        "hatch_spacing": style.hatching.spacing,
+        "detail_per_distance": numbers["detail_per_depth"],
+        "detail_axis": DETAILS.index(parameters.detail),
+        "line_filter": LINE_FILTERS.index(parameters.lines),
+        "numbers": {key: value for key, value in numbers.items() if key not in _OF_THE_CAMERA},
+        "rows": len(table),
+        "table": base64.b64encode(zlib.compress(table.tobytes(), 9)).decode("ascii"),
+    }

@@ -1,0 +1,9 @@
+// Decodes normals (decode_octahedral of fourd/stylize/normals.py). This text is also valid GLSL ES 3.00.
+
+// Returns the unit normal of a texel, whose components are bytes / 255.
+vec3 decode_octahedral(vec2 texel) {
+    vec2 plane = (texel * 255.0 - 128.0) / 127.0;
+    float z = 1.0 - abs(plane.x) - abs(plane.y), folded = max(-z, 0.0);
+    plane -= folded * vec2(plane.x > 0.0 ? 1.0 : -1.0, plane.y > 0.0 ? 1.0 : -1.0);
+    return vec3(plane, z) / max(length(vec3(plane, z)), 1e-12);
+}
