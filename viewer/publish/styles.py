@@ -18,6 +18,7 @@ from fourd.errors import UserError
 from fourd.files import atomic_path
 from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS
 from fourd.stylize import PRESETS, Style, load_style, view_style
+from fourd.stylize.presets import STYLE_SUFFIXES
 from fourd.stylize.tables import make_table
 from fourd.viewer.shader_files import read_shader_body
 
@@ -41,7 +42,7 @@ def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
     """
     styles = {name: load_style(name) for name in PRESETS}
     for path in paths:
-        if path.suffix not in (".yaml", ".yml"):
+        if path.suffix not in STYLE_SUFFIXES:
             raise UserError(f"--style: expected a .yaml file, got '{path}'; the page always has {', '.join(PRESETS)}")
         if path.stem in styles or path.stem == NO_STYLE:
             raise UserError(f"--style: expected a style with a new name, got '{path}'; rename the file")

@@ -54,7 +54,7 @@ def draw_on_cpu(scene: Path, frame: int, name: str, style_file: Path) -> NDArray
     style = load_styles([style_file])[name]
     content = reader.read(frame)
     assert content.normals is not None
-    for _ in range(2):  # The page draws at least twice, so that its lines are those of a resting camera.
+    for _ in range(20):  # The page draws a paused frame until its lines have their full strength.
         picture = player.draw(content, camera, reader.manifest, style)
     reader.close()
     return picture[..., :3]
@@ -68,13 +68,16 @@ def picture_of(page: PlayerPage, scene: Path) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("name", [*PRESETS, "mixed"])
 def test_pictures_resemble_those_of_the_cpu(name: str, folder: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches shaders that differ from the window's, normals in world axes, and numbers of another camera."""
+    """Catches shaders that differ from the window's, normals in world axes, numbers of another camera, and lines of a
+    paused frame that stay faint."""
     scene = folder / "site" / SCENE_NAME
     with serving(folder / "site") as server:
         page = open_page(server.url, (SIZE, SIZE))
-        page.pause(1)
+        page.pause(0)
         page.run(CHOOSE, name)
         assert page.run("return player.panel.styles.value;") == name
+        picture_of(page, scene)
+        page.run("player.seek(1); await player.settled();")
         found = picture_of(page, scene)
     expected = draw_on_cpu(scene, 1, name, folder / "mixed.yaml")
     assert expected.std() > 15

@@ -37,6 +37,8 @@ export class Stage {
     this.background = [0, 0, 0];
     /** @type {import("../draw/renderer.js").ReadyStyle | null} */
     this.style = null;
+    /** Number of images that are still drawn of a paused frame, because lines of a resting camera fade in. */
+    this.fading = 0;
     this.isDirty = true;
     /** Whether another program draws the scene, so that nothing is drawn into the canvas. */
     this.isSuspended = false;
@@ -76,7 +78,7 @@ export class Stage {
 
   /** Whether the image shows the current time and view at full resolution, with all source views. */
   get isSettled() {
-    return !this.isDirty && this.drawnScale === 1 && this.playback.isSettled(this.camera(1));
+    return !this.isDirty && this.fading === 0 && this.drawnScale === 1 && this.playback.isSettled(this.camera(1));
   }
 
   /**
@@ -94,9 +96,12 @@ export class Stage {
     const scale = isMoving ? this.quality.scale : 1;
     const camera = this.camera(scale);
     this.playback.update(elapsed, camera);
-    if (!this.isDirty && scale === this.drawnScale) return;
+    const hasChanged = this.isDirty || scale !== this.drawnScale;
+    if (!hasChanged && this.fading === 0) return;
     if (!this.order || !this.renderer) return;
     this.#draw(camera);
+    if (this.clock.isPlaying) this.fading = 0;
+    else this.fading = hasChanged ? imagesOfFade(this.style) : this.fading - 1;
     this.hasDrawn = true;
     this.drawnScale = scale;
     this.isDirty = false;
@@ -143,4 +148,13 @@ export class Stage {
     if (!picture || !this.renderer) return;
     this.renderer.draw({ ...picture, layers: this.layers }, this.mode, this.background, this.style);
   }
+}
+
+/**
+ * Number of images until lines that fade in differ by less than 1/255 from their full strength.
+ * @param {import("../draw/renderer.js").ReadyStyle | null} ready
+ */
+function imagesOfFade(ready) {
+  const persistence = ready?.style.persistence ?? 0;
+  return persistence > 0 ? Math.ceil(Math.log(1 / 255) / Math.log(persistence)) : 0;
 }

@@ -43,7 +43,7 @@ export class StyledDrawing {
     this.emptyArray = gl.createVertexArray();
     /** Albedo, inverse depth and normals of the last two pictures. @type {Target[]} */
     this.surfaces = [];
-    /** Pictures and lines of the last two pictures. @type {Target[]} */
+    /** Pictures and states of the lines of the last two pictures. @type {Target[]} */
     this.pictures = [];
     /** @type {Target | null} */
     this.closed = null;
@@ -52,7 +52,7 @@ export class StyledDrawing {
     this.camera = null;
     /** @type {WebGLTexture | null} */
     this.table = null;
-    /** @type {Uint8Array | null} */
+    /** Content of the table, which identifies the style of the last picture. @type {Uint8Array | null} */
     this.tableContent = null;
   }
 
@@ -118,10 +118,7 @@ export class StyledDrawing {
     const camera = /** @type {Camera} */ (this.camera);
     const [albedo, depth, normal] = this.surfaces[this.turn].textures;
     const previous = this.pictures[1 - this.turn];
-    if (!rests) {
-      gl.bindFramebuffer(gl.FRAMEBUFFER, previous.framebuffer);
-      gl.clearBufferfv(gl.COLOR, 1, [0, 0, 0, 0]);
-    }
+    const hasState = rests && this.tableContent === table;
     this.#use(programs.close, closed, { inverse_depth: depth, normal });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     const tableTexture = this.#loadTable(table);
@@ -130,7 +127,7 @@ export class StyledDrawing {
     this.#use(programs.picture, this.pictures[this.turn], { ...textures, line_state: previous.textures[1] });
     const { floats, integers } = viewStyle(style, camera, this.focus, background);
     programs.picture.floats(floats);
-    programs.picture.integers(integers);
+    programs.picture.integers({ ...integers, has_state: hasState });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     return this.pictures[this.turn].textures[0];
   }
@@ -161,7 +158,7 @@ export class StyledDrawing {
     this.#releaseTargets();
     gl.activeTexture(gl.TEXTURE0); // New textures are bound to the active unit.
     this.surfaces = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R32F, gl.RGBA8]));
-    this.pictures = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R8]));
+    this.pictures = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R32UI]));
     this.closed = new Target(gl, width, height, [gl.R32F, gl.RGBA8]);
     this.camera = null;
   }
