@@ -87,7 +87,7 @@ def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
 
 
 def test_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
-    """Catches a leftover folder that stops every later command in this place."""
+    """Catches a temporary folder of a killed command that makes all later commands with the same output fail."""
     leftover = tmp_path / f"{UNFINISHED}results-abc"
     leftover.mkdir()
     (leftover / "a.txt").write_text("half")

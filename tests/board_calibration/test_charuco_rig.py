@@ -59,7 +59,8 @@ def test_poses_with_known_lenses(tmp_path: Path) -> None:
 
 
 def test_lenses_from_the_board(tmp_path: Path) -> None:
-    """Catches lenses that adapt to the cameras' times, and a report that hides that the orientations are uncertain."""
+    """Catches lenses that are changed to compensate for different exposure times of the cameras. Also catches a report
+    that does not warn about uncertain orientations."""
     out = tmp_path / "calibration"
     assert main([str(word) for word in ["calibrate", RIG, "--board", RIG / "board.toml", "-o", out]]) == 0
     truth = tomllib.loads(LENSES.read_text())["cameras"]

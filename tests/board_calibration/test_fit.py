@@ -154,7 +154,7 @@ def test_too_few_views_are_refused() -> None:
 
 
 def test_rare_views_stay_in_the_fit() -> None:
-    """Catches a fit without a frame that is one of the few frames of a camera or of a pair of cameras."""
+    """Catches held-out frames of a camera, or of a pair of cameras, that has too few frames for the fit."""
     few = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(8)]
     assert choose_held_out(few, range(8)) == set()
     many = [BoardView(camera, frame, np.arange(8), np.zeros((8, 2))) for camera in (0, 1) for frame in range(30)]
@@ -162,7 +162,7 @@ def test_rare_views_stay_in_the_fit() -> None:
 
 
 def test_badly_determined_values_are_reported() -> None:
-    """Catches a report that is silent about a board that is always frontal and small in the image."""
+    """Catches a report that does not warn about a board that is always frontal and small in the image."""
     frontal = CalibrationBoard(7, 5, 0.02, 0.015, "DICT_4X4_50")
     settings = BoardSettings(frames=12, cameras=2, board=frontal)
     cameras, _ = seen_views(settings, range(1))
@@ -230,12 +230,12 @@ def test_the_thickness_of_a_board_is_found() -> None:
 
 
 def test_shared_errors_of_an_image_do_not_bend_the_rig() -> None:
-    """Catches standard deviations that take all corners of a displaced board for independent."""
+    """Catches standard deviations that treat the errors of all corners of a displaced board as independent."""
     filming = Filming(jitter=0.02)
     cameras, views = seen_views(SETTINGS, range(40), filming=filming)
     fit = fit_rig(rig_input(SETTINGS, views), untracked)
     focal, degrees, _ = largest_differences(fit.cameras, cameras)
     assert focal < 0.2
     assert degrees < 0.5
-    # The errors of the last fit's poses are as large as the report says, up to a factor of 3.
+    # The errors of the poses differ from the reported standard deviations by at most a factor of 3.
     assert np.degrees(fit.std[1:, :3]).max() > degrees / 6

@@ -53,7 +53,7 @@ def test_a_packed_scene_can_be_packed_again(scene: Path, tmp_path: Path) -> None
 
 
 def test_the_connection_chooses_the_tier(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a choice that needs more than the connection."""
+    """Catches a chosen tier and level that need more Mbit/s than the connection has."""
     chosen = []
     for mbps in (1000, 1.7, 0.82):
         out = tmp_path / f"{mbps}.4dv"

@@ -101,7 +101,8 @@ def test_view_weights_scale_the_softmax() -> None:
 
 
 def test_own_colours_are_mixed_into_every_view_and_stay_bytes() -> None:
-    """Catches an own colour that only occluded views get, and mixed colours that an exported scene cannot store."""
+    """Catches view-independent colours that are mixed only into the colours of occluded views, and mixed colours that
+    an exported scene cannot store."""
     colours, own = torch.tensor([[[0.2, 0.5, 1.0]], [[0.4, 0.0, 1.0]]]), torch.tensor([[1.0, -0.5, 1.5]])
     mixed = mix_own_colours(colours, torch.tensor([[1.0], [0.0]]), own, 0.4)
     torch.testing.assert_close(mixed, torch.tensor([[[0.52, 0.1, 1.0]], [[0.64, 0.0, 1.0]]]))

@@ -53,8 +53,9 @@ def test_generator_repeats_the_estimate_and_samples_reduce_its_noise() -> None:
 
 
 def test_pixels_credit_only_what_they_show_in_either_image() -> None:
-    """Catches credit to all primitives, double credit to a primitive that both images show, and credit that only the
-    first image decides. In the moved image, primitive 1 takes the place of 0."""
+    """Catches a pixel that adds its difference to primitives that it does not show, that counts a primitive of both
+    images twice, or that ignores the primitive of the second image. In the second image, primitive 1 replaces
+    primitive 0 in one pixel."""
     params = torch.zeros(3, 1, dtype=torch.float64)
     calls = iter([torch.tensor([[0, 0]]), torch.tensor([[1, 0]])])
     images = iter([torch.tensor([[3.0, 5.0]]), torch.tensor([[1.0, 1.0]])])

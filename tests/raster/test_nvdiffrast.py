@@ -32,7 +32,7 @@ def test_triangle(tmp_path: Path) -> None:
 
 
 def test_cube_is_fitted_by_gradient_descent(tmp_path: Path) -> None:
-    """Catches missing gradients of silhouettes, without which the vertices do not move to their places."""
+    """Catches missing gradients of silhouettes, without which the vertices do not move to their true positions."""
     result = run("cube", tmp_path)
     assert result["error_before"] > 0.2
     assert result["error_after"] < 0.5 * result["error_before"]
@@ -57,7 +57,7 @@ def test_depth_peeling_with_ranges(tmp_path: Path) -> None:
 
 
 def test_wrong_contexts_and_levels_are_named() -> None:
-    """Catches a forgotten context, which shifts all arguments by one."""
+    """Catches a call without a context, in which every argument takes the place of the previous one."""
     pos, tri = torch.zeros(1, 3, 4), torch.zeros(1, 3, dtype=torch.int32)
     with pytest.raises(TypeError, match="glctx: expected a RasterizeCudaContext or a RasterizeGLContext as the first"):
         dr.rasterize(pos, tri, (4, 4), (4, 4))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Pruning and growth: which triangles go, which are split or cloned, and the rows of the optimizer."""
+"""Pruning and growth: which triangles are removed, split or cloned, and the rows of the optimizer."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_small_triangles_are_cloned_and_keep_the_opacity_of_the_pair(rng: np.ran
 
 
 def test_large_triangles_are_split_in_four(rng: np.random.Generator) -> None:
-    """Catches parts that do not cover their triangle, and a parent that stays with its parts."""
+    """Catches parts that do not cover their triangle, and a split triangle that remains beside its parts."""
     soup = soup_of(rng, 20, 0.8)
     area = triangle_areas(soup.corners.value.detach())
     assert longest_edges_px(soup.corners.value.detach(), [camera()]).min() > 24

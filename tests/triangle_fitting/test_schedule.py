@@ -24,7 +24,7 @@ def test_triangles_end_opaque() -> None:
 
 
 def test_the_first_limit_ends_the_budget(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a limit that is ignored if both are given, and a pause that counts."""
+    """Catches a limit of steps or seconds that is ignored if both limits are given, and a pause that uses up time."""
     clock = [0.0]
     monkeypatch.setattr("fourd.triangle_fitting.schedule.monotonic", lambda: clock[0])
     budget = Budget(10, 100.0)

@@ -88,7 +88,7 @@ def fuzz_scenes(folder: Path, rng: np.random.Generator, cases: int) -> None:
 
 
 def test_damaged_scenes_never_escape(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches exceptions other than UserError, endless loops, and memory that a lying count or size takes."""
+    """Catches exceptions other than UserError, endless loops, and memory allocated for a wrong count or size."""
     fuzz_scenes(tmp_path, rng, CASES)
 
 

@@ -22,7 +22,8 @@ def covered(low: float, high: float, pixels: int) -> Tensor:
 
 
 def paint(pos: Tensor, tri: Tensor, height: int, width: int, backend: str, power: float = 1.0) -> Tensor:
-    """The antialiased image (H, W) of white triangles on black. ``power`` scales w, which changes no image."""
+    """The antialiased image (H, W) of white triangles on black. ``power`` multiplies x, y, z and w, and does not change
+    the image."""
     clip = (pos * power)[None].float()
     rast = rasterize_brute_force(clip, tri, height, width)
     color = (rast[..., 3:] > 0).float()
@@ -118,8 +119,7 @@ def test_edges_of_three_triangles_are_silhouettes(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_nearer_surface_owns_the_edge(backend: str) -> None:
-    """Catches a far edge that is blended although a nearer surface hides it, and a comparison of depths the wrong way
-    round."""
+    """Catches a far edge that is blended although a nearer surface hides it, and a reversed comparison of depths."""
     far = rectangle(0.0, 0.0, 12.0, 9.0, HEIGHT, WIDTH, 0.5)
     near = rectangle(2.3, 1.8, 8.6, 6.4, HEIGHT, WIDTH, 0.1)
     pos = torch.cat((far, near))[None].float()

@@ -66,7 +66,8 @@ def test_a_ramp_is_reproduced_between_texel_centres(backend: str) -> None:
 @pytest.mark.parametrize(
     ("mode", "expected"),
     [
-        # At -0.25, 0 and 1, 1.125 in a row of the texels 1, 2, 3, 4 with the centres 0.125, 0.375, 0.625 and 0.875.
+        # The texture is a row of the texels 1, 2, 3 and 4, with centres at u = 0.125, 0.375, 0.625 and 0.875. The
+        # lookups are at u = -0.25, 0, 1 and 1.125.
         ("wrap", [3.5, 2.5, 2.5, 1.0]),
         ("clamp", [1.0, 1.0, 4.0, 4.0]),
         ("zero", [0.0, 0.5, 2.0, 0.0]),

@@ -57,7 +57,7 @@ def test_gpu_equals_the_reference(
 
 
 def test_gpu_gives_own_mips_their_own_gradients(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches gradients of own mip levels that the CUDA kernels add to the texture."""
+    """Catches gradients of given mip levels that the CUDA kernels add to the gradient of the texture."""
     base, mips = torch.ones(1, 4, 4, 2), [torch.ones(1, 2, 2, 2), torch.ones(1, 1, 1, 2)]
     leaves = [one.to(gpu).requires_grad_() for one in (base, *mips)]
     bias = torch.full((1, 5, 5), 1.25, device=gpu)
@@ -112,7 +112,7 @@ def test_a_mip_gives_the_values_and_gradients_of_a_built_in_chain(backend: str, 
 
 
 def test_own_mips_get_their_own_gradients(rng: np.random.Generator) -> None:
-    """Catches gradients of own mip levels that are added to the texture, or that are lost."""
+    """Catches gradients of given mip levels that are lost or added to the gradient of the texture."""
     lookup = random_lookup(rng, "clamp", items=1)
     mips = [torch.from_numpy(rng.standard_normal(shape).astype(np.float32)) for shape in ((1, 4, 8, 3), (1, 2, 4, 3))]
     upstream = torch.from_numpy(rng.standard_normal((2, 30, 40, 3)).astype(np.float32))

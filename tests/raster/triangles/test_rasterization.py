@@ -45,8 +45,8 @@ def assert_close(found: tuple[Tensor, ...], expected: tuple[Tensor, ...]) -> Non
 
 
 def assert_close_except_slivers(found: Tensor, expected: Tensor, rtol: float, atol: float) -> None:
-    """Compare two tensors in float32. In the pixels of triangles that are seen almost edge-on, both have large rounding
-    errors. One number of 1,000 may therefore have 30 times the tolerance ``atol``."""
+    """Compare two tensors in float32. In the pixels of triangles that are seen almost edge-on, both tensors have large
+    rounding errors. One of 1,000 numbers may therefore differ by up to 30 times the tolerance ``atol``."""
     error = (found - expected).abs() - rtol * expected.abs()
     assert float(torch.quantile(error.flatten(), 0.999)) <= atol
     assert float(error.max()) <= 30 * atol
