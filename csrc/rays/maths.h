@@ -3,8 +3,8 @@
 //
 // A triangle is hit if the watertight test of Woop, Benthin and Wald (2013, Watertight Ray/Triangle Intersection)
 // accepts it, and if the ray meets the padded box of the triangle. The t of a hit is clamped to the box. All operations
-// round monotonically, so that the interval of t in a box that contains another box contains the other interval
-// without any rounding error. A tree of boxes therefore loses no hit.
+// are monotonic also after rounding. If a box contains another box, the interval of t in the outer box therefore
+// contains the interval in the inner box exactly, and a tree of boxes loses no hit.
 #pragma once
 
 #include <cmath>
@@ -19,18 +19,18 @@ namespace fourd::rays {
 // Largest absolute coordinate of vertices and origins, and limits of the largest absolute coordinate of a direction.
 constexpr float kMaxMagnitude = 1e18f;
 constexpr float kMinDirection = 1e-18f;
-// Padding of boxes, as a multiple of the largest coordinate of ray and mesh. The rounding errors of the test are 4
-// times smaller.
+// Padding of boxes, as a multiple of the largest absolute coordinate of the ray's origin and the mesh. The rounding
+// errors of the test are at most a quarter of the padding.
 constexpr float kPadding = 0x1p-21f;
-// Smallest absolute coordinate of a direction, as a share of a number between 1 and 2. Smaller coordinates are rounded
-// up to it in box tests, so that products with the reciprocal stay finite.
+// Smallest absolute coordinate of a scaled direction (Ray) in box tests. Coordinates below this number are replaced by
+// it, so that products with the reciprocal stay finite.
 constexpr float kMinShare = 1e-18f;
 
-// A ray, prepared for intersection. The direction is divided by the power of two 1 / scale, so that its largest
-// coordinate is between 1 and 2. The numbers t' below belong to this direction: t = t' scale.
+// A ray, prepared for intersection. The direction is multiplied by the power of two `scale`, so that its largest
+// coordinate is between 1 and 2. With the scaled direction, the point at t has the parameter t' = t / scale.
 struct Ray {
     float origin[3];
-    int x, y, z;        // The axes, permuted: the direction is largest along z.
+    int x, y, z;        // A permutation of the axes. The direction has its largest coordinate along z.
     float shear_x, shear_y, shear_z;
     float inverse[3];
     float enter[3], leave[3];  // The ray passes the plane at p between t' = p inverse - enter and p inverse - leave.
@@ -50,7 +50,7 @@ FOURD_HD FOURD_INLINE float inverse_power_of(float a) {
     return out;
 }
 
-// Returns false if the ray cannot hit anything. NaN fails every comparison.
+// Prepares a ray. Returns false if the ray cannot hit anything, also for NaN, because comparisons with NaN are false.
 FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, float t_min, float t_max,
                                    float magnitude, Ray* out) {
     float largest = 0.0f, farthest = magnitude;
@@ -102,8 +102,8 @@ struct Hit {
     std::int32_t triangle;
 };
 
-// The weights of the corners, not normalised. If a weight is 0 in float, all three are computed in double, so that
-// neighbouring triangles agree on the side of their common edge on which the ray passes.
+// The weights of the corners, not normalised. If a weight is 0 in float, all three weights are computed in double. Two
+// neighbouring triangles then agree on which side of their common edge the ray passes.
 struct Weights {
     float a, b, c;
 };
@@ -135,7 +135,7 @@ FOURD_HD FOURD_INLINE void box_interval(const Ray& ray, const float* a, const fl
 }
 
 // Intersects a ray with the triangle of the corners a, b and c (x, y, z each). Returns whether the triangle is hit with
-// t in [t_min, t_max], and writes t, u and v. Both sides of a triangle can be hit, and its edges belong to it.
+// t in [t_min, t_max], and writes t, u and v. Rays hit a triangle from both sides, and also at its edges.
 FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float* b, const float* c, Hit* out) {
     const float az = a[ray.z] - ray.origin[ray.z], bz = b[ray.z] - ray.origin[ray.z], cz = c[ray.z] - ray.origin[ray.z];
     const float ax = (a[ray.x] - ray.origin[ray.x]) - ray.shear_x * az, ay = (a[ray.y] - ray.origin[ray.y]) - ray.shear_y * az;
@@ -158,10 +158,10 @@ FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float
     return out->t >= ray.t_min && out->t <= ray.t_max;
 }
 
-// The gradient of a hit. The hit solves origin + t direction = u a + v b + (1 - u - v) c. With the matrix M of the
-// columns (-direction, a - c, b - c) and y = M^-T (to_t, to_u, to_v), the gradient is y for the origin, t y for the
-// direction, and -u y, -v y and -(1 - u - v) y for the corners (implicit differentiation). Returns false, and y = 0, if
-// the ray lies in the plane of the triangle.
+// The gradient of a hit. The hit solves origin + t direction = u a + v b + (1 - u - v) c. Let M be the matrix with the
+// columns -direction, a - c and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the gradient is y
+// for the origin and t y for the direction. For the corners, the gradient is -u y, -v y and -(1 - u - v) y. If the ray
+// lies in the plane of the triangle, the function returns false and y = 0.
 FOURD_HD FOURD_INLINE bool hit_gradient(const float* direction, const float* a, const float* b, const float* c,
                                         float to_t, float to_u, float to_v, float* y) {
     double d[3], p[3], q[3];

@@ -13,10 +13,10 @@
 
 namespace fourd::rays {
 
-constexpr int kWidth = 8;                       // Children of a node, and triangles of a block.
-constexpr std::int32_t kNoChild = -2147483647;  // Other negative children c are the blocks ~c.
-constexpr int kMaxDepth = 56;                   // Largest depth of a tree.
-constexpr int kMaxStack = kWidth * kMaxDepth;   // A traversal never has more entries on its stack.
+constexpr int kWidth = 8;                       // Maximum number of children of a node, and of triangles of a block.
+constexpr std::int32_t kNoChild = -2147483647;  // Marks a missing child. Any other negative child c is the block ~c.
+constexpr int kMaxDepth = 56;                   // Maximum depth of a tree.
+constexpr int kMaxStack = kWidth * kMaxDepth;   // Maximum number of entries on the stack of a traversal.
 
 struct alignas(64) Node {
     float bounds[6][kWidth];  // Smallest x, largest x, smallest y, largest y, smallest z, largest z of each child.
@@ -25,7 +25,7 @@ struct alignas(64) Node {
 };
 
 struct alignas(64) Block {
-    float corner[3][3][kWidth];     // Vertex, axis, triangle. NaN where a triangle has no position.
+    float corner[3][3][kWidth];     // Indexed by vertex, axis and triangle. NaN if a triangle cannot be hit.
     std::int32_t triangle[kWidth];  // Index of the triangle, or -1.
 };
 
@@ -58,7 +58,7 @@ Tree build(const Mesh& mesh, int threads);
 // Returns the new magnitude.
 float refit(const Mesh& mesh, Node* nodes, std::size_t node_count, Block* blocks, std::size_t block_count, int threads);
 
-// The expected number of visited nodes and blocks of a random ray that hits the root's box.
+// The expected number of nodes and blocks that a random ray visits if it hits the box of the root.
 double expected_cost(const TreeView& tree);
 
 struct Rays {
@@ -78,10 +78,10 @@ struct Rays {
 // The `layers` nearest hits of each ray in the order of (t, triangle).
 struct Hits {
     int layers;
-    float* t;                // (count, layers). Infinite where there is no hit.
-    float* u;                // (count, layers). Barycentric weight of the triangle's vertex 0; 0 where there is no hit.
-    float* v;                // (count, layers). Weight of vertex 1.
-    std::int32_t* triangle;  // (count, layers); -1 where there is no hit.
+    float* t;                // (count, layers): infinite where there is no hit.
+    float* u;                // (count, layers): barycentric weight of the triangle's vertex 0; 0 where there is no hit.
+    float* v;                // (count, layers): barycentric weight of vertex 1; 0 where there is no hit.
+    std::int32_t* triangle;  // (count, layers): index of the triangle, or -1 where there is no hit.
 };
 
 void trace(const TreeView& tree, const Rays& rays, const Hits& hits);
@@ -98,7 +98,7 @@ struct HitGradients {
     const float *t, *u, *v;
     const std::int32_t* triangle;
     const float *to_t, *to_u, *to_v;     // (count, layers).
-    float *xyz, *to_origins, *to_directions;  // Shapes of the inputs. Overwritten.
+    float *xyz, *to_origins, *to_directions;  // In the shapes of the inputs. trace_backward() overwrites the arrays.
     int threads;
 };
 

@@ -21,8 +21,8 @@ def build_tree(xyz: Tensor, tri: Tensor, threads: int) -> tuple[Tensor, Tensor, 
     """Build a tree over the triangles ``tri`` (T, 3) of the positions ``xyz`` (V, 3), on the CPU.
 
     Returns:
-        nodes (N, 64) and blocks (B, 80), which are float32 views of C++ structs, on the device of ``xyz``, and the
-        largest absolute coordinate of the triangles.
+        nodes (N, 64) and blocks (B, 80) on the device of ``xyz``, and the largest absolute coordinate of the triangles.
+        Nodes and blocks are float32 views of the structs in csrc/rays/rays.h.
     """
     nodes, blocks, magnitude = load_native().build_rays(as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads))
     return torch.from_numpy(nodes).to(xyz.device), torch.from_numpy(blocks).to(xyz.device), magnitude

@@ -1,7 +1,8 @@
 """Ray tracing in plain torch, by testing every ray against every triangle: slow, but simple.
 
-In float32, the reference computes the same numbers by the same operations as ``csrc/rays/maths.h``. It therefore finds
-the same hits in the same order. In float64, its t, u and v are differentiable by autograd.
+In float32, the reference computes the same numbers by the same operations as ``csrc/rays/maths.h``. The reference
+therefore finds the same hits in the same order. In float64, the t, u and v of the reference are differentiable by
+autograd.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ def trace_rays_reference(
     after_triangle: Tensor | None,
     layers: int,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Compute what :func:`fourd.ops.rays.op.trace_rays` computes, in float32 or float64.
+    """Compute the result of :func:`fourd.ops.rays.op.trace_rays`, in float32 or float64.
 
     t, u and v are differentiable in xyz, origins and directions.
     """

@@ -16,7 +16,7 @@ from fourd.ops.rays.op import build_tree, refit_tree, tree_cost
 class Bvh:
     """A tree of boxes over the triangles of a mesh, for :func:`~fourd.raster.rays.tracing.trace`.
 
-    Create one with :meth:`build`. A Bvh does not change: :meth:`refit` and :meth:`update` return a new one.
+    :meth:`build` creates a tree. Trees are immutable, so :meth:`refit` and :meth:`update` return new trees.
 
     Attributes:
         xyz: (V, 3) float32 positions that the tree was built for or refitted to, without gradient.
@@ -70,7 +70,7 @@ class Bvh:
             threads: as in :meth:`build`.
 
         Raises:
-            TypeError, ValueError: for an invalid argument, also for another number of vertices.
+            TypeError, ValueError: for an invalid argument, for example another number of vertices.
         """
         check_tensor("xyz", xyz, ("V", 3), like=("the tree's xyz", self.xyz))
         if xyz.shape != self.xyz.shape:

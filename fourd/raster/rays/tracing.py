@@ -20,9 +20,9 @@ class Hits:
     """The K nearest hits of R rays, in the order of (t, triangle).
 
     Attributes:
-        t: (R, K) float32. The hit is at origin + t direction. Infinite where there is no hit. Differentiable.
-        u, v: (R, K) float32 barycentric weights of the vertices 0 and 1 of the triangle. Vertex 2 has the weight
-            1 - u - v. 0 where there is no hit. Differentiable.
+        t: (R, K) float32, differentiable. The hit is at origin + t direction. Without a hit, t is infinite.
+        u, v: (R, K) float32 barycentric weights of the vertices 0 and 1 of the triangle, differentiable. Vertex 2 has
+            the weight 1 - u - v. Without a hit, u and v are 0.
         triangle: (R, K) int32 index of the triangle; -1 where there is no hit.
     """
 
@@ -58,21 +58,21 @@ def trace(
     """Find the nearest hits of rays with triangles.
 
     Hits are those of a loop over all triangles, in the order of (t, triangle index). The test is watertight (Woop,
-    Benthin and Wald 2013): a ray that passes through a common edge of two triangles hits at least one of them. Both
-    sides of triangles are hit. A triangle with two equal corners, and a triangle that is seen exactly edge-on, is not
+    Benthin and Wald 2013): a ray that passes through a common edge of two triangles hits at least one of them. Rays hit
+    triangles from both sides. A triangle with two equal corners, and a triangle that is seen exactly edge-on, is not
     hit.
 
     Args:
         bvh: tree over the triangles.
-        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. They receive the gradient.
+        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. This tensor receives the gradient.
         origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
         directions: (R, 3) float32, of any length whose largest coordinate is between 1e-18 and 1e18. t is measured in
             multiples of the direction. Other directions, also zero and NaN, hit nothing.
-        t_min, t_max: hits have t in [t_min, t_max]: a number, or one for each ray (R,). A ray with t_min > t_max hits
-            nothing.
+        t_min, t_max: limits of t for all rays, or (R,) limits for each ray. Hits have t in [t_min, t_max]. A ray with
+            t_min > t_max hits nothing.
         layers: number K of hits for each ray, from 1 to 1024.
-        after: t (R,) and triangle (R,) of a hit of each ray. Only later hits are found, so that ``hits.last()`` of one
-            call continues it in the next call, without losing or repeating hits of equal t.
+        after: t (R,) and triangle (R,) of a hit of each ray. Only hits after this hit are found. With ``hits.last()``
+            of one call, the next call continues without losing or repeating hits of equal t.
         backend: "auto" for the kernels of the tensors' device, or "reference" for plain torch (float32 or float64,
             slow).
         threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or
@@ -115,14 +115,14 @@ def occluded(
 
 
 def visibility(bvh: Bvh, points: Tensor, targets: Tensor, *, margin: float = 1e-4, threads: int = 0) -> Tensor:
-    """Return (N, M) bool: whether each of N points sees each of M targets past the triangles.
+    """Return (N, M) bool: whether no triangle occludes target j, of M targets, from point i, of N points.
 
     Args:
         bvh: tree over the triangles.
         points: (N, 3) float32 in world units.
         targets: (M, 3) float32 in world units, for example the centres of cameras.
-        margin: share of the distance at both ends of the segment in which triangles do not occlude, from 0 to 0.5. It
-            keeps a surface from occluding its own points.
+        margin: share of the distance at both ends of the segment in which triangles do not occlude, from 0 to 0.5. The
+            margin prevents a surface from occluding its own points.
         threads: as in :func:`trace`.
 
     Raises:
