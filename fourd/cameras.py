@@ -209,10 +209,9 @@ def fading_weights(
 def nearest_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    The angle of a source camera is measured at the world point ``focus`` (3,). It is the angle between the ray to the
-    centre of ``camera`` and the ray to the centre of the source camera. Selecting source views by angle follows 4K4D
-    (sec. 3.2).
-    Cameras with equal angles are ordered by index.
+    The angle of a source camera is the angle at the world point ``focus`` (3,) between the rays to the centre of
+    ``camera`` and to the centre of the source camera. The selection by angle follows 4K4D (sec. 3.2). Cameras with
+    equal angles are ordered by index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])

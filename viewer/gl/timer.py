@@ -48,5 +48,6 @@ class GPUTimer:
 
 
 def _value(query: int, name: int) -> int:
-    # 32 bits are enough for 4 s. PyOpenGL has no array type for the function that returns 64 bits.
+    # A time of up to 4 s in nanoseconds fits into 32 bits. PyOpenGL has no array type for the function that returns 64
+    # bits.
     return int(np.asarray(GL.glGetQueryObjectuiv(query, name)).ravel()[0])
