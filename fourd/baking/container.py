@@ -283,7 +283,7 @@ class SceneReader:
         views = self.manifest.view_count
         members = {name: self.read_member(f"{folder}/{name}") for name in packed_names(self.manifest)}
         with self._decoding(folder):
-            arrays = decode_cloud(members, points, views, encoding)
+            arrays = decode_cloud(members, points, self.manifest.source_cameras, encoding)
             for attribute in self.manifest.attributes:
                 if attribute.is_optional:
                     size, shape = attribute.nbytes(points, views), attribute.resolve_shape(points, views)

@@ -14,11 +14,11 @@ from fourd.baking.files.encoding import SceneEncoding
 from fourd.cameras import Camera
 
 FORMAT_NAME = "fourd-scene"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """The newest version of the file format that this program can read."""
-OBJECT_VERSION, FULL_VERSION, PACKED_VERSION = 1, 2, 3
-"""Format versions that are written for object scenes, full scenes and packed scenes. Object scenes keep version 1, so
-that older programs can read them."""
+OBJECT_VERSION, FULL_VERSION, PACKED_VERSION, VIDEO_VERSION = 1, 2, 3, 4
+"""Format versions that are written for object scenes, full scenes, packed scenes, and packed scenes of the tier
+"video". Each scene has the oldest version that describes it, so that older programs can read it."""
 SHADOW_IDENTITY = 128
 """The shadow factor that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 

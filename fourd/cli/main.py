@@ -67,6 +67,8 @@ MAX_SHOWN = 200
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
+VIDEO_PACKAGE = "av"
+"""PyAV, which some commands import when they are called."""
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch", "xatlas")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
 
@@ -164,6 +166,8 @@ def _report_errors(words: list[str]) -> int:
         return _fail(words[0], str(error))
     except ModuleNotFoundError as error:
         package = (error.name or "").split(".")[0]
+        if package == VIDEO_PACKAGE:
+            return _fail(words[0], f"expected the package {package}, got none; install it: pip install {package}")
         if package not in TRAINING_PACKAGES:
             raise
         missing = f"expected the training packages, but {package} is missing; pip install 'fourd[train]'"

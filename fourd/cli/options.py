@@ -53,6 +53,7 @@ LpipsWeights = Annotated[
 TIER_HELP = (
     "full: looks like the unpacked scene.",
     "stream: coarser quantisation steps; a player fetches only the source views that it needs.",
+    "video: like stream, but the colours in the source views are VP9 images; smaller, slower to decode.",
     "light: no source views; all colour is in spherical harmonics.",
 )
 MaxMbps = Annotated[

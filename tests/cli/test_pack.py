@@ -31,7 +31,7 @@ def test_pack_writes_a_smaller_scene_and_prints_sizes(
 ) -> None:
     """Catches a tier that is ignored, and sizes that are not those of the file."""
     sizes = {}
-    for tier in ("full", "stream", "light"):
+    for tier in ("full", "stream", "video", "light"):
         out = tmp_path / f"{tier}.4dv"
         assert pack(scene, "-o", out, "--tier", tier) == 0
         assert "positions, radii, densities" in capsys.readouterr().err

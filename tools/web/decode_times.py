@@ -46,8 +46,10 @@ PREPARE = """async () => {
         const before = total();
         const members = {points: pointsMember, sh, colour: colour ?? null};
         const base = await pool.base({kind: "base", folder, points, encoding, members});
-        const listed = views.map((view, index) => ({view, member: found.get(viewNames[index])}));
-        if (views.length) await pool.views({kind: "views", folder, encoding, mean: base.mean, views: listed});
+        const listed = views.map((view, index) => (
+            {view, member: found.get(viewNames[index]), camera: manifest.sources[view]}));
+        if (views.length) await pool.views({kind: "views", folder, encoding, mean: base.mean, xyz: base.xyz,
+            views: listed});
         return total() - before;
     };
     document.querySelector("fourd-player").remove();
@@ -108,8 +110,9 @@ def decode_natively(archive: zipfile.ZipFile, manifest: Any, frame: int, views: 
     members = {name: archive.read(f"{folder}/{name}") for name in names}
     for index, view in enumerate(views):
         members[view_member(index)] = archive.read(f"{folder}/{view_member(view)}")
+    cameras = [manifest.source_cameras[view] for view in views]
     started = time.perf_counter()
-    decode_cloud(members, manifest.points[frame], len(views), manifest.encoding.dynamic)
+    decode_cloud(members, manifest.points[frame], cameras, manifest.encoding.dynamic)
     return 1000 * (time.perf_counter() - started)
 
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from fourd.ops.shade.harmonics import SH_TERMS
 
-Tier = Literal["full", "stream", "light"]
+Tier = Literal["full", "stream", "video", "light"]
 """Quality of a packed scene. A scene of the tier "full" looks like the unpacked scene. The tier "stream" has coarser
-quantisation steps than "full". The tier "light" has no source views: all colours are stored as spherical harmonics."""
-TIERS: tuple[Tier, ...] = ("full", "stream", "light")
+quantisation steps than "full". The tier "video" stores points like "stream", and the colours in the source views as
+images. The tier "light" has no source views: all colours are stored as spherical harmonics."""
+TIERS: tuple[Tier, ...] = ("full", "stream", "video", "light")
 
 SH_NUMBERS = 3 * SH_TERMS
 MAX_COLOUR_STEP = 127
@@ -45,6 +46,8 @@ class CloudEncoding:
         every_point_has_colours: whether colours are stored for all source views of each point. If false, colours are
             stored only for the views in which the point's blend weight is above 0. In views without a stored colour, a
             point gets its mean colour.
+        image_scale: texels per pixel of the source cameras, if the colours in the source views are stored as images
+            (:mod:`fourd.baking.packed.images`). None if each point has colours of its own.
     """
 
     lower: NDArray[np.float64]
@@ -59,6 +62,7 @@ class CloudEncoding:
     weight_steps: int
     colour_step: int
     every_point_has_colours: bool
+    image_scale: float | None = None
 
     @property
     def code_bytes(self) -> int:

@@ -19,6 +19,7 @@ from fourd.ops.morton import MAX_BITS
 
 MAX_STEPS = 1 << 16
 """Maximum number of codes per factor of 2, for radii and for weights."""
+MIN_IMAGE_SCALE = 1 / 64
 
 
 def encoding_to_json(encoding: SceneEncoding) -> dict[str, Any]:
@@ -48,6 +49,7 @@ def _cloud_to_json(cloud: CloudEncoding) -> dict[str, Any]:
         "weight_steps": cloud.weight_steps,
         "colour_step": cloud.colour_step,
         "every_point_has_colours": cloud.every_point_has_colours,
+        **({} if cloud.image_scale is None else {"image_scale": cloud.image_scale}),
     }
 
 
@@ -66,6 +68,7 @@ def _cloud_from_json(node: JsonNode) -> CloudEncoding:
         weight_steps=node.integer("weight_steps", 1, MAX_STEPS),
         colour_step=node.integer("colour_step", 1, MAX_COLOUR_STEP),
         every_point_has_colours=node.flag("every_point_has_colours"),
+        image_scale=node.number("image_scale", MIN_IMAGE_SCALE, 1) if "image_scale" in node.content else None,
     )
 
 

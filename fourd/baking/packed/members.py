@@ -11,12 +11,13 @@ modulo 256:
   Each plane stores the differences between successive points.
 - ``views/VVV``: codes of the blend weights of source view V, then the colours of the points. A colour is stored as the
   difference from the point's mean colour, in quantisation steps. The colours are three planes: green, red - green and
-  blue - green. If ``every_point_has_colours`` is False, no colour is stored for points whose weight code is 0.
+  blue - green. If ``every_point_has_colours`` is False, no colour is stored for points whose weight code is 0. If the
+  encoding has an ``image_scale``, an image follows the codes instead of colours (:mod:`fourd.baking.packed.images`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,9 +26,11 @@ from numpy.typing import NDArray
 
 from fourd.baking.files.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
 from fourd.baking.packed.colours import mean_colours
+from fourd.baking.packed.images import decode_image, largest_image, project, sample_differences
 from fourd.baking.packed.positions import encode_positions
 from fourd.baking.packed.streams import StreamError, decompress, decompress_exactly, join_planes, split_planes, zigzag
 from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.cameras import Camera
 from fourd.ops.shade.harmonics import SH_TERMS
 from fourd.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
 
@@ -76,13 +79,19 @@ def morton_sorted(frame: BakedFrame, encoding: CloudEncoding) -> NDArray[np.int6
 
 
 def encode_cloud(frame: BakedFrame, encoding: CloudEncoding, rounding: ColourRounding) -> dict[str, bytes]:
-    """Return the uncompressed content of each member. The points must be in the order of :func:`morton_sorted`."""
+    """Return the uncompressed content of each member. The points must be in the order of :func:`morton_sorted`.
+
+    If the encoding has an ``image_scale``, the views have no colours.
+    """
     members = {POINTS: _encode_points(frame, encoding), SH: _encode_sh(frame.sh, encoding)}
     if frame.view_count:
-        mean = _round_means(mean_colours(frame), rounding.mean_step)
+        mean = rounded_means(frame, rounding)
         members[COLOUR] = _encode_mean(mean)
         weights = _encode_weights(frame.blend_weights, encoding)
         for view in range(frame.view_count):
+            if encoding.image_scale is not None:
+                members[view_member(view)] = weights[:, view].tobytes()
+                continue
             seen = weights[:, view] > 0
             steps = np.where(seen, encoding.colour_step, rounding.unseen_step)[:, None]
             levels = _colour_levels(frame.rgb[:, view], mean, steps, encoding.colour_step)
@@ -92,24 +101,35 @@ def encode_cloud(frame: BakedFrame, encoding: CloudEncoding, rounding: ColourRou
 
 
 def decode_cloud(
-    members: Mapping[str, bytes], points: int, views: int, encoding: CloudEncoding
+    members: Mapping[str, bytes], points: int, cameras: Sequence[Camera], encoding: CloudEncoding
 ) -> dict[str, NDArray[Any]]:
     """Return the arrays of a cloud, with the names in :data:`fourd.baking.attributes.ATTRIBUTES` as keys.
 
     Args:
         members: compressed content of every member of :func:`packed_names`, apart from optional attributes.
         points: number of points.
-        views: number of source views.
+        cameras: cameras of the source views.
         encoding: encoding of the cloud.
 
     Raises:
         StreamError: if a member is damaged. The message has the form "expected ..., got ...".
+        UserError: if the cloud has images, and PyAV is not installed.
     """
+    views = len(cameras)
     # Memory for the results is allocated after all sizes are checked, because the number of points is untrusted.
     arrays = _decode_points(members[POINTS], points, encoding)
     factors = decompress_exactly(members[SH], 2 * len(encoding.sh_basis) * points)
     mean = _decode_mean(members[COLOUR], points) if views else np.zeros((points, 3), np.uint8)
-    contents = [_decode_view(members[view_member(view)], points, encoding) for view in range(views)]
+    if encoding.image_scale is None:
+        contents = [_decode_view(members[view_member(view)], points, encoding) for view in range(views)]
+        colour_step = encoding.colour_step
+    else:
+        planes = np.ascontiguousarray(mean.T)
+        contents = [
+            _sample_view(members[view_member(view)], arrays["xyz"], planes, camera, encoding.image_scale)
+            for view, camera in enumerate(cameras)
+        ]
+        colour_step = 1
     sh, weights, rgb = _allocate(points, views)
     basis = encoding.sh_basis * np.float32(encoding.sh_step)
     unpack_harmonics(factors, basis, encoding.sh_mean, points, sh)
@@ -117,7 +137,7 @@ def decode_cloud(
         contents,
         mean,
         weight_table(encoding),
-        encoding.colour_step,
+        colour_step,
         every_point_has_colours=encoding.every_point_has_colours,
         out=(weights, rgb),
     )
@@ -138,6 +158,12 @@ def _allocate(points: int, views: int) -> tuple[NDArray[np.float16], NDArray[np.
         memory[sh : sh + weights].view(np.float16).reshape(points, views),
         memory[sh + weights :].reshape(points, views, 3),
     )
+
+
+def rounded_means(frame: BakedFrame, rounding: ColourRounding) -> NDArray[np.uint8]:
+    """Return the mean colours (N, 3) that readers decode."""
+    step = rounding.mean_step
+    return np.clip(np.rint(mean_colours(frame) / step) * step, 0, 255).astype(np.uint8)
 
 
 def weight_table(encoding: CloudEncoding) -> NDArray[np.float16]:
@@ -211,8 +237,26 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
     return content
 
 
-def _round_means(mean: NDArray[np.uint8], step: int) -> NDArray[np.uint8]:
-    return np.clip(np.rint(mean / step) * step, 0, 255).astype(np.uint8)
+def _sample_view(
+    member: bytes, xyz: NDArray[np.float32], mean: NDArray[np.uint8], camera: Camera, scale: float
+) -> NDArray[np.uint8]:
+    """Return the content of a view's member as with a colour step of 1: the image is replaced by colours of points.
+
+    ``mean`` has the mean colours as planes (3, N).
+    """
+    points = len(xyz)
+    content = decompress(member, points + largest_image(camera, scale))
+    if len(content) < points:
+        raise StreamError(f"expected at least {points} bytes, got {len(content)}")
+    image = decode_image(content[points:].tobytes(), camera, scale)
+    seen = np.flatnonzero(content[:points])
+    differences = sample_differences(image, *project(xyz[seen], camera, scale))
+    red, green, blue = (_rounded_sum(own[seen], part) - own[seen] for own, part in zip(mean, differences, strict=True))
+    return np.concatenate([content[:points], green, red - green, blue - green])
+
+
+def _rounded_sum(colours: NDArray[np.uint8], differences: NDArray[np.float32]) -> NDArray[np.uint8]:
+    return np.clip(colours + differences + np.float32(0.5), 0, 255).astype(np.uint8)
 
 
 def _colour_levels(

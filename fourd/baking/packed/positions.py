@@ -12,6 +12,14 @@ from fourd.ops.morton import morton_codes
 def encode_positions(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArray[np.uint64]:
     """Return the Morton codes (N,) of positions (N, 3). Coordinates outside the range of the encoding are clamped to
     this range."""
-    largest = 2**encoding.position_bits - 1
+    return morton_codes(_cells(xyz, encoding).astype(np.uint64))
+
+
+def rounded_positions(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArray[np.float32]:
+    """Return the positions (N, 3) that readers decode for positions (N, 3)."""
+    return (encoding.lower + _cells(xyz, encoding) * encoding.position_step).astype(np.float32)
+
+
+def _cells(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArray[np.float64]:
     cells = np.rint((xyz - encoding.lower) / encoding.position_step)
-    return morton_codes(np.clip(cells, 0, largest).astype(np.uint64))
+    return np.clip(cells, 0, 2**encoding.position_bits - 1)

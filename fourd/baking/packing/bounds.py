@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,24 +12,51 @@ from fourd.baking.files.encoding import MAX_CODE, SH_NUMBERS, CloudEncoding
 from fourd.baking.packed.members import LARGEST_WEIGHT, ColourRounding, decode_cloud
 from fourd.baking.packed.streams import stored
 from fourd.baking.scene import BakedFrame
+from fourd.cameras import Camera
 
 HALF_PRECISION = 2.0**-11
 """Maximum relative rounding error of a float16."""
 
 
+@dataclass(frozen=True)
+class ColourErrors:
+    """Errors of the colours in the source views: the weighted sum of squares, and the sum of the weights.
+
+    The weight of a point in a view is its blend weight divided by its largest blend weight.
+    """
+
+    squares: float = 0.0
+    weight: float = 0.0
+
+    def __add__(self, other: ColourErrors) -> ColourErrors:
+        return ColourErrors(self.squares + other.squares, self.weight + other.weight)
+
+    @property
+    def psnr(self) -> float:
+        """PSNR of the colours in dB."""
+        return float(10 * np.log10(255**2 * max(self.weight, 1e-9) / max(self.squares, 1e-9)))
+
+
 def check_bounds(
-    cloud: BakedFrame, members: Mapping[str, bytes], encoding: CloudEncoding, rounding: ColourRounding
-) -> None:
+    cloud: BakedFrame,
+    members: Mapping[str, bytes],
+    encoding: CloudEncoding,
+    rounding: ColourRounding,
+    cameras: Sequence[Camera],
+) -> ColourErrors:
     """Decode ``members`` and compare the result with ``cloud``, whose points are in the same order.
+
+    Colours that are stored as images have no bound, because the images are compressed with loss.
+    ``cameras`` are the cameras of the source views. Returns the errors of the colours.
 
     Raises:
         RuntimeError: if an error exceeds the bound that follows from the encoding's quantisation steps. The error
             message names the attribute.
     """
     compressed = {name: stored(content) for name, content in members.items()}
-    decoded = decode_cloud(compressed, cloud.point_count, cloud.view_count, encoding)
+    decoded = decode_cloud(compressed, cloud.point_count, cameras, encoding)
     if cloud.point_count == 0:
-        return
+        return ColourErrors()
     span = float(np.abs(cloud.xyz).max())
     _check("xyz", np.abs(decoded["xyz"] - cloud.xyz), 0.5001 * encoding.position_step + 2e-7 * span)
     radius = cloud.radius.astype(np.float64)
@@ -38,7 +66,7 @@ def check_bounds(
     density = np.abs(decoded["density"] - cloud.density.astype(np.float64))
     _check("density", density, 0.5001 / encoding.density_levels + HALF_PRECISION)
     _check_sh(decoded["sh"], cloud.sh, encoding)
-    _check_views(decoded["blend_weights"], decoded["rgb"], cloud, encoding, rounding)
+    return _check_views(decoded["blend_weights"], decoded["rgb"], cloud, encoding, rounding)
 
 
 def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: CloudEncoding) -> None:
@@ -56,9 +84,9 @@ def _check_views(
     cloud: BakedFrame,
     encoding: CloudEncoding,
     rounding: ColourRounding,
-) -> None:
+) -> ColourErrors:
     if cloud.view_count == 0:
-        return
+        return ColourErrors()
     true = cloud.blend_weights.astype(np.float64)
     seen = true > 0
     if not np.array_equal(seen, weights > 0):
@@ -71,9 +99,13 @@ def _check_views(
     in_range = seen & (octaves < min((MAX_CODE - 2) / encoding.weight_steps, 20))
     _check("blend_weights", np.abs(decoded_octaves - octaves)[in_range], 0.5001 / encoding.weight_steps + 0.03)
     difference = np.abs(rgb.astype(np.int16) - cloud.rgb.astype(np.int16))
-    _check("rgb", difference[seen], encoding.colour_step // 2)
+    if encoding.image_scale is None:
+        _check("rgb", difference[seen], encoding.colour_step // 2)
     if encoding.every_point_has_colours:
         _check("rgb in unseen views", difference[~seen], rounding.unseen_step // 2)
+    shares = true / largest
+    squares = np.square(difference.astype(np.float32)).mean(axis=2)
+    return ColourErrors(float((squares * shares).sum()), float(shares.sum()))
 
 
 def _check(name: str, errors: NDArray[np.floating] | np.floating, bound: NDArray[np.floating] | float) -> None:

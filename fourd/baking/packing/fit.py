@@ -78,8 +78,11 @@ def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
     )
 
 
-def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
-    """Return the encoding of a cloud for the quantisation steps in ``precision``."""
+def fit_encoding(samples: CloudSamples, precision: Precision, image_scale: float | None = None) -> CloudEncoding:
+    """Return the encoding of a cloud for the quantisation steps in ``precision``.
+
+    ``image_scale`` is the scale of the images of the source views, or None if points have colours of their own.
+    """
     basis, mean = _sh_basis(samples.sh, precision.sh_step)
     radius = float(np.median(samples.radii)) if len(samples.radii) else 0.0
     side = float((samples.upper - samples.lower).max()) if np.isfinite(samples.lower).all() else 0.0
@@ -98,6 +101,7 @@ def fit_encoding(samples: CloudSamples, precision: Precision) -> CloudEncoding:
         weight_steps=precision.weight_steps,
         colour_step=precision.colour_step,
         every_point_has_colours=precision.unseen_colour_step is not None and samples.has_own_unseen_colours,
+        image_scale=image_scale,
     )
 
 

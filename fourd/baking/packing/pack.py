@@ -13,8 +13,9 @@ from fourd.baking.container import SceneReader, frame_folder
 from fourd.baking.files.encoding import CloudEncoding, SceneEncoding, Tier
 from fourd.baking.packed.members import encode_cloud, morton_sorted, optional_member
 from fourd.baking.packed.streams import Compression, compress
-from fourd.baking.packing.bounds import check_bounds
+from fourd.baking.packing.bounds import ColourErrors, check_bounds
 from fourd.baking.packing.fit import fit_encoding, merge_samples, sample_cloud
+from fourd.baking.packing.images import add_images, choose_scale
 from fourd.baking.packing.light import LIGHT_SH_BASE, LIGHT_SH_RANGE, LightFit
 from fourd.baking.packing.precision import DEFAULT_LEVELS, LEVELS
 from fourd.baking.packing.visible import find_visible
@@ -35,11 +36,14 @@ class PackReport:
             "background" is the total size of the background, which is stored once.
         streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera.
             The player fetches all members except the views, of which it fetches only ``neighbours``.
+        colour_psnr: PSNR in dB of the colours in the source views against those of the source scene. None if the tier
+            does not store these colours as images.
     """
 
     bytes: int
     parts: dict[str, float]
     streamed: float
+    colour_psnr: float | None = None
 
 
 def pack_scene(
@@ -125,15 +129,18 @@ class _Packer:
         self.convert, manifest = _conversion(reader.manifest, tier)
         if has_normals:
             manifest = replace(manifest, optional_attributes=(*manifest.optional_attributes, "normals"))
+        self.colours = ColourErrors()
         sampled = (sample_cloud(self._read(index), len(frames)) for index in frames)
         dynamic = merge_samples(track(sampled, len(frames), "sample"))
         background = reader.read_background() if has_background else None
         self.background = None if background is None else self._prepare(background)
-        self.encoding = SceneEncoding(
-            tier,
-            fit_encoding(dynamic, self.precision),
-            None if self.background is None else fit_encoding(sample_cloud(self.background), self.precision),
-        )
+        first = next((index for index in frames if reader.manifest.points[index]), frames[0])
+        scale = choose_scale(self._read(first), manifest, self.precision)
+        behind = None
+        if self.background is not None:
+            background_scale = choose_scale(self.background, manifest, self.precision)
+            behind = fit_encoding(sample_cloud(self.background), self.precision, background_scale)
+        self.encoding = SceneEncoding(tier, fit_encoding(dynamic, self.precision, scale), behind)
         self.manifest = replace(manifest, encoding=self.encoding)
 
     def frame(self, index: int) -> _Cloud:
@@ -154,7 +161,9 @@ class _Packer:
                 shadow_bytes = None if shadow is None or order is None else shadow[order].tobytes()
                 encoded = self.frame(index)
                 writer.add_frame(index, encoded.points, encoded.members, shadow_bytes)
-        return _report(out.stat().st_size, writer.sizes, len(frames), self.manifest)
+        report = _report(out.stat().st_size, writer.sizes, len(frames), self.manifest)
+        has_images = self.encoding.dynamic.image_scale is not None
+        return replace(report, colour_psnr=self.colours.psnr if has_images else None)
 
     def _read(self, index: int, *, for_file: bool = False) -> BakedFrame:
         """Read the points of a frame that some viewer sees, prepared for the tier. Samples have no normals.
@@ -179,7 +188,9 @@ class _Packer:
         ordered = _select(cloud, order)
         rounding = self.precision.colour_rounding
         members = encode_cloud(ordered, encoding, rounding)
-        check_bounds(ordered, members, encoding, rounding)
+        cameras = self.manifest.source_cameras
+        add_images(members, ordered, cameras, encoding, self.precision)
+        self.colours += check_bounds(ordered, members, encoding, rounding, cameras)
         for attribute in ordered.attributes:
             if attribute.is_optional:
                 members[optional_member(attribute.name)] = ordered.arrays[attribute.name].tobytes()

@@ -20,6 +20,8 @@ class Precision:
             of 1/255. None replaces these colours by the mean colour.
         min_visibility: dynamic points are left out if their visibility is smaller in all views of the capture and in
             all views between them. The visibility of a point is in [0, 1].
+        crf: constant quality of the images of the source views, from 0 (best) to 63. None stores colours of points.
+        texels_per_radius: texels of the images per median radius of the points in the images.
     """
 
     positions_per_radius: int
@@ -31,6 +33,8 @@ class Precision:
     mean_colour_step: int = 1
     unseen_colour_step: int | None = None
     min_visibility: float = 0.0
+    crf: int | None = None
+    texels_per_radius: float = 2.0
 
     @property
     def colour_rounding(self) -> ColourRounding:
@@ -52,6 +56,12 @@ LEVELS: dict[Tier, tuple[Precision, ...]] = {
         Precision(12, 16, 7, 1 / 4, 1, 16, 12, min_visibility=0.25),
         Precision(8, 8, 7, 1 / 3, 1, 24, 12, min_visibility=0.3),
     ),
+    "video": (
+        Precision(32, 32, 31, 1 / 12, 2, mean_colour_step=6, min_visibility=0.1, crf=24),
+        Precision(24, 32, 15, 1 / 8, 1, mean_colour_step=8, min_visibility=0.1, crf=32),
+        Precision(24, 16, 15, 1 / 6, 1, mean_colour_step=8, min_visibility=0.15, crf=36),
+        Precision(16, 16, 15, 1 / 4, 1, mean_colour_step=8, min_visibility=0.2, crf=40),
+    ),
     "light": (
         Precision(32, 32, 31, 1 / 24, min_visibility=0.05),
         Precision(24, 16, 31, 1 / 16, min_visibility=0.1),
@@ -63,5 +73,5 @@ LEVELS: dict[Tier, tuple[Precision, ...]] = {
 }
 """Levels of each tier, from the finest to the coarsest."""
 
-DEFAULT_LEVELS: dict[Tier, int] = {"full": 1, "stream": 2, "light": 1}
+DEFAULT_LEVELS: dict[Tier, int] = {"full": 1, "stream": 2, "video": 1, "light": 1}
 """Index of the level that each tier uses, unless the rate of a connection chooses another one."""

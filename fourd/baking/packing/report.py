@@ -18,6 +18,7 @@ CONTENTS = {
     "sh": "spherical harmonics",
     "colour": "mean colours",
     "views": "colours and blend weights of all source views",
+    "images": "images and blend weights of all source views",
     "shadow": "shadows on the background",
     "optional": "optional attributes",
 }
@@ -57,8 +58,11 @@ def print_sizes(console: Console, report: PackReport) -> None:
     table.add_column("kB per frame", justify="right")
     for kind, size in report.parts.items():
         if kind != "background":
-            table.add_row(CONTENTS.get(kind, kind), f"{size / 1e3:.1f}")
+            content = "images" if kind == "views" and report.colour_psnr is not None else kind
+            table.add_row(CONTENTS.get(content, content), f"{size / 1e3:.1f}")
     table.add_row("fetched for one viewer", f"{report.streamed / 1e3:.1f}")
     console.print(table)
     if "background" in report.parts:
         console.print(f"background, stored once: {report.parts['background'] / 1e6:.2f} MB")
+    if report.colour_psnr is not None:
+        console.print(f"PSNR of the colours in the source views: {report.colour_psnr:.1f} dB")

@@ -21,7 +21,7 @@ from fourd.baking.files.archive import disk_errors, make_member, open_zip
 from fourd.baking.manifest import manifest_to_json
 from fourd.baking.packed.members import optional_member, packed_names, view_member
 from fourd.baking.packed.streams import Compression, compress
-from fourd.baking.scene import PACKED_VERSION, SceneManifest
+from fourd.baking.scene import PACKED_VERSION, VIDEO_VERSION, SceneManifest
 from fourd.files import atomic_path
 
 _BYTES_PER_MEMBER = 64
@@ -65,7 +65,8 @@ class PackedWriter:
 
     def __init__(self, path: Path | str, manifest: SceneManifest, storage: Storage | None = None) -> None:
         self.path = Path(path)
-        self.manifest = replace(manifest, version=PACKED_VERSION)
+        has_images = manifest.encoding is not None and manifest.encoding.tier == "video"
+        self.manifest = replace(manifest, version=VIDEO_VERSION if has_images else PACKED_VERSION)
         self._storage = storage or Storage()
         self._stack = ExitStack()
         self._zip: zipfile.ZipFile | None = None

@@ -37,7 +37,7 @@ class Arguments:
     tier: Annotated[
         Tier | None,
         describe("Write a compact file, like `fourd pack`.", *TIER_HELP),
-        option("{full,stream,light}", "not packed"),
+        option("{full,stream,video,light}", "not packed"),
     ] = None
     max_mbps: MaxMbps = None
     to: Annotated[

@@ -75,7 +75,7 @@ def test_discs_that_are_too_large_for_sprites(object_site: Path, open_page: Call
             assert psnr(got, expected) >= MIN_PSNR[mode]
 
 
-@pytest.mark.parametrize("tier", ["stream", "light"])
+@pytest.mark.parametrize("tier", ["stream", "video", "light"])
 def test_tiers(tier: Tier, tmp_path: Path, open_page: Callable[..., PlayerPage]) -> None:
     """Catches a tier that the page cannot read, such as a scene without source views."""
     write_scene(tmp_path / "scene.4dv", frames=1, points=500)

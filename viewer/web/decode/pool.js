@@ -1,12 +1,13 @@
 import { SceneError } from "../scene/errors.js";
 /** @typedef {import("../scene/manifest.js").CloudEncoding} CloudEncoding */
+/** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("./cloud.js").CloudBase} CloudBase */
 
 /**
  * @typedef {{kind: "base", folder: string, points: number, encoding: CloudEncoding,
  *   members: {points: Uint8Array, sh: Uint8Array, colour: Uint8Array | null}}} BaseRequest
- * @typedef {{kind: "views", folder: string, encoding: CloudEncoding, mean: Uint8Array,
- *   views: {view: number, member: Uint8Array}[]}} ViewsRequest
+ * @typedef {{kind: "views", folder: string, encoding: CloudEncoding, mean: Uint8Array, xyz: Float32Array | null,
+ *   views: {view: number, member: Uint8Array, camera: Camera}[]}} ViewsRequest `xyz` is needed for images.
  * @typedef {{kind: "shadow" | "normals", size: number, name: string, member: Uint8Array}} BytesRequest
  * @typedef {(BaseRequest | ViewsRequest | BytesRequest) & {id?: number}} DecodeRequest
  * @typedef {CloudBase | [number, Uint8Array<ArrayBuffer>][] | Uint8Array<ArrayBuffer>} DecodeResult

@@ -1,5 +1,6 @@
 import { describeError } from "../scene/errors.js";
 import { decodeBase, decodeView } from "./cloud.js";
+import { decodeImageViews } from "./images.js";
 import { inflateExactly } from "./inflate.js";
 /** @typedef {import("./pool.js").DecodeRequest} DecodeRequest */
 /** @typedef {import("./pool.js").DecodeReply} DecodeReply */
@@ -26,16 +27,23 @@ async function decode(request) {
     return { result: base, transfer: buffers };
   }
   if (request.kind === "views") {
-    const { mean, encoding, folder } = request;
-    /** @type {[number, Uint8Array<ArrayBuffer>][]} */
-    const views = await Promise.all(
-      request.views.map(async ({ view, member }) => {
-        const name = `${folder}/views/${String(view).padStart(3, "0")}`;
-        return /** @type {[number, Uint8Array<ArrayBuffer>]} */ ([view, await decodeView(member, mean, encoding, name)]);
-      }),
-    );
+    const views = await decodeViews(request);
     return { result: views, transfer: views.map(([, rgba]) => rgba.buffer) };
   }
   const bytes = (await inflateExactly(request.member, request.size, request.name)).slice();
   return { result: bytes, transfer: [bytes.buffer] };
+}
+
+/**
+ * @param {import("./pool.js").ViewsRequest} request
+ * @returns {Promise<[number, Uint8Array<ArrayBuffer>][]>}
+ */
+async function decodeViews({ folder, encoding, mean, xyz, views }) {
+  const nameOf = (/** @type {number} */ view) => `${folder}/views/${String(view).padStart(3, "0")}`;
+  if (encoding.imageScale !== null && xyz) return decodeImageViews(views, { xyz, mean }, encoding.imageScale, nameOf);
+  return Promise.all(
+    views.map(async ({ view, member }) => {
+      return /** @type {[number, Uint8Array<ArrayBuffer>]} */ ([view, await decodeView(member, mean, encoding, nameOf(view))]);
+    }),
+  );
 }

@@ -267,9 +267,13 @@ export class FrameStore {
     if (views.length === 0 || !entry.base) return;
     const { folder, encoding } = describeCloud(this.manifest, number);
     const names = this.#namesOf(number).views;
-    const members = views.map((view) => ({ view, member: /** @type {Uint8Array} */ (this.downloads.get(number, names[view])) }));
+    const members = views.map((view) => {
+      const member = /** @type {Uint8Array} */ (this.downloads.get(number, names[view]));
+      return { view, member, camera: this.manifest.sources[view] };
+    });
     const { mean } = entry.base;
-    for (const [view, rgba] of await this.pool.views({ kind: "views", folder, encoding, mean, views: members })) {
+    const xyz = encoding.imageScale === null ? null : entry.base.xyz;
+    for (const [view, rgba] of await this.pool.views({ kind: "views", folder, encoding, mean, xyz, views: members })) {
       entry.views.set(view, rgba);
     }
   }

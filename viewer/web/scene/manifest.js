@@ -29,6 +29,7 @@ import { largestContent } from "./limits.js";
  * @property {number} weightSteps
  * @property {number} colourStep
  * @property {boolean} everyPointHasColours
+ * @property {number | null} imageScale Texels per pixel of the images of source views; null if points have own colours.
  */
 
 /**
@@ -54,7 +55,9 @@ import { largestContent } from "./limits.js";
  */
 
 export const SH_NUMBERS = 48;
-const VERSION = 3;
+const VERSION = 4;
+/** Version of packed scenes without images. */
+const PACKED_VERSION = 3;
 const MAX_POINTS = 1 << 24;
 const MAX_FRAMES = 1_000_000;
 const MAX_VIEWS = 4096;
@@ -153,7 +156,7 @@ function checkVersion(root) {
     const fix = "update the player with a newer fourd web";
     throw new SceneError(`The scene has format version ${version}, but this player reads version ${VERSION}; ${fix}`);
   }
-  if (version < VERSION) {
+  if (version < PACKED_VERSION) {
     throw new SceneError(`The player reads packed scenes, got format version ${version}; use fourd web or fourd pack`);
   }
 }
@@ -197,6 +200,7 @@ function cloudEncoding(node) {
     weightSteps: node.integer("weight_steps", 1, 1 << 16),
     colourStep: node.integer("colour_step", 1, 127),
     everyPointHasColours: node.flag("every_point_has_colours"),
+    imageScale: node.has("image_scale") ? node.number("image_scale", 1 / 64, 1) : null,
   };
 }
 

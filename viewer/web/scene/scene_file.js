@@ -1,5 +1,6 @@
 import { SceneError } from "./errors.js";
 import { parseManifest } from "./manifest.js";
+import { missingDecoder } from "./support.js";
 /** @typedef {import("./manifest.js").Manifest} Manifest */
 /** @typedef {import("./byte_source.js").ByteSource} ByteSource */
 
@@ -35,6 +36,8 @@ export class SceneFile {
     bytes.set(tail, size - rest);
     const manifest = parseManifest(new TextDecoder().decode(bytes));
     checkRanges(manifest, source);
+    const missing = manifest.dynamicEncoding.imageScale === null ? null : missingDecoder();
+    if (missing) throw new SceneError(missing);
     return new SceneFile(source, manifest);
   }
 
