@@ -95,9 +95,46 @@ def read_vertices(path: Path) -> NDArray[Any]:
     return _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)
 
 
+def read_faces(path: Path) -> NDArray[np.int32]:
+    """Read the faces of a PLY file, which must be triangles and must follow the vertices, as vertex indices (T, 3).
+
+    Raises:
+        UserError: if the file is not a valid PLY file, or has other faces.
+    """
+    header, body = _read(path, -1)
+    if header.faces is None:
+        raise _invalid(path, "triangles as a list of vertex indices after the vertices", "a file without them")
+    if header.order is None:
+        lines = [line.split() for line in body.split(b"\n") if line.strip()][header.count :]
+        lines = lines[: header.faces.count]
+        if len(lines) < header.faces.count or any(len(line) != 4 or line[0] != b"3" for line in lines):
+            raise _invalid(path, f"{header.faces.count} triangles", "fewer faces or other polygons")
+        try:
+            return np.array([line[1:] for line in lines], dtype=np.int64).clip(-1, 2**31 - 1).astype(np.int32)
+        except ValueError as error:
+            raise _invalid(path, "whole numbers as vertex indices", "a line with text") from error
+    count, corners = (f"{header.order}{code}" for code in header.faces.types)
+    kind = np.dtype([("count", count), ("corners", corners, 3)])
+    start = header.count * np.dtype([(name, f"{header.order}{code}") for name, code in header.properties]).itemsize
+    if len(body) < start + header.faces.count * kind.itemsize:
+        raise _invalid(path, f"{header.faces.count} triangles", "other polygons, or a truncated file")
+    rows = np.frombuffer(body, kind, header.faces.count, start)
+    if (rows["count"] != 3).any():
+        raise _invalid(path, "triangles", "other polygons")
+    return rows["corners"].astype(np.int64).clip(-1, 2**31 - 1).astype(np.int32).reshape(-1, 3)
+
+
 def read_header(path: Path) -> PlyHeader:
     """Read the header of a PLY file. Raises UserError if the header is not valid."""
     return _read(path, 0)[0]
+
+
+@dataclass(frozen=True)
+class FaceLayout:
+    """How faces are stored: their number, and the NumPy types of the list's length and of the vertex indices."""
+
+    count: int
+    types: tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -108,11 +145,13 @@ class PlyHeader:
         order: NumPy's character for the byte order ("<" or ">"), or None for ASCII files.
         count: number of vertices that the header declares.
         properties: names and NumPy types of the vertices' properties.
+        faces: the faces, if they directly follow the vertices and have no other property than their vertices.
     """
 
     order: str | None
     count: int
     properties: tuple[tuple[str, str], ...]
+    faces: FaceLayout | None = None
 
     @property
     def names(self) -> frozenset[str]:
@@ -149,7 +188,22 @@ def _read_header(path: Path, stream: BinaryIO) -> PlyHeader:
         raise _invalid(path, f"a format of {', '.join(orders)}", f"'{order}'")
     if count < 0 or not {"x", "y", "z"} <= set(dict(properties)):
         raise _invalid(path, "an element 'vertex' with properties x, y, z", f"{[name for name, _ in properties]}")
-    return PlyHeader(orders[order], count, tuple(properties))
+    return PlyHeader(orders[order], count, tuple(properties), _face_layout(path, lines))
+
+
+def _face_layout(path: Path, lines: list[list[str]]) -> FaceLayout | None:
+    elements = [words for words in lines if words[0] == "element"]
+    if len(elements) < 2 or len(elements[1]) != 3 or elements[1][1] != "face":
+        return None
+    after = lines[lines.index(elements[1]) + 1 :]
+    others = [index for index, words in enumerate(after) if words[0] == "element"]
+    properties = [words for words in after[: min(others, default=len(after))] if words[0] == "property"]
+    if len(properties) != 1 or len(properties[0]) != 5 or properties[0][1] != "list":
+        return None
+    _, _, length, index, name = properties[0]
+    if name not in ("vertex_indices", "vertex_index") or length not in TYPES or index not in TYPES:
+        return None
+    return FaceLayout(_count(path, elements[1][2]), (TYPES[length], TYPES[index]))
 
 
 def _header_lines(path: Path, stream: BinaryIO) -> list[list[str]]:

@@ -62,11 +62,11 @@ class HostileFiles:
     def _kinds_of_files(self) -> Iterator[Case]:
         """Named pipes and devices in the place of files."""
         for kind, make in (("pipe", os.mkfifo), ("device", lambda path: os.symlink("/dev/zero", path))):
-            for suffix in (".4dv", ".ply", ".splat", ".safetensors", ".mp4"):
+            for suffix in (".4dv", ".ply", ".splat", ".glb", ".safetensors", ".mp4"):
                 path = self.folder / f"{kind}{suffix}"
                 make(path)
                 yield Case(f"info of a {kind}{suffix}", ("info", str(path)))
-            for suffix in (".4dv", ".ply", ".splat"):
+            for suffix in (".4dv", ".ply", ".splat", ".glb"):
                 path = str(self.folder / f"{kind}{suffix}")
                 yield Case(f"render of a {kind}{suffix}", ("render", path, "--path", "orbit", "--out", self._out()))
             yield Case(f"verify of a {kind}", ("verify", str(self.folder / f"{kind}.4dv")))

@@ -14,7 +14,7 @@ from fourd.baking.splats.cloud import SplatCloud
 from fourd.baking.splats.frames import SPLAT_SH_BASE, SPLAT_SH_RANGE, cloud_from_points, frame_from_splats
 from fourd.baking.splats.ply import is_splat_ply, read_splat_ply
 from fourd.baking.splats.raw import count_splats, read_splat
-from fourd.cameras import Camera, look_at
+from fourd.baking.splats.surrounding_cameras import cameras_around
 from fourd.errors import UserError
 from fourd.formats.ply import read_header, read_ply
 
@@ -22,11 +22,8 @@ SUFFIXES = (".ply", ".splat")
 SPLAT_LAYERS = 48
 """Maximum number of points that are composited per pixel. Splats are less opaque than fourd's points, so more splats
 must be composited."""
-CAMERAS = 8
-"""Number of cameras that are placed around the splats. Files of splats contain no cameras."""
 OUTLIERS = 2.0
 """Percentage of the splats that may lie outside the bounds, for each of the six sides."""
-IMAGE_SIZE, FOCAL = (960, 720), 800.0
 
 
 def open_reader(path: Path) -> SceneReader | SplatReader:
@@ -62,7 +59,7 @@ class SplatReader:
         lower, upper, focus = _extent(_read_cloud(self._files[0]).xyz)
         diagonal = max(float(np.linalg.norm(upper - lower)), 1e-6)
         up = np.array([0.0, -1.0, 0.0]) if _has_splats(self._files[0]) else np.array([0.0, 0.0, 1.0])
-        cameras = _cameras(focus, diagonal, up)
+        cameras = cameras_around(focus, diagonal, up)
         self.manifest = SceneManifest(
             source_names=(),
             source_cameras=(),
@@ -141,18 +138,3 @@ def _extent(xyz: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.f
     points = xyz.astype(np.float64)
     lower, middle, upper = np.percentile(points, [OUTLIERS, 50, 100 - OUTLIERS], axis=0)
     return lower, upper, middle
-
-
-def _cameras(focus: NDArray[np.float64], diagonal: float, up: NDArray[np.float64]) -> tuple[Camera, ...]:
-    """Cameras in a ring around the splats. ``up`` (3,) is one of the world's axes with a sign."""
-    width, height = IMAGE_SIZE
-    intrinsics = np.array([[FOCAL, 0, width / 2], [0, FOCAL, height / 2], [0, 0, 1]])
-    distance = 1.05 * diagonal * FOCAL / height
-    angles = 2 * np.pi * np.arange(CAMERAS) / CAMERAS
-    found = []
-    right = np.array([1.0, 0.0, 0.0])
-    front = np.cross(right, up)
-    for angle in angles:
-        side = np.sin(angle) * right + np.cos(angle) * front + 0.2 * up
-        found.append(look_at(focus + distance * side, focus, up, intrinsics, width, height))
-    return tuple(found)

@@ -1,4 +1,4 @@
-"""Render a run or a scene from capture cameras or along a camera path, as PNG files or an MP4."""
+"""Render a run, a scene or meshes from cameras or along a camera path, as PNG files or an MP4."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import track
 
+from fourd.baking.meshes.playable import PlayableMeshes
+from fourd.baking.meshes.source import is_mesh
 from fourd.baking.playable import Playable, find_view, open_playable, select_frames, selected_rate
 from fourd.cameras import Camera
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
@@ -31,12 +33,12 @@ class Arguments:
     """Writes the images OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, the command
     writes a video instead of images."""
 
-    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
-    """Run folder or .4dv file."""
+    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE|MESH")]]
+    """Run folder, .4dv file, mesh (.glb or .ply), or folder with a mesh for each frame."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for PNG files, or an .mp4 file."""
     views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None
-    """Names of the capture cameras to render from, separated by commas."""
+    """Names of the capture cameras to render from, separated by commas. For meshes: side 1 to side 8."""
     path: Annotated[
         Literal["orbit", "spiral", "cameras"] | None,
         option("{orbit,spiral,cameras}", "none; --views or --path is required"),
@@ -65,9 +67,7 @@ def run(arguments: Arguments) -> None:
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )
-    playable = open_playable(arguments.source)
-    if arguments.style is not None:
-        playable = StyledPlayable(playable, open_frame_source(arguments.source), load_style(arguments.style))
+    playable = _open(arguments)
     frames = select_frames(playable, arguments.frames)
     fps = arguments.fps or selected_rate(playable, frames)
     if arguments.views is not None:
@@ -75,6 +75,14 @@ def run(arguments: Arguments) -> None:
     else:
         written = _write_path(arguments, playable, frames, fps, console)
     console.print(f"{arguments.out}: {written} images", soft_wrap=True)
+
+
+def _open(arguments: Arguments) -> Playable:
+    style = None if arguments.style is None else load_style(arguments.style)
+    if is_mesh(arguments.source):
+        return PlayableMeshes(arguments.source, style)
+    playable = open_playable(arguments.source)
+    return playable if style is None else StyledPlayable(playable, open_frame_source(arguments.source), style)
 
 
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:

@@ -1,0 +1,1 @@
+"""Reading and drawing of triangle meshes without torch."""

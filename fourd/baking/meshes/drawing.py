@@ -1,0 +1,137 @@
+"""Drawing of triangle meshes: pictures, and the visible surface for styles."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.meshes.mesh import WHITE, Mesh
+from fourd.cameras import Camera
+from fourd.ops.meshes.arrays import draw_attributes
+from fourd.ops.stylize.parameters import Surface
+
+SAMPLES = 3
+"""Samples per pixel along each axis."""
+_NEAR_SHARE = 1e-4
+"""Smallest distance between near plane and camera, as a share of the distance of the farthest vertex."""
+
+
+@dataclass(frozen=True, eq=False)
+class GeometryBuffer:
+    """Sums over the samples of each pixel. Samples without a triangle contribute 0.
+
+    Attributes:
+        rgb: (H, W, 3) float32 colours in [0, 1].
+        depth: (H, W) float32 camera depths in world units.
+        normal: (H, W, 3) float32 unit normals in the camera's frame. They point to the side that the camera sees.
+        hits: (H, W) float32 number of samples with a triangle.
+        samples: number of samples per pixel.
+    """
+
+    rgb: NDArray[np.float32]
+    depth: NDArray[np.float32]
+    normal: NDArray[np.float32]
+    hits: NDArray[np.float32]
+    samples: int
+
+    @property
+    def alpha(self) -> NDArray[np.float32]:
+        """(H, W) float32 share of each pixel that the mesh covers, in [0, 1]."""
+        return self.hits / np.float32(self.samples)
+
+    def picture(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The mesh over a background colour (3,): (H, W, 3) float32 in [0, 1]."""
+        return self.rgb / np.float32(self.samples) + (1 - self.alpha)[..., None] * background
+
+    def surface(self) -> Surface:
+        """The input of the stylizer."""
+        alpha, hits = self.alpha, np.maximum(self.hits, 1)
+        coverage = np.clip(3 * alpha - 0.5, 0, 1)
+        depth = self.depth / hits
+        inverse = np.divide(coverage, depth, out=np.zeros_like(depth), where=depth > 0)
+        albedo = np.concatenate([self.rgb / np.float32(self.samples), alpha[..., None]], 2)
+        length = np.linalg.norm(self.normal, axis=2, keepdims=True)
+        unit = np.where(coverage[..., None] > 0, self.normal / np.maximum(length, 1e-12), 0)
+        normal = np.concatenate([np.rint(127 * unit) + 128, np.rint(255 * coverage)[..., None]], 2)
+        return Surface(np.rint(255 * albedo).astype(np.uint8), inverse.astype(np.float32), normal.astype(np.uint8))
+
+
+def draw_mesh(mesh: Mesh, camera: Camera, *, samples: int = SAMPLES, threads: int = 0) -> GeometryBuffer:
+    """Draw a mesh without lighting. Both sides of triangles are visible.
+
+    Args:
+        camera: pinhole camera.
+        samples: samples per pixel along each axis, at least 1.
+        threads: see :func:`fourd.ops.meshes.arrays.draw_attributes`.
+    """
+    size = (camera.height, camera.width)
+    rgb, normal = np.zeros((*size, 3), np.float32), np.zeros((*size, 3), np.float32)
+    depth, hits = np.zeros(size, np.float32), np.zeros(size, np.float32)
+    attributes = _attributes(mesh, camera)
+    for moved in _sample_cameras(camera, samples):
+        values, seen = draw_attributes(_clip(mesh.xyz, moved), mesh.triangles, attributes, size, threads)
+        rgb += _colours(mesh, values[..., 4:], seen)
+        depth += values[..., 0]
+        normal += _towards_camera(values[..., 1:4], moved)
+        hits += seen
+    return GeometryBuffer(rgb, depth, normal, hits, samples * samples)
+
+
+def _attributes(mesh: Mesh, camera: Camera) -> NDArray[np.float32]:
+    """Depth, normal in the camera's frame, and texture coordinates or colour of each vertex, (V, 6 or 7)."""
+    assert mesh.normals is not None
+    depth = mesh.xyz @ camera.rotation[2] + camera.translation[2]
+    if mesh.uv is not None:
+        last = mesh.uv
+    else:
+        grey = np.full((len(mesh.xyz), 3), WHITE, np.uint8)
+        last = (grey if mesh.rgb is None else mesh.rgb).astype(np.float32) / np.float32(255)
+    return np.concatenate([depth[:, None], mesh.normals @ camera.rotation.T, last], 1).astype(np.float32)
+
+
+def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
+    """Cameras whose pixel centres are the samples of the pixels."""
+    offsets = (np.arange(samples) + 0.5) / samples - 0.5
+    for down in offsets:
+        for right in offsets:
+            intrinsics = camera.intrinsics.copy()
+            intrinsics[:2, 2] -= (right, down)
+            yield replace(camera, intrinsics=intrinsics)
+
+
+def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Clip coordinates (V, 4). All points in front of the camera are between the near plane and the far plane."""
+    points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
+    depth = points[:, 2]
+    in_front = depth[depth > 0]
+    far = 2 * float(in_front.max(initial=1e-6))
+    near = max(0.5 * float(in_front.min(initial=far)), _NEAR_SHARE * far)
+    pixels = points @ camera.intrinsics.T
+    x, y = (2 * pixels[:, axis] / side - depth for axis, side in ((0, camera.width), (1, camera.height)))
+    z = ((far + near) * depth - 2 * far * near) / (far - near)
+    return np.stack([x, y, z, depth], 1).astype(np.float32)
+
+
+def _towards_camera(normal: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
+    """Unit normals (H, W, 3), reversed where the camera sees the back of a triangle."""
+    inverse = np.linalg.inv(camera.intrinsics)
+    x = inverse[0, 0] * (np.arange(camera.width) + 0.5) + inverse[0, 2]
+    y = inverse[1, 1] * (np.arange(camera.height) + 0.5) + inverse[1, 2]
+    skew = inverse[0, 1] * (np.arange(camera.height) + 0.5)
+    along = normal[..., 0] * (x[None] + skew[:, None]) + normal[..., 1] * y[:, None] + normal[..., 2]
+    length = np.linalg.norm(normal, axis=2)
+    scale = np.where(along > 0, -1, 1) / np.maximum(length, 1e-12)
+    return np.asarray(normal * scale[..., None], np.float32)
+
+
+def _colours(mesh: Mesh, values: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    if mesh.texture is None:
+        return values
+    height, width = mesh.texture.shape[:2]
+    x, y = values[..., 0] * np.float32(width) - 0.5, values[..., 1] * np.float32(height) - 0.5
+    colours = cv2.remap(mesh.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.where(seen[..., None], colours.astype(np.float32) / np.float32(255), 0)

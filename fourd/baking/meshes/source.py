@@ -1,0 +1,65 @@
+"""Files of triangle meshes: one mesh, or a folder with one mesh for each frame."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from fourd.baking.meshes.glb import read_glb_mesh
+from fourd.baking.meshes.mesh import Mesh
+from fourd.baking.meshes.ply import read_ply_mesh
+from fourd.errors import UserError
+from fourd.formats.ply import read_header
+
+ANIMATION_NAME = "animation.glb"
+"""File of `fourd mesh` with all frames, which the folder also has as single files."""
+
+
+def is_mesh(path: Path) -> bool:
+    """Whether a path names a GLB file, a PLY file with triangles, or a folder of such files that is not a run.
+
+    Raises UserError if a PLY file has no valid header.
+    """
+    if path.is_dir():
+        return not (path / "config.yaml").exists() and any(is_mesh(file) for file in _list_files(path)[:1])
+    if path.suffix.lower() == ".glb":
+        return True
+    return path.suffix.lower() == ".ply" and path.is_file() and read_header(path).faces is not None
+
+
+class MeshSource:
+    """Reads meshes. Each call reads the requested frame from its file.
+
+    Args:
+        path: a file, or a folder with one file for each frame.
+
+    Attributes:
+        frame_numbers: the number of each frame, from the names of the files.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._files = _list_files(path) if path.is_dir() else [path]
+        numbers = tuple(_last_number(file) for file in self._files)
+        self.frame_numbers = numbers if len(set(numbers)) == len(numbers) else tuple(range(len(numbers)))
+
+    def read(self, index: int) -> Mesh:
+        """Read frame ``index``, from 0. Raises UserError if its file is not a valid mesh."""
+        file = self._files[index]
+        if file.suffix.lower() == ".ply" and read_header(file).faces is None:
+            raise UserError(f"{file}: expected a mesh as in the other files, got points; remove the file")
+        return read_ply_mesh(file) if file.suffix.lower() == ".ply" else read_glb_mesh(file)
+
+
+def _list_files(folder: Path) -> list[Path]:
+    """The files of meshes in a folder in the order of their frames. GLB files have priority over PLY files."""
+    files = [file for file in folder.iterdir() if file.is_file() and file.name != ANIMATION_NAME]
+    for suffix in (".glb", ".ply"):
+        found = [file for file in files if file.suffix.lower() == suffix]
+        if found:
+            return sorted(found, key=lambda file: (_last_number(file), file.name))
+    return []
+
+
+def _last_number(file: Path) -> int:
+    numbers = re.findall(r"\d{1,15}", file.stem)
+    return int(numbers[-1]) if numbers else 0

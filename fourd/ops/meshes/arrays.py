@@ -1,0 +1,44 @@
+"""Rasterization of triangles for NumPy arrays, with the CPU kernels. This module needs no torch."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.ops.loading import load_native, simd_name, thread_count
+
+
+def draw_attributes(
+    positions: NDArray[np.float32],
+    triangles: NDArray[np.int32],
+    attributes: NDArray[np.float32],
+    size: tuple[int, int],
+    threads: int = 0,
+) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+    """Interpolate vertex attributes with correct perspective at the nearest triangle of each pixel centre.
+
+    Args:
+        positions: (V, 4) clip coordinates.
+        triangles: (T, 3) vertex indices, all from 0 to V - 1, which callers check.
+        attributes: (V, C).
+        size: (height, width) of the image in pixels, each 1 to 32768.
+        threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
+
+    Returns:
+        values (H, W, C), 0 where there is no triangle, and whether each pixel has a triangle (H, W).
+
+    Raises:
+        ImportError: if the native module is not built.
+        ValueError, TypeError: for an array of another shape or dtype.
+    """
+    native, count, simd = load_native(), thread_count(threads), simd_name()
+    triangles = np.ascontiguousarray(triangles)
+    rast = np.empty((1, *size, 4), np.float32)
+    native.rasterize_triangles(np.ascontiguousarray(positions)[None], triangles, None, None, count, simd, rast, None)
+    values = np.empty((1, *size, attributes.shape[1]), np.float32)
+    derivatives = np.empty((1, *size, 0), np.float32)
+    channels = np.empty(0, np.int32)
+    native.interpolate_attributes(
+        np.ascontiguousarray(attributes)[None], rast, triangles, None, channels, count, simd, values, derivatives
+    )
+    return values[0], rast[0, ..., 3] > 0
