@@ -34,7 +34,7 @@ class Session:
         error: the error of the last scene that could not be opened, or None.
         is_waiting: whether the current frame is still being read.
         style_name: the preset or the path of the style file that was chosen, or None for the captured colours. The
-            style in ``settings`` may have been changed since.
+            user may have changed the style in ``settings`` after this choice.
         style_file: path of the last style file, or None.
     """
 
@@ -248,7 +248,7 @@ class Session:
         return result
 
     def _announce_estimates(self) -> None:
-        """Tell the user why a styled scene without normals stutters at first."""
+        """Tell the user why the first playback of a styled scene without normals is slow."""
         scene = self.scene
         if scene is not None and self.settings.style is not None and not scene.has_normals:
             self.message = (

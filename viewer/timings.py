@@ -31,7 +31,7 @@ class Timings:
             self._current[part] += 1e3 * (time.perf_counter() - started)
 
     def move(self, source: str, target: str, seconds: float) -> None:
-        """Count up to ``seconds`` of the current image's time of the part ``source`` as time of ``target``."""
+        """Move up to ``seconds`` from the time of the part ``source`` of the current image to the part ``target``."""
         moved = min(1e3 * seconds, self._current[source])
         self._current[source] -= moved
         self._current[target] += moved

@@ -16,7 +16,7 @@ from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererN
 from fourd.viewer.window import Window
 
 _FAINT = 0.01
-"""Share of the strength of a line that may be missing in a settled image."""
+"""Share of the final strength of a line that may still be missing when no further images are drawn."""
 
 
 class WindowRenderer:
@@ -35,8 +35,8 @@ class WindowRenderer:
 
     @property
     def is_settling(self) -> bool:
-        """Whether lines of the last image gain strength if the image is drawn again, because its frame is new and its
-        camera is not."""
+        """Whether lines of the last image gain strength if the image is drawn again. Lines fade in after a change of
+        the frame, but not after a change of the camera."""
         return self._unsettled_images > 0
 
     @property
@@ -114,5 +114,5 @@ class WindowRenderer:
 
 
 def _images_to_settle(persistence: float) -> int:
-    """Number of further images of a frame until its lines have their strength."""
+    """Number of further images of a frame until its lines have their final strength."""
     return math.ceil(math.log(_FAINT) / math.log(persistence)) if persistence > 0 else 0

@@ -37,9 +37,10 @@ used."""
 MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
 """Minimum and maximum frame rate in 1/s. Scenes have the same limits."""
 PROBE_THREADS = 2
-"""Number of threads that decode the first and the last frame of a video, each of which keeps several frames."""
+"""Number of threads that decode the first and the last frame of a video. The number is small, because each thread keeps
+several frames in memory."""
 FRACTIONS = ("start", "fps", "tick")
-"""Fields of an index that JSON stores as text."""
+"""Fields of an index that are stored in JSON as text, for example "30000/1001"."""
 GAP = 1.5
 """An interval between two frames contains dropped frames if it is longer than the median interval times this factor."""
 

@@ -29,7 +29,7 @@ VERSION = 2
 OFFSET_DECIMALS = 4
 MAX_OFFSET = 1e9
 MAX_PIXELS = 1 << 28
-"""Maximum number of pixels of a frame. A video has fewer frames than bytes."""
+"""Maximum number of pixels of a frame."""
 MAX_DRIFT_FRAMES = 0.5
 """Two frame rates count as equal if two videos with these rates drift apart by at most this number of frames."""
 

@@ -61,9 +61,10 @@ FILE_ERRORS = (
 """File system errors that the user can fix."""
 
 MAX_MESSAGE = 4000
-"""Number of characters of an error message. Longer messages quote long text from a file."""
+"""Maximum number of characters of an error message. The middle of a longer message, which quotes text from a file, is
+left out."""
 MAX_SHOWN = 200
-"""Number of characters of a wrong name that an error message shows."""
+"""Maximum number of characters of a wrong name that an error message shows."""
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
@@ -178,7 +179,7 @@ def _report_errors(words: list[str]) -> int:
     except RecursionError:
         return _fail(words[0], "expected files of moderate depth, got deeply nested content; restore the files")
     except UnicodeEncodeError as error:
-        # Paths with other bytes are text with lone surrogates, which cannot be stored.
+        # Python reads paths that are not UTF-8 as text with lone surrogates, which cannot be encoded.
         got = f"got {printable(str(error.object))[:MAX_SHOWN]}"
         return _fail(words[0], f"expected names of files and cameras in UTF-8, {got}; rename the file or the folder")
     except BrokenExecutor:

@@ -1,4 +1,4 @@
-"""Measure what styles cost on the CPU, on top of playing.
+"""Measure how much time styles add to the drawing of an image on the CPU.
 
     python tools/styles/cost.py                      # 262,144 points at 1920 x 1080
     python tools/styles/cost.py scene.4dv --frame 3
@@ -7,8 +7,8 @@ Each round draws one image without a style and one image in each style, from a r
 median time of an image without a style, and for each style
 
 - the median of the time that the style adds, over the rounds,
-- the median of the ratio of both times, over the rounds,
-- the part of the time that the stylizer takes. The rest is for the depths and normals of the points.
+- the median of the ratio of the times with and without the style, over the rounds,
+- the time of the stylizer. The rest of the added time is for the depths and normals of the points.
 """
 
 from __future__ import annotations

@@ -49,7 +49,8 @@ class GLRenderer:
 
     @property
     def style_seconds(self) -> float:
-        """Time of the stylizer on the GPU in the last image whose time is known, in seconds. 0 without a style."""
+        """Time of the stylizer on the GPU in the last image whose time is known, in seconds. Without a style, the time
+        is 0."""
         return 0.0 if self._styled is None else self._styled.style_seconds
 
     @property

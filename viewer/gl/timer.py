@@ -23,7 +23,7 @@ class GPUTimer:
 
     @property
     def seconds(self) -> float:
-        """Duration of the last block whose result is known, in seconds. 0 before the first result."""
+        """Duration of the last block whose result is known, in seconds. The duration is 0 before the first result."""
         while self._pending and _value(self._pending[0], GL.GL_QUERY_RESULT_AVAILABLE):
             self._seconds = 1e-9 * _value(self._pending.pop(0), GL.GL_QUERY_RESULT)
         return self._seconds

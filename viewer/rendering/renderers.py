@@ -53,7 +53,7 @@ class Renderer(Protocol):
 
     @property
     def style_seconds(self) -> float:
-        """Time of the stylizer in the last image whose time is known, in seconds. 0 without a style.
+        """Time of the stylizer in the last image whose time is known, in seconds. Without a style, the time is 0.
 
         The drawing of depths and normals is not included. OpenGL renderers measure the time on the GPU.
         """

@@ -31,7 +31,7 @@ _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 _MOST_VALUE = 1e300
 _MOST_TEXT = 1000
-"""Number of characters of a text from a file that is shown."""
+"""Maximum number of characters that are shown of a text from a file."""
 
 
 @dataclass(frozen=True)

@@ -82,8 +82,8 @@ uint summed_taps(ivec2 pixel) {
     return floatBitsToUint((corners + arms) + tap_depth(pixel, 0, 0)) & 0xffff0000u;
 }
 
-// Returns the strength of the line at a pixel in [0, 1], and the state for the next image. Where the previous image has a
-// line, the thresholds are lower. Where the surface rests, lines gain strength slowly.
+// Returns the strength of the line at a pixel in [0, 1], and the state for the next image. Where the previous image has
+// a line, the thresholds are lower than elsewhere. Where the surface rests, lines gain strength slowly.
 float find_line(ivec2 pixel, out uint state) {
     state = 0u;
     if (line_filter == 0) return 0.0;
