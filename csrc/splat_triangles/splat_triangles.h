@@ -38,8 +38,8 @@ struct Image {
     float* features;       // (height, width, channels without geometry).
     float* alpha;          // (height, width).
     float* transmittance;  // (height, width): 1 - alpha, but more accurate than the difference computed from alpha.
-    float* normal;         // (height, width, 3). Null without geometry.
-    float* depth;          // (height, width). Where alpha is 0, depth is 0. Null without geometry.
+    float* normal;         // (height, width, 3), or null without geometry.
+    float* depth;          // (height, width), or null without geometry. Where alpha is 0, depth is 0.
 };
 
 // The image of the forward pass, and the gradients with respect to this image.

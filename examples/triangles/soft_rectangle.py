@@ -4,9 +4,10 @@
 
 The two rectangles do not overlap at first. A hard rasterizer gives no gradient that moves the rectangle towards the
 target, because no pixel of the target is near the rectangle. In the soft rasterizer (SoftRas, Liu et al. 2019), every
-triangle contributes to every pixel with a weight that decreases with the distance. The width of the decrease, sigma,
-shrinks during the fit, so that the result is sharp. The target has the same sigma. With a sharp target, the rectangle
-would shrink until it is empty, because its pixels are wrong and no pixel of the target is near.
+triangle contributes to every pixel with a weight that decreases with the distance of the pixel from the triangle. The
+width of the decrease, sigma, shrinks during the fit, so that the result is sharp. The target is rendered with the same
+sigma. With a sharp target, the rectangle would shrink until it is empty, because its pixels are wrong and no pixel of
+the target is near.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ class Machine:
     torch: str
     fourd: str
     commit: str | None
-    """Git commit of the source folder. A "+" marks uncommitted changes. None outside a repository."""
+    """Git commit of the source folder, or None outside a repository. A "+" marks uncommitted changes."""
 
     def __str__(self) -> str:
         built = self.fourd if self.commit is None else f"{self.fourd} ({self.commit})"

@@ -114,8 +114,8 @@ class RigFit:
     thickness_m: float = 0.0
 
     def rms(self, camera: int, held_out: bool) -> float | None:
-        """Root mean square error of a camera in pixels, on held-out frames or on the other frames. None if there are no
-        such frames."""
+        """Root mean square error of a camera in pixels, on held-out frames or on the other frames. The result is None
+        if there are no such frames."""
         rows = (self.corners.camera == camera) & (self.held_out[self.corners.board] == held_out)
         return float(np.sqrt(np.mean(self.errors[rows] ** 2))) if rows.any() else None
 

@@ -32,11 +32,11 @@ class MatteQuality:
     Attributes:
         names: camera names.
         frames: frame numbers (F,) of the measured frames, as in the capture.
-        explained: (F, C) share in [0, 1] of each matte that the hull of the other views covers. NaN if the matte is
-            empty.
-        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers. NaN if the matte is empty.
-        overlap: (F, C) intersection over union of each matte and the silhouette of the hull of all views. NaN if the
-            matte is empty.
+        explained: (F, C) share in [0, 1] of each matte that the hull of the other views covers, or NaN for an empty
+            matte.
+        kept: (F, C) share in [0, 1] of each matte that the hull of all views covers, or NaN for an empty matte.
+        overlap: (F, C) intersection over union of each matte and the silhouette of the hull of all views, or NaN for an
+            empty matte.
         area: (F, C) share in [0, 1] of the image that each matte covers.
     """
 

@@ -130,8 +130,8 @@ class ViewStore:
 
 
 def _matte_window(matte: NDArray[np.uint8]) -> tuple[int, int, int, int]:
-    """(left, top, width, height) of the matte's bounding box with a margin. For an empty matte, the window is the top
-    left corner of the image."""
+    """(left, top, width, height) of the matte's bounding box with a margin. For an empty matte, the window is a square
+    of EMPTY_CROP_PX at the top left of the image."""
     height, width = matte.shape
     left, top, box_width, box_height = cv2.boundingRect(matte)
     if box_width == 0:

@@ -47,8 +47,8 @@ class FittedFrame:
     Attributes:
         mesh: the opaque mesh.
         steps: number of optimization steps that were done.
-        soft: scores of the soft triangles in held-out views. None if there are no held-out views or no soft phase.
-        opaque: scores of the mesh in held-out views. None if there are no held-out views.
+        soft: scores of the soft triangles in held-out views, or None if there are no held-out views or no soft phase.
+        opaque: scores of the mesh in held-out views, or None if there are no held-out views.
         is_interrupted: whether Ctrl-C ended the fit early.
     """
 

@@ -34,7 +34,8 @@ CHUNK = 1 << 14
 LOCAL_HEADER, SIZES_AT, NAME_LENGTH_AT = 30, 18, 26
 """Size of a local file header in a ZIP archive, and the offsets of two fields in it (ZIP appnote 4.3.7)."""
 CREDIT_SECONDS = 0.05
-"""Time that the server may catch up if the operating system wakes it late."""
+"""Maximum delay for which the server compensates by sending faster. Delays occur if the operating system wakes the
+server late."""
 PLAY = """
 async (milliseconds) => {
   const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));

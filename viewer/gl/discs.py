@@ -154,7 +154,8 @@ class Discs:
             program.release()
 
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
-        """Pixels by which sprites can extend past the image. None if sprites may exceed the driver's limits."""
+        """Number of pixels by which sprites can extend past the image, or None if sprites may exceed the driver's
+        limits."""
         # The first bound is fast to compute. For scenes with a background, the first bound is too large, because the
         # points of the background have large radii but are far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):

@@ -28,7 +28,7 @@ class LiveSite:
         folder: the folder of the site. The folder must not exist.
         tier: tier to which an unpacked scene is packed.
         console: prints progress and errors of updates.
-        styles: the styles that the page offers, by name. None for the presets.
+        styles: the styles that the page offers, by name. If None, the page offers the presets.
 
     Raises:
         UserError: if the source is not a scene and not a run with a checkpoint.

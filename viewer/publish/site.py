@@ -51,7 +51,7 @@ def write_site(
         title: title of the page, by default the name of the file.
         track: reports progress.
         level: level of the tier, see :func:`fourd.baking.packing.pack.pack_scene`.
-        styles: the styles that the page offers, by name. None for the presets.
+        styles: the styles that the page offers, by name. If None, the page offers the presets.
         has_normals: whether the scene has normals, which styles need. Normals that the source lacks are estimated.
 
     Raises:

@@ -158,8 +158,8 @@ std::size_t entry_bytes(std::size_t count, int sums, int width, int height, std:
 }
 
 // Builds the entries of `count` primitives, and allocates `sums` floats per primitive. project_into(entries) returns a
-// kernel that is called with the index of each primitive. The kernel writes the elements with this index of by_index,
-// keys (the bits of the depth, or kCulled) and values (the index).
+// kernel that is called with the index i of each primitive. The kernel writes by_index[i], keys[i] and values[i]. The
+// key is kCulled or the bits of the depth, and the value is i.
 template <typename Splat, typename ProjectInto>
 Entries<Splat> fill(const device::Executor& executor, std::size_t count, int width, int height,
                     const EntryBuffer& buffer, int sums, const ProjectInto& project_into) {

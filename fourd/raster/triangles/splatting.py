@@ -28,10 +28,10 @@ class TriangleRender:
     Attributes:
         features: (H, W, C) composited features.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) weighted mean of the camera depths of the composited triangles' centres, in world units. 0 where
-            ``alpha`` is 0. None if ``geometry`` is false.
+        depth: (H, W) weighted mean of the camera depths of the composited triangles' centres, in world units, or None
+            if ``geometry`` is false. The depth is 0 where ``alpha`` is 0.
         normal: (H, W, 3) weighted sum of the unit normals of the composited triangles, in world coordinates and
-            pointing towards the camera. None if ``geometry`` is false.
+            pointing towards the camera, or None if ``geometry`` is false.
         weight: (T,) largest compositing weight of each triangle over all pixels, not differentiable. The weight is 0 if
             the triangle is not visible.
     """

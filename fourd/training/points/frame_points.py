@@ -40,8 +40,8 @@ class FramePoints:
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of steps in which these points were trained.
         initial_count: scalar, number of points before training.
-        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. None before the first
-            fit, and after points were added or removed.
+        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. The planes are None
+            before the first fit, and after points were added or removed.
     """
 
     spacing: Tensor

@@ -97,7 +97,7 @@ def test_any_thread_count_gives_the_same_bits(boundary_mode: str, rng: np.random
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_a_mip_gives_the_values_and_gradients_of_a_built_in_chain(backend: str, rng: np.random.Generator) -> None:
-    """Catches a Mip that cuts the gradient of the texture, and mips of another level count."""
+    """Catches a Mip through which no gradient reaches the texture, and a Mip with a wrong number of levels."""
     for boundary_mode in ("wrap", "cube"):
         lookup = random_lookup(rng, boundary_mode)
         upstream = torch.from_numpy(rng.standard_normal((2, 30, 40, 3)).astype(np.float32))
