@@ -150,8 +150,8 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 
 
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
-    """Flicker of successive frames from a held-out camera, as a share of the true changes. For a single frame, the share
-    is 0."""
+    """Flicker of successive frames from a held-out camera, as a share of the true changes. For a single frame, the
+    share is 0."""
     first = max(0, (trained.run.capture.frame_count - frames) // 2)
     shown = range(first, min(first + frames, trained.run.capture.frame_count))
     if len(shown) < 2:

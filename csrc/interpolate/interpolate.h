@@ -37,9 +37,9 @@ void interpolate(const Query& query, float* out, float* out_da);
 struct Gradients {
     const float* out;     // (images, height, width, channels).
     const float* out_da;  // (images, height, width, 2 diff_count); null if diff_count is 0.
-    float* attr;          // The shape is that of Query::attr. May be null.
-    float* rast;          // (images, height, width, 4); may be null. The last two channels are set to 0.
-    float* rast_db;       // (images, height, width, 4); may be null.
+    float* attr;          // Null, or an array in the shape of Query::attr.
+    float* rast;          // (images, height, width, 4), or null. The last two channels are set to 0.
+    float* rast_db;       // (images, height, width, 4), or null.
 };
 
 // Overwrites the gradients of the inputs.

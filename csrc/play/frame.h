@@ -11,7 +11,7 @@ struct Frame {
     shade::Points points;
     const std::uint16_t* radius;   // Shape (count,), as float16 in world units.
     const std::uint16_t* density;  // (count,), as float16.
-    const std::uint8_t* normals = nullptr;  // (count, 2): octahedral normals (points/octahedral.h). May be null.
+    const std::uint8_t* normals = nullptr;  // (count, 2): octahedral normals (points/octahedral.h), or null.
 };
 
 }  // namespace fourd::play

@@ -15,7 +15,7 @@ struct Maps {
     const float* images;    // (views, 3, height, width).
     const float* mattes;    // (views, height, width). Values are in [0, 1].
     const float* depth;     // (views, height, width): depth of the nearest surface. Null disables the occlusion test.
-    const float* features;  // (views, feature_height, feature_width, channels). May be null.
+    const float* features;  // (views, feature_height, feature_width, channels), or null.
     int width, height;
     int channels, feature_width, feature_height;  // All three numbers are 0 if there are no features.
 };
@@ -42,7 +42,7 @@ struct Samples {
 // The visibility is treated as constant.
 struct Gradients {
     float* xyz;       // (count, 3).
-    float* features;  // The shape is that of Maps::features. May be null.
+    float* features;  // Null, or an array in the shape of Maps::features.
 };
 
 // The four samples around a projected point, in the image of a view.

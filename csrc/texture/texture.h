@@ -42,8 +42,8 @@ struct Query {
     Filter filter;
     Boundary boundary;
     const float* uv;      // (pictures, pixels, 2), or (pictures, pixels, 3) for a cube.
-    const float* uv_da;   // (pictures, pixels, 4), or (pictures, pixels, 6) for a cube. May be null.
-    const float* bias;    // (pictures, pixels), added to the mip level. May be null. Only filters with mip levels read
+    const float* uv_da;   // (pictures, pixels, 4), or (pictures, pixels, 6) for a cube, or null.
+    const float* bias;    // (pictures, pixels), added to the mip level, or null. Only filters with mip levels read
                           // uv_da and bias.
     std::size_t pictures, pixels;
     int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.

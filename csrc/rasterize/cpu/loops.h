@@ -34,9 +34,9 @@ struct Tile {
     std::size_t count;        // Number of pieces.
     int column, row;          // Position of the first pixel of the tile.
     Records records;          // Scratch memory for at least `count` records.
-    const float* previous;    // (height, width, 4): `rast` of the previous layer; may be null.
+    const float* previous;    // (height, width, 4): `rast` of the previous layer, or null.
     float* rast;              // (height, width, 4).
-    float* rast_db;           // (height, width, 4); may be null.
+    float* rast_db;           // (height, width, 4), or null.
 };
 
 // The inputs of the gradient of a tile. A slot is a triangle that is visible in the tile.
@@ -51,7 +51,7 @@ struct GradientTile {
     Records records;               // Scratch memory for at least `slots` records.
     float* sums;                   // Scratch memory for at least (slots, kSumStride) floats.
     const float* grad_rast;        // (height, width, 4).
-    const float* grad_db;          // (height, width, 4); may be null.
+    const float* grad_db;          // (height, width, 4), or null.
     float* out;                    // (slots, 12): gradients of x, y, z and w of the three vertices.
 };
 

@@ -65,7 +65,7 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
 struct Target {
     Screen screen;
     std::uint64_t* keys;    // (images, height, width).
-    const float* previous;  // (images, height, width, 4): the previous layer; may be null.
+    const float* previous;  // (images, height, width, 4): the previous layer, or null.
 
     FOURD_DEVICE std::size_t pixel(std::size_t image, int column, int row) const {
         return (image * screen.height + row) * screen.width + column;
