@@ -55,7 +55,7 @@ class CameraPair:
 
     Attributes:
         first, second: indices of the cameras.
-        pose: pose (one motion) from the second camera's coordinates to the first camera's coordinates.
+        pose: one pose, from the second camera's coordinates to the first camera's coordinates.
         frames: number of frames in which both cameras see the board.
     """
 
@@ -207,7 +207,7 @@ def _fit_lens(
 
 
 def _relative_pose(shared: Sequence[tuple[LocatedView, LocatedView]]) -> Poses:
-    """Relative pose (one motion) of two cameras: the candidate that is nearest to the candidates of all frames.
+    """One pose, the relative pose of two cameras: the candidate that is nearest to the candidates of all frames.
 
     Each frame gives up to four candidates, because each view has up to two poses. The chosen candidate has the smallest
     median distance to the nearest candidate of each frame.

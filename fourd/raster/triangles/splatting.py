@@ -84,7 +84,7 @@ def splat_triangles(
         near: camera depth of the near plane, in world units. Triangles with a vertex nearer than this depth are culled.
             Triangles are also culled if they are thinner than 1e-4 pixels, if their opacity is below 1/255, if their
             sigma is not positive, or if one of their values is not finite. Culled triangles have zero gradients.
-        geometry: whether to render depths and normals. Rendering only colours takes about 40% less time than with both.
+        geometry: whether to render depths and normals. Without them, rendering takes about 40% less time.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
