@@ -27,7 +27,7 @@ MAX_PX = 800
 FEW_PICTURES = 3
 """Number of images that are searched first.
 
-Only if no board is found in them, all images are searched, because searching an image for all dictionaries is slow.
+The other images are searched only if these images show no board, because the search for all dictionaries is slow.
 """
 MAX_TRIALS = 60
 """Number of random samples per homography. A small number is enough, because most markers are detected correctly."""
