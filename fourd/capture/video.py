@@ -136,8 +136,9 @@ def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
         parser: the child process to use, or None to start one.
 
     Raises:
-        UserError: if the file is not a video, is truncated, or has fewer than 2 frames or frames without times. Also if
-            the metadata mirrors the frames, or turns them by an angle that is not a multiple of 90 degrees.
+        UserError: if the file is not a video, is truncated, or has fewer than 2 frames or frames without times. This
+            error is also raised if the metadata mirrors the frames, or turns them by an angle that is not a multiple of
+            90 degrees.
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy the video again")

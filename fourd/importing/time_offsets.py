@@ -82,8 +82,8 @@ def estimate_offsets_of(
     otherwise. The log states the method and the reason for it.
 
     Raises:
-        UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. With "sound", also if a
-            soundtrack is missing, is silent, or has nothing in common with the others.
+        UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. With "sound", this error
+            is also raised if a soundtrack is missing, is silent, or has nothing in common with the others.
     """
     rate = float(min((index.fps for index in indices.values()), default=Fraction(1)))
     if method != "motion":

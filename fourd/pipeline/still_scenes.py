@@ -28,8 +28,8 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
     """Whether a capture has no mattes and shows no motion. Captures with only one selected frame show no motion.
 
     Raises:
-        UserError: if nothing moves and ``train.scene`` is ``object``, because object scenes need mattes. Also if the
-            capture cannot be opened.
+        UserError: if the capture cannot be opened, or if nothing moves and ``train.scene`` is ``object``. Object scenes
+            need mattes.
     """
     if has_masks(capture) or (capture / MATTES).is_dir():
         return False

@@ -54,7 +54,7 @@ class Arguments:
 
 @dataclass
 class Times:
-    """Seconds per image in a style, and the part of the stylizer."""
+    """Seconds per image in a style, and the seconds of the stylizer, which are a part of this time."""
 
     styled: list[float] = field(default_factory=list)
     stylizer: list[float] = field(default_factory=list)

@@ -45,7 +45,7 @@ from fourd.viewer.rendering.renderers import Renderer, RendererName, make_render
 SAME_DEPTH = 0.02
 SAME_NORMAL = float(np.cos(np.radians(15)))
 VISIBLE = 128
-"""Minimum strength of a line. At pixels below this strength, there is no line."""
+"""A pixel counts as a line pixel if the strength of the line there is at least this value, from 0 to 255."""
 
 
 @dataclass(frozen=True)

@@ -64,7 +64,7 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
         folder.with_name(f"{folder.name}{LOCK_SUFFIX}").unlink(missing_ok=True)
     lock.close()
     with contextlib.suppress(OSError):
-        folder.parent.rmdir()  # succeeds only if there is no other scratch folder
+        folder.parent.rmdir()  # rmdir succeeds only if there is no other scratch folder
 
 
 def _remove_leftovers(parent: Path) -> None:
