@@ -139,10 +139,12 @@ def test_export_packs_scenes(made: Path, tmp_path: Path, capsys: pytest.CaptureF
     assert "--max-mbps: expected at least" in (error := capsys.readouterr().err)
     assert str(out) in error
     assert list(tmp_path.iterdir()) == []
-    assert main(["export", str(run), "-o", str(out), "--tier", "stream"]) == 0
-    encoding = SceneReader(out).manifest.encoding
-    assert encoding is not None
-    assert encoding.tier == "stream"
+    for tier in ("video", "stream"):
+        assert main(["export", str(run), "-o", str(out), "--tier", tier]) == 0
+        encoding = SceneReader(out).manifest.encoding
+        assert encoding is not None
+        assert encoding.tier == tier
+        assert ("PSNR of the colours in the source views" in capsys.readouterr().err) == (tier == "video")
     assert [path.name for path in tmp_path.iterdir()] == ["packed.4dv"]
     assert out.stat().st_size < made.stat().st_size / 2
 

@@ -16,7 +16,7 @@ import tyro
 
 from fourd.files import atomic_path
 
-MARKERS = {"full": "s", "stream": "o", "light": "^"}
+MARKERS = {"full": "s", "stream": "o", "video": "D", "light": "^"}
 
 
 @dataclass(frozen=True)

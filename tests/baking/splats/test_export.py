@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import struct
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from fourd.cameras import estimate_up
 from fourd.errors import UserError
 from fourd.formats.ply import read_ply, write_ply
 from tests.baking.scenes import write_scene
+from tests.viewer.web.npm import installed
 
 PACKAGES = {"spz": "gsply", "usd": "pxr"}
 
@@ -109,6 +111,28 @@ def test_glb_has_the_attributes_of_the_extension(scene_path: Path, tmp_path: Pat
     np.testing.assert_allclose(np.linalg.norm(column("KHR_gaussian_splatting:ROTATION"), axis=1), 1, atol=1e-5)
     assert column("KHR_gaussian_splatting:SH_DEGREE_1_COEF_2").shape == (len(cloud), 3)
     np.testing.assert_allclose(column("KHR_gaussian_splatting:SH_DEGREE_0_COEF_0"), cloud.sh[..., 0], atol=1e-4)
+
+
+def test_the_khronos_validator_rejects_only_the_names_of_the_extension(scene_path: Path, tmp_path: Path) -> None:
+    """Catches violations of the glTF specification. The validator does not know the extension, whose attributes it
+    reports as invalid names."""
+    package = installed("gltf-validator")
+    (path,) = export(scene_path, tmp_path / "frame.glb", "glb", (1,))
+    program = (
+        f"const validator = require({json.dumps(str(package))});"
+        f"const bytes = new Uint8Array(require('fs').readFileSync({json.dumps(str(path))}));"
+        "const names = ['MESH_PRIMITIVE_INVALID_ATTRIBUTE'];"
+        "Promise.all([{}, {ignoredIssues: names}].map((options) => validator.validateBytes(bytes, options)))"
+        ".then((reports) => console.log(JSON.stringify(reports.map((report) => report.issues))));"
+    )
+    printed = subprocess.run(["node", "-e", program], capture_output=True, text=True, check=True)
+    strict, tolerant = json.loads(printed.stdout)
+    errors = [message for message in strict["messages"] if message["severity"] == 0]
+    assert len(errors) == 12
+    for message in errors:
+        assert message["code"] == "MESH_PRIMITIVE_INVALID_ATTRIBUTE"
+        assert "/attributes/KHR_gaussian_splatting:" in message["pointer"]
+    assert (tolerant["numErrors"], tolerant["numWarnings"]) == (0, 0), tolerant
 
 
 def test_spz_has_y_up(scene_path: Path, tmp_path: Path) -> None:
