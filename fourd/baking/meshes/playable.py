@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.meshes.drawing import GeometryBuffer, draw_mesh
 from fourd.baking.meshes.mesh import Mesh
+from fourd.baking.meshes.smoothing import smooth_normals
 from fourd.baking.meshes.source import MeshSource
 from fourd.baking.splats.surrounding_cameras import cameras_around
 from fourd.baking.styled.player import is_same_camera
@@ -23,7 +24,7 @@ class PlayableMeshes:
     """One mesh, or a sequence of meshes, with cameras in a ring around the first, middle and last mesh.
 
     The class implements :class:`fourd.baking.playable.Playable`. While the camera rests, lines of a style are steady as
-    those of :class:`fourd.baking.styled.player.StyledPlayer`. The surface itself has no noise, so it is not averaged.
+    those of :class:`fourd.baking.styled.player.StyledPlayer`. The surface is not averaged over time.
 
     Args:
         path: a GLB or PLY file, or a folder with one file for each frame.
@@ -83,5 +84,6 @@ class PlayableMeshes:
 
     def _read(self, index: int) -> Mesh:
         if self._last is None or self._last[0] != index:
-            self._last = (index, self._source.read(index))
+            mesh = self._source.read(index)
+            self._last = (index, mesh if self._style is None else smooth_normals(mesh))
         return self._last[1]

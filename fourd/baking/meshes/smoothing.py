@@ -1,0 +1,41 @@
+"""Smoothing of the normals of meshes, because small dents of a surface would show as speckle in a drawing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.meshes.mesh import Mesh
+
+ROUNDS = 8
+"""How often each normal is replaced by the mean of the normals around it. Eight rounds over the neighbours in a mesh
+average over about the same part of a surface as the three rounds of :mod:`fourd.stylize.normals`."""
+
+
+def smooth_normals(mesh: Mesh, rounds: int = ROUNDS) -> Mesh:
+    """Return the mesh with smoothed normals. Positions do not change.
+
+    Vertices of equal position and normal, such as those at the border of two texture charts, count as one vertex.
+    Vertices of equal position and different normals are a sharp edge, which stays sharp.
+    """
+    assert mesh.normals is not None
+    rows = np.concatenate([mesh.xyz, np.round(mesh.normals, 3)], 1)
+    _, first, vertex = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    vertex = vertex.ravel()
+    normals = mesh.normals[first].astype(np.float64)
+    begin, end = _edges(vertex[mesh.triangles]).T
+    for _ in range(rounds):
+        agrees = (normals[begin] * normals[end]).sum(1) > 0
+        total = normals.copy()
+        for axis in range(3):
+            total[:, axis] += np.bincount(begin, agrees * normals[end, axis], len(normals))
+        normals = total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-12)
+    return replace(mesh, normals=normals[vertex].astype(np.float32))
+
+
+def _edges(triangles: NDArray[np.integer]) -> NDArray[np.integer]:
+    """The edges of triangles in both directions, each once, (E, 2)."""
+    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    return np.unique(np.concatenate([sides, sides[:, ::-1]]), axis=0)
