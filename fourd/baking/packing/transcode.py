@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fourd.baking.container import BACKGROUND, SceneReader, frame_folder
 from fourd.baking.files.encoding import SH_NUMBERS, CloudEncoding
+from fourd.baking.packed.images import largest_image
 from fourd.baking.packed.members import optional_member, packed_names
 from fourd.baking.packed.streams import decompress
 from fourd.baking.packing.writer import PackedWriter, Storage
@@ -55,6 +56,8 @@ def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEnco
     manifest = reader.manifest
     optional = [item.nbytes(points, manifest.view_count) for item in manifest.attributes if item.is_optional]
     largest = max(points * max(encoding.code_bytes + 3, 2 * SH_NUMBERS), *optional, 0)
+    if encoding.image_scale is not None:
+        largest += max(largest_image(camera, encoding.image_scale) for camera in manifest.source_cameras)
     names = packed_names(manifest)
     return {name: decompress(reader.read_member(f"{folder}/{name}"), largest).tobytes() for name in names}
 
