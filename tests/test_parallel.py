@@ -92,7 +92,7 @@ def test_no_process_outlives_its_parent(stop: signal.Signals, tracebacks: int, t
     if stop == signal.SIGKILL:
         parent.kill()  # The system kills only the parent if memory is short.
     else:
-        os.killpg(parent.pid, stop)  # A terminal stops the parent and its children.
+        os.killpg(parent.pid, stop)  # Ctrl-C in a terminal stops the parent and its children.
     # The call returns when the last process has closed its stderr.
     errors = parent.communicate(timeout=TIMEOUT_S)[1].decode()
     assert errors.count("Traceback") == tracebacks, errors

@@ -48,7 +48,7 @@ FOURD_HD static inline Screen make_screen(int width, int height) {
 
 enum class VertexState : std::int32_t { inside, clipped, invalid };
 
-// A vertex in units of 1/256 pixel. The image's first corner is at (0, 0).
+// The position of a vertex in units of 1/256 pixel. The corner of the image at column 0 and row 0 is at (0, 0).
 struct Snapped {
     std::int32_t x, y;
     VertexState state;

@@ -18,7 +18,8 @@ namespace fourd::tiles {
 class DepthBins {
   public:
     // Projects the primitives [begin, end). Writes the tile range of each primitive to tile_ranges, which is indexed by
-    // primitive, and the items of the visible primitives to `items`, in order. Returns the number of items.
+    // primitive, and the items of the visible primitives to `items`, in the order of their indices. Returns the number
+    // of items.
     using Project =
         std::function<std::size_t(std::size_t begin, std::size_t end, TileRange* tile_ranges, Item* items)>;
 

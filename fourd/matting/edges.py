@@ -98,7 +98,7 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
     the colour in ``background`` (H, W, 4) where the confidence is high. Only pixels within three times ``radius`` of
     the mask's edge change. Alpha is then averaged over neighbouring pixels and sharpened, because the posterior's mean
     is softer than the edge. There is one pass per value of PRIOR_DEVIATIONS. Each pass starts from the mask of the
-    pixels whose alpha is at least 0.5 after the pass before.
+    pixels whose alpha is at least 0.5 after the previous pass.
     """
     alpha = subject.astype(np.float32)
     edge = (cv2.dilate(subject, _disc(3 * radius)) > 0) & (cv2.erode(subject, _disc(3 * radius)) == 0)

@@ -198,7 +198,7 @@ def write_images(folder: Path, name: str, pictures: list[np.ndarray]) -> None:
 
 
 def test_boards_that_are_not_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an empty scene, and a board that one camera alone sees, without an error that says so."""
+    """Catches a missing error for videos without a board, and for a board that only one camera sees."""
     empty = [np.full((120, 160), 90 + 10 * number, np.uint8) for number in range(4)]
     board = CalibrationBoard(4, 3, 0.05, 0.04, "DICT_4X4_50")
     drawn = [np.roll(draw_board(board, 30, margin=30), 3 * shift, axis=1) for shift in range(4)]

@@ -38,7 +38,7 @@ def test_rates_are_exact(fps: float, expected: Fraction) -> None:
 
 
 def test_a_stride_divides_the_rate(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches every second frame that plays at twice the speed of the recording."""
+    """Catches a selection of every second frame that plays at twice the speed of the recording."""
     assert open_capture(ball_capture).fps is None
     capture = Path(shutil.copytree(ball_capture, tmp_path / "capture"))
     set_rate(capture, 25)

@@ -1,4 +1,4 @@
-"""Videos of strangers: lists that lie, rates that divide by zero, and files that stay open."""
+"""Videos from untrusted sources: wrong lists of frames, frame rates of zero, and files that stay open."""
 
 from __future__ import annotations
 

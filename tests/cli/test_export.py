@@ -1,4 +1,4 @@
-"""`fourd export --to` from the outside, and commands that open its files."""
+"""The command `fourd export --to`, and commands that open its files."""
 
 from __future__ import annotations
 

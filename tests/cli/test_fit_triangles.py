@@ -131,7 +131,7 @@ def test_captures_without_masks_are_refused(
 def test_bad_options_are_named(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], message: str
 ) -> None:
-    """Catches a wrong option that ends in a traceback, is found after the fit, or is ignored."""
+    """Catches a wrong option that ends in a traceback, is reported only after the fit, or is ignored."""
     out = [] if "-o" in words else ["-o", str(tmp_path / "a.glb")]
     assert main(["fit-triangles", str(ball_capture), *out, *words]) == 2
     printed = capsys.readouterr().err

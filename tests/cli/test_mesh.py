@@ -56,7 +56,7 @@ def test_held_out_views_are_scored(made: Path, capsys: pytest.CaptureFixture[str
 
 
 def test_finished_frames_are_kept_and_new_settings_replace_them(capture: Path, made: Path, tmp_path: Path) -> None:
-    """Catches a resumed command that makes finished frames again, and one that keeps frames of other settings."""
+    """Catches a resumed command that makes finished frames again, or that keeps frames of other settings."""
     out = tmp_path / "meshes"
     shutil.copytree(made, out)
     (out / "000001.glb").unlink()
@@ -73,7 +73,7 @@ def test_finished_frames_are_kept_and_new_settings_replace_them(capture: Path, m
 def test_remeshing_gives_fewer_triangles(
     capture: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches remeshing with a length in another unit, and a missing package that is found after the fit."""
+    """Catches remeshing with a length in another unit, and a missing package that is reported only after the fit."""
     words = ["mesh", str(capture), "-o", str(tmp_path), "--frames", "0:1", *SMALL, "--remesh", "1"]
     with monkeypatch.context() as patched:
         patched.setattr("fourd.cli.captures.mesh.remeshing_is_available", lambda: False)

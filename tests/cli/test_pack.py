@@ -1,4 +1,4 @@
-"""`fourd pack` from the outside."""
+"""The command `fourd pack`: its files, its output and its error messages."""
 
 from __future__ import annotations
 

@@ -158,7 +158,7 @@ def changed(path: Path, change: object) -> bytes:
     ],
 )
 def test_glb_files_that_lie(change: object, expected: str, tmp_path: Path) -> None:
-    """Catches counts, offsets and indices of a file that are trusted."""
+    """Catches a reader that uses the counts, offsets and indices of a file without a check."""
     path = write_as(tmp_path / "mesh.glb", sphere(rings=6))
     path.write_bytes(changed(path, change))
     with pytest.raises(UserError) as error:

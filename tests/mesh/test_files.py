@@ -63,7 +63,7 @@ def test_other_programs_see_the_up_direction_and_the_texture(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("up", [(0, 1, 0), (0, -1, 0), (0, 0, -3), (1, 2, -0.5)])
 def test_the_up_direction_becomes_y(up: tuple[float, float, float]) -> None:
-    """Catches a rotation in the opposite direction, or one that is undefined for -y."""
+    """Catches a rotation that has the opposite direction, or that is undefined for -y."""
     x, y, z, w = up_rotation(np.array(up, float))
     matrix = trimesh.transformations.quaternion_matrix([w, x, y, z])[:3, :3]
     np.testing.assert_allclose(matrix @ np.array(up) / np.linalg.norm(up), [0, 1, 0], atol=1e-12)

@@ -73,7 +73,7 @@ def test_trimming_only_removes(capture: Capture) -> None:
 
 
 def test_silhouettes_shrink_and_grow_the_surface(views: list[MeshView]) -> None:
-    """Catches a silhouette gradient of the wrong sign, or one that does not reach the distances."""
+    """Catches a silhouette gradient that has the wrong sign, or that does not reach the distances."""
     settings = FitSettings(steps=48, rate=0.1, photo=0)
     for radius in (0.36, 0.43):
         fitted = fit_mesh(sphere_start(radius, 10), views, settings)
@@ -111,7 +111,7 @@ def test_without_steps_the_surface_is_the_start(views: list[MeshView]) -> None:
 
 
 def test_bad_arguments_are_named(capture: Capture, views: list[MeshView]) -> None:
-    """Catches messages that do not name the argument, and empty hulls that end in another error."""
+    """Catches messages that do not name the argument, and empty hulls that cause an unrelated error."""
     with pytest.raises(ValueError, match="views: expected at least 2"):
         fit_mesh(sphere_start(0.4), views[:1], FitSettings())
     with pytest.raises(ValueError, match="start: expected distances of both signs"):

@@ -25,7 +25,7 @@ def tetrahedron() -> tuple[Tensor, Tensor]:
 
 
 def test_edges_occur_once() -> None:
-    """Catches edges that two triangles count twice, and missing pairs of neighbours."""
+    """Catches shared edges that are counted twice, and missing pairs of neighbouring triangles."""
     xyz, triangles = tetrahedron()
     topology = MeshTopology.of(triangles, len(xyz))
     assert topology.edges.tolist() == [[0, 1], [0, 2], [0, 3], [1, 2], [1, 3], [2, 3]]

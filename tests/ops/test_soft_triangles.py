@@ -105,7 +105,7 @@ def test_gradients_equal_finite_differences(distance: Any) -> None:
     weights = torch.from_numpy(rng.normal(size=(10, 12, 3)))
 
     def loss(xyz: Tensor, features: Tensor) -> Tensor:
-        # Wide edges and a small cutoff: no triangle starts or stops to hit a pixel.
+        # With wide edges and a small cutoff, no triangle starts or stops hitting a pixel.
         image, alpha = rasterize_soft(
             xyz,
             tri,

@@ -130,7 +130,7 @@ def test_gradients_equal_finite_differences() -> None:
                     values.append(float(loss(*moved)))
             difference = (values[1] - values[0]) / (2 * step)
             found = float(gradient.reshape(-1)[index])
-            # A triangle that starts or stops to hit a pixel moves the loss by a jump, which no gradient describes.
+            # If a triangle starts or stops hitting a pixel, the loss jumps. No gradient describes this jump.
             if abs(difference - found) > 1e-4 * (1 + abs(found)) and abs(difference) < 1e4:
                 wrong.append((NAMES[which], index, found, difference))
     assert not wrong

@@ -41,7 +41,8 @@ def test_replies_are_values_and_bytes(file: Path, tmp_path: Path, monkeypatch: p
 
 
 def test_a_crash_is_one_line(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a crash, a hang or a lack of memory of a parser that ends the program, and a process that stays dead."""
+    """Catches a parser whose crash, hang or lack of memory ends the program, and a child process that is not started
+    again."""
     monkeypatch.setattr(isolation, "SECONDS", 0.5)
     expected = {
         "crash": r"got one on which the reader crashes \(SIGSEGV\)",

@@ -15,7 +15,7 @@ TARGET = torch.tensor([[0.2, 0.8], [0.1, 0.4], [0.7, 0.5]], dtype=torch.float64)
 
 
 def render(params: Tensor) -> Tensor:
-    """An image in which each pixel has the first parameter of its primitive, times the second one plus 1."""
+    """An image in which each pixel is a (b + 1), where a and b are the first and second parameter of its primitive."""
     values = params[:, 0] * (params[:, 1] + 1)
     return torch.where(IDS >= 0, values[IDS.clamp(min=0)], 0)
 
@@ -53,9 +53,9 @@ def test_generator_repeats_the_estimate_and_samples_reduce_its_noise() -> None:
 
 
 def test_pixels_credit_only_what_they_show_in_either_image() -> None:
-    """Catches a pixel that adds its difference to primitives that it does not show, that counts a primitive of both
-    images twice, or that ignores the primitive of the second image. In the second image, primitive 1 replaces
-    primitive 0 in one pixel."""
+    """Catches differences of a pixel that are added to primitives that the pixel does not show, or twice to a primitive
+    of both images. Also catches a pixel that ignores the primitive of the second image. In the second image, primitive
+    1 replaces primitive 0 in one pixel."""
     params = torch.zeros(3, 1, dtype=torch.float64)
     calls = iter([torch.tensor([[0, 0]]), torch.tensor([[1, 0]])])
     images = iter([torch.tensor([[3.0, 5.0]]), torch.tensor([[1.0, 1.0]])])

@@ -47,7 +47,7 @@ def test_linear_colours() -> None:
 
 
 def test_file_names_are_checked(tmp_path: Path) -> None:
-    """Catches a format that is chosen silently, and a folder that is found after the fit."""
+    """Catches a format that is chosen without a message, and a path that is reported as a folder only after the fit."""
     with pytest.raises(UserError, match=r"a.obj: expected a file name that ends in .glb or .ply, got '.obj'"):
         check_format(tmp_path / "a.obj")
     with pytest.raises(UserError, match="got no suffix"):

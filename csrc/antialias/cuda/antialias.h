@@ -1,5 +1,6 @@
 // Antialiasing (antialias/antialias.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are
-// in GPU memory. Gradients of positions are sums without a fixed order, so their last bits can differ between calls.
+// in GPU memory. The order in which gradients of positions are summed is not fixed, so their last bits can differ
+// between calls.
 #pragma once
 
 #include "antialias/antialias.h"

@@ -1,6 +1,6 @@
 // Gradients of visibility edges (edge_gradients/edge_gradients.h) on a GPU. Functions are asynchronous, as in
-// points/cuda/render.h. All arrays are in GPU memory. Gradients are sums without a fixed order, so their last bits can
-// differ between calls.
+// points/cuda/render.h. All arrays are in GPU memory. The order in which gradients are summed is not fixed, so their
+// last bits can differ between calls.
 #pragma once
 
 #include "antialias/antialias.h"

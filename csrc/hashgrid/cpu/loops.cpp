@@ -159,8 +159,8 @@ FOURD_INLINE int run_length(std::size_t begin, std::size_t end) {
     return end - begin < kRun ? static_cast<int>(end - begin) : kRun;
 }
 
-// Calls use(cells, i, point) for each point in [begin, end). Calls prefetch_entries(cells, i, point) for each point one
-// batch before use().
+// Calls use(cells, i, point) for each point in [begin, end). While one batch of points is used, prefetch_entries(cells,
+// i, point) is called for the points of the next batch.
 template <typename Fetch, typename Use>
 FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::size_t begin, std::size_t end,
                             const Fetch& prefetch_entries, const Use& use) {

@@ -29,7 +29,7 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples around point i of a batch, in those of the planes [first, last) that are larger than the
+// Prefetches the samples around point i of a batch in some of the planes [first, last): those that are larger than the
 // caches of a core. The function `values` returns the array of plane k, or an array of the same shape.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,

@@ -6,8 +6,8 @@
 namespace fourd::points::cuda {
 
 // The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula. The
-// term for alpha is computed separately. As one more channel, the term would suffer from cancellation where alpha is
-// close to 1.
+// term for alpha is computed separately, because it would suffer from cancellation in a common sum where alpha is close
+// to 1.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];

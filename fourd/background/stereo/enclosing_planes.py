@@ -21,8 +21,8 @@ MIN_INLIERS = 0.05
 MAX_BEHIND = 0.01
 """Maximum share of all points that lie behind a plane."""
 TOLERANCE = 0.02
-"""Maximum distance between a plane and a point that counts as lying on it, relative to the point's distance from the
-mean camera centre."""
+"""A point counts as lying on a plane if its distance from the plane is at most this share of its distance from the mean
+camera centre."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -27,8 +27,8 @@ DEPTH_TOLERANCE = 0.01
 """Maximum relative depth difference between a surface and a point that lies on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
 """Maximum forward-backward error in pixels. To compute the error, the centre of a cell is projected into another image.
-The point there on the other image's surface is projected back. The error is the distance between the back-projected
-position and the cell's centre."""
+The surface of the other image has a point at this pixel, which is projected back into the cell's image. The error is
+the distance between this back-projected position and the cell's centre."""
 OCCLUSION_MARGIN = 0.03
 """Relative depth difference above which a point in front of a known surface occludes the surface."""
 ITERATIONS = 3

@@ -59,7 +59,7 @@ def trace(
 
     Hits are those of a loop over all triangles, in the order of (t, triangle index). The test is watertight (Woop,
     Benthin and Wald 2013): a ray that passes through a common edge of two triangles hits at least one of them. Rays hit
-    triangles from both sides. A triangle with two equal corners, and a triangle that is seen exactly edge-on, is not
+    triangles from both sides. Triangles with two equal corners, and triangles that are seen exactly edge-on, are not
     hit.
 
     Args:

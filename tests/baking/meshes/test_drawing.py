@@ -48,7 +48,8 @@ def test_the_silhouette_ring_has_the_radius_of_the_outline(samples: int) -> None
 
 @pytest.mark.parametrize("threshold", [0.2, 0.4, 0.7])
 def test_the_inner_ring_has_the_radius_of_the_threshold(threshold: float) -> None:
-    """Catches surface-angle darkening that uses the viewing axis instead of the ray, or normals of another frame."""
+    """Catches surface-angle darkening that uses the viewing axis instead of the ray, or normals in other axes than the
+    rays."""
     surface = draw_mesh(sphere(), front_camera(SIZE), samples=1).surface()
     changes = {"angle_threshold": threshold, "angle_softness": 1e-4, "angle_strength": 1.0}
     picture = stylize_surface(surface, line_parameters(SIZE, lines="none", **changes))
@@ -98,7 +99,7 @@ def test_colours_and_back_sides() -> None:
 
 
 def test_a_mesh_that_surrounds_the_camera() -> None:
-    """Catches triangles behind the camera that are drawn, and a near plane that cuts off what is visible."""
+    """Catches triangles behind the camera that are drawn, and a near plane that cuts off visible triangles."""
     mesh = sphere(radius=10.0)
     buffer = draw_mesh(mesh, front_camera(SIZE), samples=1)
     assert (buffer.alpha == 1).all()

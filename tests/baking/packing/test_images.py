@@ -135,7 +135,7 @@ def test_a_whole_scene_has_images_of_its_background(tmp_path: Path) -> None:
 
 
 def test_packing_twice_gives_the_same_bytes(packed: Path) -> None:
-    """Catches an encoder with several threads or a time in its output."""
+    """Catches images that depend on the threads of the encoder, or that contain the time."""
     again = packed.with_name("again.4dv")
     pack_scene(packed.with_name("scene.4dv"), again, "video", level=0)
     assert again.read_bytes() == packed.read_bytes()
@@ -212,7 +212,8 @@ def bigger(frame: bytes) -> bytes:
     ],
 )
 def test_damaged_images_are_named(packed: Path, change: Change, message: str) -> None:
-    """Catches images that give a traceback, wrong colours without a message, or memory for a size that is a lie."""
+    """Catches images that cause a traceback, wrong colours without a message, or an allocation for a wrong declared
+    size."""
     reader = SceneReader(with_image(packed, change))
     with pytest.raises(UserError, match=message) as caught:
         reader.read(0)
@@ -221,7 +222,8 @@ def test_damaged_images_are_named(packed: Path, change: Change, message: str) ->
 
 
 def test_an_image_of_another_size_than_its_header_is_refused() -> None:
-    """Catches a decoder that trusts the size in the frame, which may be thousands of times larger."""
+    """Catches a decoder that allocates memory for the size in the VP9 frame, which can be thousands of times too
+    large."""
     camera = ring(3)[0]
     points = np.zeros((20, 3), np.float32)
     image = make_image(points, np.ones((20, 3), np.float32), np.ones(20, np.float32), camera, 1.0, 30)
@@ -234,7 +236,7 @@ def test_an_image_of_another_size_than_its_header_is_refused() -> None:
 
 @pytest.mark.parametrize("scale", [0, 2, -1, float("nan"), "1"])
 def test_an_invalid_scale_is_named(packed: Path, scale: object) -> None:
-    """Catches a scale that makes images of any size."""
+    """Catches an image scale with which images may have any size."""
     path = with_manifest(packed, lambda content: content["encoding"]["dynamic"].update({"image_scale": scale}))
     with pytest.raises(UserError, match=r"dynamic, image_scale: expected a number from 0\.015625 to 1, got"):
         SceneReader(path)
@@ -267,7 +269,7 @@ def test_a_missing_decoder_is_named(
 
 
 def test_the_command_prints_the_quality_of_the_colours(packed: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches colours that are stored with loss without a word about it, and a scene that cannot be drawn."""
+    """Catches lossy colours without a message that says so, and a scene that cannot be drawn."""
     scene, out, pictures = packed.with_name("scene.4dv"), packed.with_name("again.4dv"), packed.with_name("pictures")
     assert main(["pack", str(scene), "-o", str(out), "--tier", "video"]) == 0
     printed = capsys.readouterr().err

@@ -84,7 +84,7 @@ def test_errors_are_within_the_bounds(tier: Tier, rng: np.random.Generator) -> N
 
 @pytest.mark.parametrize("tier", TIERS)
 def test_a_packed_scene_looks_like_its_source(tier: Tier, tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches any error in the way from the writer to the picture. Light scenes keep only smooth colours."""
+    """Catches any error between the writer and the image. Light scenes keep only smooth colours."""
     from fourd.baking import SceneWriter
 
     source, out = tmp_path / "scene.4dv", tmp_path / "packed.4dv"
@@ -177,7 +177,7 @@ def test_a_scene_without_frames_is_refused(tmp_path: Path) -> None:
 
 
 def test_unseen_views_get_the_mean_of_the_seen_ones() -> None:
-    """Catches means that include the colours of whatever hides the point."""
+    """Catches means that include the colours of surfaces that occlude the point."""
     frame = random_frame(3, 3, 0)
     weights = np.array([[1, 3, 0], [0, 0, 0], [2, 0, 0]], np.float16)
     rgb = np.zeros((3, 3, 3), np.uint8)
@@ -229,7 +229,7 @@ def test_damaged_members_are_named(scene: Path, tmp_path: Path, rng: np.random.G
     ],
 )
 def test_an_invalid_encoding_is_named(scene: Path, tmp_path: Path, key: str, value: object, message: str) -> None:
-    """Catches an encoding that reaches the decoder unchecked."""
+    """Catches an encoding that the reader passes to the decoder without a check."""
     out = tmp_path / "packed.4dv"
     pack_scene(scene, out, "stream")
     path = with_manifest(out, lambda content: content["encoding"]["dynamic"].update({key: value}))

@@ -44,7 +44,7 @@ def export(
 
 @pytest.mark.parametrize("kind", FORMATS)
 def test_every_format_writes_one_file_for_each_frame(scene_path: Path, tmp_path: Path, kind: Format) -> None:
-    """Catches names that other programs do not sort, and temporary files that remain."""
+    """Catches file names whose alphabetical order is not the order of frames, and temporary files that remain."""
     files = export(scene_path, tmp_path / "out", kind)
     names = [file.stem for file in files if file.name != "scene.usda"]
     assert names == ["frame_000010", "frame_000011", "frame_000012"]
@@ -193,7 +193,7 @@ def test_coloured_points_keep_their_colours(scene_path: Path, tmp_path: Path) ->
 
 
 def test_a_folder_whose_second_file_is_broken_names_that_file(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches an error that names the folder only, and frames that are skipped silently."""
+    """Catches an error that names only the folder, and frames that are skipped without a message."""
     write_ply(tmp_path / "a_1.ply", rng.normal(size=(5, 3)), np.zeros((5, 3), np.uint8))
     (tmp_path / "a_2.ply").write_bytes(b"ply\nformat ascii 1.0\nend_header\n")
     with pytest.raises(UserError, match=r"a_2\.ply: expected an element 'vertex'"):

@@ -53,8 +53,8 @@ def test_values_and_gradients_equal_the_reference(
 
 
 def test_gpu_equals_the_reference(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches crossings of the row above or of the left column that a pixel misses, and gradients that are not
-    cleared."""
+    """Catches a pixel that misses its crossings with the pixel above or the pixel to the left, and gradients that are
+    not cleared."""
     scene = random_scene(rng, size=(15, 18))
     upstream = upstream_of(scene, rng)
     assert_equal_results(results(scene, upstream, gpu), results(scene, upstream, backend="reference"))

@@ -38,7 +38,7 @@ def test_rectangle_equals_its_exact_coverage(backend: str, rng: np.random.Genera
         (x0, y0), (x1, y1) = rng.uniform((1.0, 1.0), (3.0, 2.5)), rng.uniform((9.0, 6.5), (11.0, 8.0))
         image = paint(rectangle(x0, y0, x1, y1, HEIGHT, WIDTH), RECTANGLE, HEIGHT, WIDTH, backend, rng.uniform(0.2, 5))
         expected = covered(y0, y1, HEIGHT)[:, None] * covered(x0, x1, WIDTH)
-        # Near a corner, a pixel's triangle can be the one that does not have the edge.
+        # At two corners, pixels show the triangle that does not contain the nearest edge.
         near_x = torch.minimum((column - x0).abs(), (column - x1).abs()) < 3
         near_y = torch.minimum((row - y0).abs(), (row - y1).abs()) < 1.5
         found = torch.where(near_y[:, None] & near_x, expected, image.double())
@@ -76,8 +76,9 @@ def test_gradient_equals_the_change_of_the_covered_area(backend: str, rng: np.ra
     to_px = gradient[0, :, :2] / torch.tensor([WIDTH / 2, HEIGHT / 2])
     left, right = to_px[[0, 3], 0].sum(), to_px[[1, 2], 0].sum()
     top, bottom = to_px[[0, 1], 1].sum(), to_px[[2, 3], 1].sum()
-    # The pixels whose centres lie between the other two edges see an edge move: 6 rows and 7 columns. The pixels at two
-    # corners show a triangle that does not have the horizontal edge.
+    # A moving edge changes only pixels whose centres lie between the two adjacent edges: 6 rows for a vertical edge, and
+    # 7 columns for a horizontal edge. In one of the 7 columns, the pixel shows the triangle that does not contain the
+    # horizontal edge.
     expected = torch.tensor([-6.0, 6.0, -6.0, 6.0])
     torch.testing.assert_close(torch.stack((left, right, top, bottom)), expected, rtol=1e-4, atol=1e-4)
     assert not gradient[..., 2].any()

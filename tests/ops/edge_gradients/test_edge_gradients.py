@@ -46,7 +46,8 @@ def assert_equal_gradients(found: Tensor, expected: Tensor) -> None:
 def test_kernel_equals_the_reference(
     channels: int, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches swapped axes, derivatives of the wrong vertex, and intersections that one of the two misses."""
+    """Catches swapped axes, derivatives of the wrong vertex, and intersections that only the kernel or only the
+    reference finds."""
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -56,7 +57,7 @@ def test_kernel_equals_the_reference(
 
 
 def test_gpu_equals_the_reference(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches pairs at the borders of the image that a thread reads, and gradients that are not cleared."""
+    """Catches threads that read pairs beyond the border of the image, and gradients that are not cleared."""
     scene = random_scene(rng, size=(15, 18))
     upstream = upstream_of(scene, rng)
     expected = gradient_of(scene.color, scene.rast, scene.pos, scene.tri, upstream, backend="reference")
@@ -88,7 +89,7 @@ def test_moving_square_has_the_slope_of_its_exact_image(power: float) -> None:
     rows, columns = torch.meshgrid(*(torch.arange(SIDE, dtype=torch.float64) + 0.5,) * 2, indexing="ij")
     weights = 0.3 * columns - 0.2 * rows + 0.05 * columns * rows
     x, y, size, step = 3.0, 4.0, 5.0, 1e-4
-    # Two pixels at corners show the triangle that does not have the left or the lower edge.
+    # Pixels at two corners show the triangle that does not contain the left edge or the lower edge.
     weights[4, 2:4] = weights[8:10, 7] = 0
 
     def loss(dx: float, dy: float) -> float:

@@ -58,7 +58,8 @@ def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str
     shape = (1, 6, 8, 8, 2) if is_cube else (1, 8, 16, 2)
     tex = rng.standard_normal(shape)
     cells = rng.integers(-3 * size, 3 * size, (pixels, 2)) if not is_cube else rng.integers(0, size, (pixels, 2))
-    # At level 2, four texels of level 0 are one. The fraction is far from the texel centres of all three levels.
+    # Along an axis, a texel of level 2 covers four texels of level 0. The fraction is far from the texel centres of all
+    # three levels.
     st = (cells // 4 * 4 + rng.uniform(0.6, 1.4, (pixels, 2))) / size
     uv = _directions(rng, 2 * st - 1) if is_cube else st
     level = rng.uniform(0.1, 0.4, pixels) + (rng.integers(0, 2, pixels) if "linear-mipmap" in filter_mode else 0)

@@ -133,7 +133,8 @@ def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) 
         hits = trace(Bvh.build(leaves[0].detach().float(), tri), *leaves, backend="reference")
         return torch.stack([hits.t, hits.u, hits.v])
 
-    step = 2.0**-12  # Exact in float32, so that the tree has the same positions.
+    # Float32 represents the shifted positions exactly, so that the tree and the reference have equal positions.
+    step = 2.0**-12
     leaves = [value.clone().requires_grad_() for value in (xyz, origins, directions)]
     weights = torch.from_numpy(rng.normal(0, 1, (3, 4, 1)))
     gradients = torch.autograd.grad((values(*leaves) * weights).sum(), leaves)
@@ -225,7 +226,7 @@ def test_small_meshes(count: int, kernels: str, rng: np.random.Generator) -> Non
 
 
 def test_equal_triangles_and_far_scales(kernels: str) -> None:
-    """Catches a builder that cannot split equal centres, and a traversal that needs more stack than it has."""
+    """Catches a builder that cannot split equal centres, and a traversal whose stack is too small."""
     corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]).repeat(3000, 1, 1)
     corners[1000:2000] *= torch.logspace(-15, 15, 1000)[:, None, None]
     xyz, tri = corners.reshape(-1, 3), torch.arange(9000, dtype=torch.int32).reshape(-1, 3)

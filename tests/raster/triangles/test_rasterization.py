@@ -155,7 +155,8 @@ def test_depth_and_id_have_no_gradient(rng: np.random.Generator) -> None:
 
 
 def test_derivatives_can_be_left_out(rng: np.random.Generator) -> None:
-    """Catches rast that changes without rast_db, and a backward pass that reads a missing gradient."""
+    """Catches values of rast that change if rast_db is not computed, and a backward pass that reads a missing
+    gradient."""
     pos, tri = soup(rng)
     leaf = pos.clone().requires_grad_()
     rast, rast_db = rasterize(leaf, tri, SIZE, output_db=False)

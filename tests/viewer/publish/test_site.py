@@ -62,8 +62,8 @@ def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tier", ["stream", "light"])
 def test_sites_have_normals(tier: Tier, tmp_path: Path) -> None:
-    """Catches normals in another order than the points, a scene that loses its normals, and members between those that
-    every player fetches."""
+    """Catches normals in another order than the points, a scene that loses its normals, and members that are not
+    adjacent although every player fetches them."""
     write_shells(tmp_path / "scene.4dv", frames=1, points=3000)
     write_site(tmp_path / "scene.4dv", tmp_path / "site", tier)
     pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", tier)

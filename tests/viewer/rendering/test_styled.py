@@ -58,7 +58,8 @@ def read(texture: moderngl.Texture, dtype: type = np.uint8) -> NDArray[np.generi
 def require_equal_pictures(
     context: moderngl.Context, surface: Surface, parameters: StyleParameters, rng: np.random.Generator
 ) -> None:
-    """Assert that pictures equal those of the reference: a first picture, and a picture after random lines."""
+    """Assert that two pictures equal those of the reference: a first picture, and a picture after random previous
+    lines."""
     height, width = surface.size
     textures, stylizer = upload(context, surface), GLStylizer(context)
     stylizer.resize((width, height))

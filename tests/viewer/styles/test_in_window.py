@@ -56,8 +56,8 @@ def drop_style(viewer: Viewer, path: Path, text: str) -> None:
 
 
 def test_keys_and_dropped_files_choose_styles(viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a style that changes nothing in the window, mistakes in a style that end the viewer or lose the picture,
-    and a missing notice."""
+    """Catches a style that changes nothing in the window, mistakes in a style that end the viewer or remove the
+    picture, and a missing notice."""
     plain = picture(viewer)
     viewer.key("t")
     viewer.until(lambda: has_notice(viewer), "the notice that the scene has no normals")

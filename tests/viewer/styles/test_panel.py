@@ -83,8 +83,8 @@ def test_without_input_no_field_changes(name: str) -> None:
 
 @pytest.mark.parametrize("name", STYLES)
 def test_no_input_leads_to_an_invalid_style(name: str) -> None:
-    """Catches a slider beyond the range of its field, and a group that fails after an input: the mouse drags from every
-    row of the panel to the left and to the right end, and types numbers that no field accepts."""
+    """Catches a slider beyond the range of its field, and a group that fails after an input. The test drags the mouse
+    from every row of the panel to the left end and to the right end, and types numbers that no field accepts."""
     panel = Panel(STYLES[name])
     io = imgui.get_io()
     seen = {panel.style}
