@@ -76,8 +76,8 @@ def test_gradient_equals_the_change_of_the_covered_area(backend: str, rng: np.ra
     to_px = gradient[0, :, :2] / torch.tensor([WIDTH / 2, HEIGHT / 2])
     left, right = to_px[[0, 3], 0].sum(), to_px[[1, 2], 0].sum()
     top, bottom = to_px[[0, 1], 1].sum(), to_px[[2, 3], 1].sum()
-    # A moving edge changes only pixels whose centres lie between the two adjacent edges: 6 rows for a vertical edge, and
-    # 7 columns for a horizontal edge. In one of the 7 columns, the pixel shows the triangle that does not contain the
+    # A moving edge changes only pixels whose centres lie between the two adjacent edges: 6 rows for a vertical edge, 7
+    # columns for a horizontal edge. In one of the 7 columns, the pixel shows the triangle that does not contain the
     # horizontal edge.
     expected = torch.tensor([-6.0, 6.0, -6.0, 6.0])
     torch.testing.assert_close(torch.stack((left, right, top, bottom)), expected, rtol=1e-4, atol=1e-4)
