@@ -119,6 +119,15 @@ def test_sequences_orbit_and_video(tmp_path: Path) -> None:
     assert video.get(cv2.CAP_PROP_FRAME_COUNT) == 4
 
 
+def test_the_window_names_the_command_for_meshes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a folder of meshes that is opened as a run, and a mesh that is read as a scene."""
+    path = write_as(tmp_path / "mesh.glb", sphere(rings=5))
+    for source in (path, tmp_path):
+        assert main(["view", str(source), "--screenshot", str(tmp_path / "out.png")]) == 2
+        expected = f"{source}: expected a scene or a run, got meshes, which are not points; draw them with fourd render"
+        assert expected in capsys.readouterr().err
+
+
 def test_points_are_not_meshes(tmp_path: Path) -> None:
     """Catches point clouds that are no longer drawn as points."""
     write_ply(tmp_path / "points.ply", np.random.default_rng(1).normal(size=(20, 3)), np.zeros((20, 3), np.uint8))

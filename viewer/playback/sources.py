@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fourd.baking import BakedFrame, SceneManifest, combine_frames
+from fourd.baking.meshes.source import is_mesh
 from fourd.baking.splats.reader import is_splats, open_reader
 from fourd.errors import UserError
 from fourd.training.run_layout import newest_checkpoint
@@ -107,6 +108,11 @@ def open_frame_source(path: Path) -> BakedFrameSource:
     """
     if not path.exists():
         raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
+    if is_mesh(path) and not is_splats(path):
+        got = "meshes, which are not points"
+        raise UserError(
+            f"{path}: expected a scene or a run, got {got}; draw them with fourd render {path} --path orbit"
+        )
     is_run = path.is_dir() and not is_splats(path)
     source: BakedFrameSource = _open_run(path) if is_run else open_reader(path)
     manifest = source.manifest

@@ -16,6 +16,7 @@ from fourd.ops.stylize.parameters import Surface
 
 SAMPLES = 3
 """Samples per pixel along each axis."""
+_MAP_COLUMNS = 1024
 _NEAR_SHARE = 1e-4
 """Smallest distance between near plane and camera, as a share of the distance of the farthest vertex."""
 
@@ -72,13 +73,28 @@ def draw_mesh(mesh: Mesh, camera: Camera, *, samples: int = SAMPLES, threads: in
     rgb, normal = np.zeros((*size, 3), np.float32), np.zeros((*size, 3), np.float32)
     depth, hits = np.zeros(size, np.float32), np.zeros(size, np.float32)
     attributes = _attributes(mesh, camera)
-    for moved in _sample_cameras(camera, samples):
-        values, seen = draw_attributes(_clip(mesh.xyz, moved), mesh.triangles, attributes, size, threads)
-        rgb += _colours(mesh, values[..., 4:], seen)
-        depth += values[..., 0]
-        normal += _towards_camera(values[..., 1:4], moved)
-        hits += seen
+    left, top, width, height = _box(mesh.xyz, camera)
+    part = np.s_[top : top + height, left : left + width]
+    for moved in _sample_cameras(camera.crop(left, top, width, height), samples):
+        values, seen = draw_attributes(_clip(mesh.xyz, moved), mesh.triangles, attributes, (height, width), threads)
+        found = values[seen]
+        rgb[part][seen] += _colours(mesh, found[:, 4:])
+        depth[part][seen] += found[:, 0]
+        normal[part][seen] += _towards_camera(found[:, 1:4], moved, seen)
+        hits[part] += seen
     return GeometryBuffer(rgb, depth, normal, hits, samples * samples)
+
+
+def _box(xyz: NDArray[np.float32], camera: Camera) -> tuple[int, int, int, int]:
+    """Left, top, width and height in pixels of a part of the image outside of which nothing is visible. The part is the
+    whole image if the mesh extends behind the camera, and at least one pixel."""
+    pixels, depth = camera.project(xyz)
+    if depth.min() <= 0:
+        return 0, 0, camera.width, camera.height
+    size = (camera.width, camera.height)
+    lower = np.clip(np.floor(pixels.min(0)) - 1, 0, np.subtract(size, 1)).astype(int)
+    upper = np.clip(np.ceil(pixels.max(0)) + 1, lower + 1, size).astype(int)
+    return int(lower[0]), int(lower[1]), int(upper[0] - lower[0]), int(upper[1] - lower[1])
 
 
 def _attributes(mesh: Mesh, camera: Camera) -> NDArray[np.float32]:
@@ -116,22 +132,23 @@ def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
     return np.stack([x, y, z, depth], 1).astype(np.float32)
 
 
-def _towards_camera(normal: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Unit normals (H, W, 3), reversed where the camera sees the back of a triangle."""
-    inverse = np.linalg.inv(camera.intrinsics)
-    x = inverse[0, 0] * (np.arange(camera.width) + 0.5) + inverse[0, 2]
-    y = inverse[1, 1] * (np.arange(camera.height) + 0.5) + inverse[1, 2]
-    skew = inverse[0, 1] * (np.arange(camera.height) + 0.5)
-    along = normal[..., 0] * (x[None] + skew[:, None]) + normal[..., 1] * y[:, None] + normal[..., 2]
-    length = np.linalg.norm(normal, axis=2)
-    scale = np.where(along > 0, -1, 1) / np.maximum(length, 1e-12)
-    return np.asarray(normal * scale[..., None], np.float32)
+def _towards_camera(normal: NDArray[np.float32], camera: Camera, seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Unit normals (P, 3) of the pixels ``seen``, reversed where the camera sees the back of a triangle."""
+    row, column = np.nonzero(seen)
+    inverse = np.linalg.inv(camera.intrinsics).astype(np.float32)
+    position = np.stack([column + np.float32(0.5), row + np.float32(0.5), np.ones(len(row), np.float32)], 1)
+    along = (normal * (position @ inverse.T)).sum(1)
+    scale = np.where(along > 0, np.float32(-1), np.float32(1)) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)
+    return np.asarray(normal * scale[:, None], np.float32)
 
 
-def _colours(mesh: Mesh, values: NDArray[np.float32], seen: NDArray[np.bool_]) -> NDArray[np.float32]:
+def _colours(mesh: Mesh, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Colours (P, 3) in [0, 1] of texture coordinates (P, 2) or of interpolated colours (P, 3)."""
     if mesh.texture is None:
         return values
     height, width = mesh.texture.shape[:2]
-    x, y = values[..., 0] * np.float32(width) - 0.5, values[..., 1] * np.float32(height) - 0.5
-    colours = cv2.remap(mesh.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.where(seen[..., None], colours.astype(np.float32) / np.float32(255), 0)
+    # OpenCV needs maps with sides below 32768.
+    padded = np.zeros((2, max(-(-len(values) // _MAP_COLUMNS), 1), _MAP_COLUMNS), np.float32)
+    padded.reshape(2, -1)[:, : len(values)] = values.T * np.array([[width], [height]], np.float32) - np.float32(0.5)
+    colours = cv2.remap(mesh.texture, padded[0], padded[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(colours.reshape(-1, 3)[: len(values)].astype(np.float32) / np.float32(255))

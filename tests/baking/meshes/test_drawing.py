@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fourd.baking.meshes import drawing
 from fourd.baking.meshes.drawing import draw_mesh
 from fourd.cameras import look_at
 from fourd.ops.stylize.op import stylize_surface
@@ -106,3 +107,16 @@ def test_a_mesh_that_surrounds_the_camera() -> None:
     np.testing.assert_allclose(buffer.depth[80, 80], DISTANCE + 10, rtol=1e-3)
     away = replace(front_camera(SIZE), translation=np.array([0, 0, -50.0]))
     assert (draw_mesh(mesh, away, samples=1).alpha == 0).all()
+
+
+@pytest.mark.parametrize("shift", [(0, 0, 0), (-0.9, 0.7, 0.0), (1.2, 0.1, -1.0), (9, 0, 0), (0, 0, -3.2)])
+def test_only_the_box_of_the_mesh_is_drawn(shift: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a mesh that is cut off at the border of its box, or that is drawn at another place."""
+    camera = replace(front_camera(SIZE), translation=np.array(shift, float))
+    mesh = replace(sphere(rings=40), uv=None)
+    fast = draw_mesh(mesh, camera, samples=2)
+    monkeypatch.setattr(drawing, "_box", lambda xyz, camera: (0, 0, camera.width, camera.height))
+    whole = draw_mesh(mesh, camera, samples=2)
+    for name in ("rgb", "depth", "normal", "hits"):
+        differs = np.abs(getattr(fast, name) - getattr(whole, name)) > 2e-3 * DISTANCE
+        assert differs.mean() < 1e-3, name

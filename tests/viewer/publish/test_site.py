@@ -60,7 +60,7 @@ def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
     web.close()
 
 
-@pytest.mark.parametrize("tier", ["stream", "light"])
+@pytest.mark.parametrize("tier", ["stream", "video", "light"])
 def test_sites_have_normals(tier: Tier, tmp_path: Path) -> None:
     """Catches normals in another order than the points, a scene that loses its normals, and members that are not
     adjacent although every player fetches them."""
