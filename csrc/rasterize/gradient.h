@@ -4,8 +4,8 @@
 // with respect to b, the gradient of p_k is therefore -b_k M^-T g. M is constant over a triangle, so only the products
 // b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend on M in the same way. Below, g0
 // and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k.
-// Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this scale, so that the products of
-// gradients and elements of b do not depend on the scale.
+// The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this scale, so that the
+// products of gradients and elements of b do not depend on the scale.
 #pragma once
 
 #include "rasterize/maths.h"

@@ -35,7 +35,8 @@ from fourd.mesh.views import MeshView
 from fourd.raster.triangles import Topology, antialias_construct_topology
 
 MAX_OFFSET_CELLS = 0.4
-"""Largest offset of a grid vertex along each axis, in cubes, so that tetrahedra keep their orientation."""
+"""Largest offset of a grid vertex along each axis, in units of a cube's side. With this limit, tetrahedra keep their
+orientation."""
 
 FIRST_RATE, LAST_RATE = 0.3, 0.01
 """Learning rate of the distances and the offsets at the start and at the end of the fit."""
@@ -121,8 +122,8 @@ class Fit:
     def __init__(self, grid: TetrahedralGrid, centre: Array, half: Array) -> None:
         self.grid = grid
         relative = (grid.xyz - torch.from_numpy(centre).float()) / torch.from_numpy(half).float()
-        # An ellipsoid, with lengths in cubes of the grid. The distances are clamped, so that few steps suffice to
-        # change a sign.
+        # The initial surface is an ellipsoid. Lengths are in units of a cube's side. The distances are clamped, so that
+        # few steps suffice to change a sign.
         self.sdf = ((1 - relative.norm(dim=1)) * float(half.min()) / grid.side).clamp(-1, 1).requires_grad_()
         self.offset = torch.zeros_like(grid.xyz).requires_grad_()
 
@@ -160,7 +161,8 @@ class Fit:
                 print(f"step {step}: loss {float(loss.detach()):.4f}, {len(mesh.tri)} triangles")
 
     def difference(self, mesh: Mesh, topology: Topology, view: View) -> Tensor:
-        """Return the difference between the mesh and a view, per pixel of the object. Depths are in cubes."""
+        """Return the difference between the mesh and a view, per pixel of the object. Depths are in units of a cube's
+        side."""
         silhouette, depth = draw(mesh, view.camera, topology)
         compared = (depth.detach() > 0) & view.depth.isfinite()
         by_depth = (depth[compared] - view.depth[compared]).abs().sum() / self.grid.side

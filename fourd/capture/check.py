@@ -209,8 +209,8 @@ class _Check:
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:
         """Check that a camera's folder has all frames.
 
-        ``found`` maps frame names to file names. If the folder could not be listed, which is already reported,
-        ``found`` is None.
+        ``found`` maps frame names to file names. ``found`` is None if the folder could not be listed. In this case, the
+        error has already been reported.
         """
         if found is None:
             return

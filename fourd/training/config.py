@@ -48,10 +48,10 @@ class RateConfig:
     xyz_spacings: float = 0.6
     """Initial learning rate of point positions, as a share of the point spacing."""
     xyz_halving_updates: int = 60
-    """Number H of updates after which the learning rate of a point's position is halved. The exponential decay applies
-    in addition. After n updates of the point, the rate has been multiplied by 1 / (1 + n / H). With H = 0, the rate is
-    not halved. Without halving, training moves points at random where no image constrains them. Novel views of a long
-    training are then worse than those of a short training."""
+    """Number H of updates after which the learning rate of a point's position is halved. After n updates of the point,
+    the rate has been multiplied by 1 / (1 + n / H), in addition to the exponential decay of all learning rates. With H
+    = 0, the rate is not halved. Without halving, training moves points at random where no image constrains them. Novel
+    views of a long training are then worse than those of a short training."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05

@@ -73,7 +73,7 @@ def test_the_mesh_is_closed(ball_capture: Path, tmp_path: Path, name: str, capsy
 
 
 def test_separate_triangles_share_no_vertices(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches --separate without effect."""
+    """Catches an option --separate that has no effect."""
     out = tmp_path / "ball.ply"
     words = ["fit-triangles", str(ball_capture), "-o", str(out), "--max-steps", "20", "--separate", *SMALL]
     assert main(words) == 0

@@ -80,7 +80,8 @@ def test_a_changed_state_is_refused(run: Run) -> None:
 
 
 def test_checkpoints_without_digests_still_load(run: Run) -> None:
-    """Catches a run of an older version of fourd that cannot be opened, and one that is opened with missing points."""
+    """Catches a run of an older version of fourd that cannot be opened, or that is opened although points are
+    missing."""
     newer = checkpoint_files(run.checkpoints)[-1]
     tensors = load_file(newer)
     with safe_open(newer, framework="pt") as stream:

@@ -27,7 +27,7 @@ struct Grid {
 
 struct Location {
     const Level& level;
-    std::size_t row;  // Index in the encoding of the first feature of this level.
+    std::size_t row;  // Index of the level's first feature in the encoding.
     const float* coordinates;
     std::size_t point;
     Cell cell;

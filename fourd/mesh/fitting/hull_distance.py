@@ -22,7 +22,8 @@ BAND_CELLS = 2
 """Number of cubes by which the grid extends on each side beyond the cubes at the surface."""
 
 SMOOTHING_CELLS = 1.2
-"""Standard deviation, in cubes, of the Gaussian that smooths the hull after removal of its excess parts."""
+"""Standard deviation, in units of a cube's side, of the Gaussian that smooths the hull after removal of its excess
+parts."""
 
 DISTANCE_CELLS = 1.5
 """Maximum absolute distance, in units of a cube's side."""
