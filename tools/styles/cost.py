@@ -8,17 +8,18 @@ median time of an image without a style, and for each style
 
 - the median of the time that the style adds, over the rounds,
 - the median of the ratio of the times with and without the style, over the rounds,
-- the time of the stylizer. The rest of the added time is for the depths and normals of the points.
+- the time of the stylizer. The rest of the added time is for the depths and normals of the points,
+- the median of the CPU time that the style adds, summed over all threads. This time depends less on other programs.
 """
 
 from __future__ import annotations
 
-import statistics
 import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from statistics import median
 
 import tyro
 
@@ -54,37 +55,41 @@ class Arguments:
 
 @dataclass
 class Times:
-    """Seconds per image in a style, and the seconds of the stylizer, which are a part of this time."""
+    """Milliseconds per image: elapsed time, CPU time of all threads, and elapsed time of the stylizer."""
 
-    styled: list[float] = field(default_factory=list)
+    elapsed: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
     stylizer: list[float] = field(default_factory=list)
+
+    def measure(self, draw: Callable[[], object]) -> None:
+        started, cpu_started = time.perf_counter(), time.process_time()
+        draw()
+        self.elapsed.append(1e3 * (time.perf_counter() - started))
+        self.cpu.append(1e3 * (time.process_time() - cpu_started))
 
 
 def main(arguments: Arguments) -> int:
     frame, manifest, camera = _subject(arguments)
     frame = frame if frame.normals is not None else add_normals(frame, manifest)
-    plain = Player()
+    plain_player = Player()
+    plain, times = Times(), dict[str, Times]()
     styles = {name: (load_style(name), StyledPlayer()) for name in arguments.styles}
-    plain_times: list[float] = []
-    times = {name: Times() for name in styles}
     for index in range(arguments.rounds + 1):
-        seconds = _seconds(lambda: plain.draw(frame, camera, manifest, threads=arguments.threads))
-        if index > 0:  # the first round fills caches
-            plain_times.append(seconds)
+        if index < 2:  # the times of the first round, which fills caches, are dropped
+            plain, times = Times(), {name: Times() for name in styles}
+        plain.measure(lambda: plain_player.draw(frame, camera, manifest, threads=arguments.threads))
         for name, (style, player) in styles.items():
-            seconds = _seconds(lambda s=style, p=player: p.draw(frame, camera, manifest, s, threads=arguments.threads))
-            if index > 0:
-                times[name].styled.append(seconds)
-                times[name].stylizer.append(player.style_seconds)
+            times[name].measure(lambda s=style, p=player: p.draw(frame, camera, manifest, s, threads=arguments.threads))
+            times[name].stylizer.append(1e3 * player.style_seconds)
     print(f"{frame.point_count:,} points, {camera.width} x {camera.height}, {arguments.threads} threads")
-    print(f"without a style: {1e3 * statistics.median(plain_times):.1f} ms\n")
-    print("| style | added ms | ratio to playing without a style | stylizer ms |")
-    print("|---|---|---|---|")
+    print(f"without a style: {median(plain.elapsed):.1f} ms, {median(plain.cpu):.1f} ms of CPU time\n")
+    print("| style | added ms | ratio to playing without a style | stylizer ms | added ms of CPU time |")
+    print("|---|---|---|---|---|")
     for name, found in times.items():
-        pairs = list(zip(found.styled, plain_times, strict=True))
-        added = 1e3 * statistics.median(styled - plain for styled, plain in pairs)
-        ratio = statistics.median(styled / plain for styled, plain in pairs)
-        print(f"| {name} | {added:.1f} | {ratio:.2f} | {1e3 * statistics.median(found.stylizer):.1f} |")
+        added = median(styled - bare for styled, bare in zip(found.elapsed, plain.elapsed, strict=True))
+        ratio = median(styled / bare for styled, bare in zip(found.elapsed, plain.elapsed, strict=True))
+        cpu = median(styled - bare for styled, bare in zip(found.cpu, plain.cpu, strict=True))
+        print(f"| {name} | {added:.1f} | {ratio:.2f} | {median(found.stylizer):.1f} | {cpu:.1f} |")
     return 0
 
 
@@ -95,12 +100,6 @@ def _subject(arguments: Arguments) -> tuple[BakedFrame, SceneManifest, Camera]:
     with open_scene(arguments.scene) as scene:
         camera = fit_camera(scene.manifest.cameras[0], *arguments.size)
         return scene.frame(arguments.frame), scene.manifest, camera
-
-
-def _seconds(work: Callable[[], object]) -> float:
-    started = time.perf_counter()
-    work()
-    return time.perf_counter() - started
 
 
 if __name__ == "__main__":
