@@ -1,11 +1,14 @@
 """Normals of the points of a scene, and their storage in two bytes.
 
 A normal is the direction in which the neighbours of a point spread least (principal component analysis, Hoppe et al.
-1992). It points to the side from which the capture's cameras see the point. Normals are then averaged over the
-neighbours, because the noise of the positions would show as speckle in a drawing.
+1992). It points to the side from which the capture's cameras see the point, and is turned until it faces all these
+cameras: on thin parts, such as the legs of an animal, the neighbours lie on all sides and do not determine the normal.
+Normals are then averaged over the neighbours, because the noise of the positions would show as speckle in a drawing.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +19,16 @@ NEIGHBOURS = 24
 SMOOTHING_ROUNDS = 3
 """How often each normal is replaced by the mean of the normals around it."""
 VOTING_ROUNDS = 4
-"""How often a normal that contradicts most of its neighbours is reversed."""
+"""How often a normal that contradicts most of its nearest points is reversed."""
+VOTERS = 8
+"""Nearest points that vote on the sign of a normal. More points would include those on the other side of thin parts."""
+LEAST_COSINE = 0.1
+"""Least cosine between a normal and the direction to a camera that sees the point."""
+TURNING_ROUNDS = 2
+"""How often each normal is turned to each camera that sees the point."""
+_SEES = 0.3
+"""A camera sees a point if its weight exceeds this share of the largest weight of the point. Smaller weights are often
+those of cameras that see the point through a gap."""
 _COARSE = 12
 """Side of the coarse grid that orients points that no camera sees, in cells per longest side of the scene."""
 
@@ -24,13 +36,38 @@ Points = NDArray[np.floating]
 Normals = NDArray[np.float32]
 
 
-def estimate_normals(xyz: Points, towards: Points | None = None) -> Normals:
+@dataclass(frozen=True, eq=False)
+class Visibility:
+    """Which cameras see which points.
+
+    Attributes:
+        weights: (N, V) weights from 0, such as blend weights. 0 where a camera does not see a point.
+        centres: (V, 3) centres of the cameras.
+    """
+
+    weights: Points
+    centres: Points
+
+    def rays(self, xyz: NDArray[np.float32], view: int) -> NDArray[np.float32]:
+        """(N, 3) unit directions from points to the camera with the index ``view``."""
+        rays = np.asarray(self.centres[view], np.float32) - xyz
+        return rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.float32(1e-12))
+
+    def mean_directions(self, xyz: NDArray[np.float32]) -> NDArray[np.float32]:
+        """(N, 3) directions to the cameras, weighted and summed. 0 where no camera sees the point."""
+        total = np.zeros((len(xyz), 3), np.float32)
+        for view in range(len(self.centres)):
+            total += self.weights[:, view, None].astype(np.float32) * self.rays(xyz, view)
+        return total
+
+
+def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
     """Estimate unit normals that point out of the surface.
 
     Args:
         xyz: (N, 3) positions.
-        towards: (N, 3) direction from which each point is seen, of any length, or 0 where it is not known. None means
-            that no direction is known. The normals of such points point away from the centre of the points around them.
+        seen: which cameras see the points, or None if it is not known. The normals of points that no camera sees point
+            away from the centre of the points around them.
 
     Returns:
         (N, 3) float32. Fewer than 3 points have the normal (0, 0, 1).
@@ -41,12 +78,14 @@ def estimate_normals(xyz: Points, towards: Points | None = None) -> Normals:
     positions = np.asarray(xyz, np.float32)
     near = np.asarray(cKDTree(positions).query(positions, k=min(NEIGHBOURS, count), workers=-1)[1])
     normals = _least_spread(positions, near)
-    seen = np.zeros_like(normals) if towards is None else np.asarray(towards, np.float32)
-    is_seen = (seen * seen).sum(1) > 0
-    outwards = np.where(is_seen[:, None], seen, _away_from_centres(positions))
+    towards = np.zeros_like(normals) if seen is None else seen.mean_directions(positions)
+    is_seen = (towards * towards).sum(1) > 0
+    outwards = np.where(is_seen[:, None], towards, _away_from_centres(positions))
     normals *= _signs(normals, outwards)
+    if seen is not None:
+        normals = _turn_to_cameras(normals, positions, seen)
     for _ in range(VOTING_ROUNDS):
-        votes = np.einsum("nki,ni->n", normals[near], normals)
+        votes = np.einsum("nki,ni->n", normals[near[:, :VOTERS]], normals)
         normals[votes < 0] *= -1
     for _ in range(SMOOTHING_ROUNDS):
         # A neighbour on the other side of a thin part has the opposite normal, and does not count.
@@ -54,23 +93,6 @@ def estimate_normals(xyz: Points, towards: Points | None = None) -> Normals:
         agrees = np.einsum("nki,ni->nk", around, normals) > 0
         normals = _unit(np.einsum("nki,nk->ni", around, agrees.astype(np.float32)), normals)
     return normals
-
-
-def viewing_directions(xyz: Points, weights: Points, centres: Points) -> NDArray[np.float32]:
-    """Mean direction from points to the cameras that see them, weighted by the blend weights.
-
-    Args:
-        xyz: (N, 3) positions. weights: (N, V), 0 where a camera does not see a point. centres: (V, 3) of the cameras.
-
-    Returns:
-        (N, 3), 0 where no camera sees the point.
-    """
-    total = np.zeros((len(xyz), 3), np.float32)
-    for view, centre in enumerate(np.asarray(centres, np.float32)):
-        ray = centre - np.asarray(xyz, np.float32)
-        ray /= np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-12)
-        total += weights[:, view, None].astype(np.float32) * ray
-    return total
 
 
 def encode_octahedral(normals: NDArray[np.floating]) -> NDArray[np.uint8]:
@@ -97,6 +119,19 @@ def _least_spread(positions: NDArray[np.float32], near: NDArray[np.intp]) -> Nor
     centred -= centred.mean(1, keepdims=True)
     covariances = np.einsum("nki,nkj->nij", centred, centred)
     return np.ascontiguousarray(np.linalg.eigh(covariances)[1][:, :, 0])
+
+
+def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Visibility) -> Normals:
+    """Turn each normal to the cameras that see its point, as far as is needed for LEAST_COSINE."""
+    least = _SEES * np.asarray(seen.weights, np.float32).max(1, initial=0)
+    for _ in range(TURNING_ROUNDS):
+        turned = normals
+        for view in range(len(seen.centres)):
+            rays = seen.rays(positions, view)
+            missing = np.maximum(LEAST_COSINE - (turned * rays).sum(1), 0) * (seen.weights[:, view] > least)
+            turned = (turned + missing[:, None] * rays).astype(np.float32)
+        normals = _unit(turned, normals)
+    return normals
 
 
 def _away_from_centres(positions: NDArray[np.float32]) -> NDArray[np.float32]:

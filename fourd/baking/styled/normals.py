@@ -10,7 +10,7 @@ from cachetools import LRUCache
 from numpy.typing import NDArray
 
 from fourd.baking.scene import BakedFrame, SceneManifest
-from fourd.stylize.normals import encode_octahedral, estimate_normals, viewing_directions
+from fourd.stylize.normals import Visibility, encode_octahedral, estimate_normals
 
 CACHE_BYTES = 64 << 20
 _SAMPLES = 4096
@@ -25,7 +25,7 @@ def _estimate(
     xyz: NDArray[np.float32], blend_weights: NDArray[np.float16], manifest: SceneManifest
 ) -> NDArray[np.uint8]:
     centres = np.array([camera.centre for camera in manifest.source_cameras]).reshape(-1, 3)
-    return encode_octahedral(estimate_normals(xyz, viewing_directions(xyz, blend_weights, centres)))
+    return encode_octahedral(estimate_normals(xyz, Visibility(blend_weights, centres)))
 
 
 class FrameNormals:
