@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from fourd.baking import SceneReader
 from fourd.baking.player import Player
+from fourd.baking.scene import make_frame
 from fourd.cameras import Camera
 from fourd.viewer.publish.site import SCENE_NAME
 from tests.viewer.web.conftest import serving
@@ -85,8 +85,7 @@ class ThreePage:
 
     def expected(self, keep: NDArray[np.bool_], background: tuple[float, float, float]) -> NDArray[np.uint8]:
         """The CPU's image (H, W, 4) of some points."""
-        names = ("xyz", "radius", "density", "sh", "blend_weights", "rgb")
-        kept = replace(self.frame, **{name: getattr(self.frame, name)[keep] for name in names})
+        kept = make_frame({name: array[keep] for name, array in self.frame.arrays.items()})
         return Player().draw(kept, self.camera, self.manifest, background=background)
 
     @property
