@@ -169,7 +169,7 @@ def _check_rays(
 def _check_trace(
     bvh: Bvh, xyz: Tensor, origins: Tensor, layers: int, after: tuple[Tensor, Tensor] | None
 ) -> tuple[Tensor | None, Tensor | None]:
-    """Check the arguments of :func:`trace` alone, and return the two tensors of ``after``, or None."""
+    """Check the arguments that only :func:`trace` has, and return the two tensors of ``after``, or None."""
     like = ("origins", origins)
     check_tensor("xyz", xyz, ("V", 3), like=like)
     bvh.require_positions(xyz)
