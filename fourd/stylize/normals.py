@@ -122,7 +122,7 @@ def _least_spread(positions: NDArray[np.float32], near: NDArray[np.intp]) -> Nor
 
 
 def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Visibility) -> Normals:
-    """Turn each normal to the cameras that see its point, as far as is needed for LEAST_COSINE."""
+    """Turn each normal towards the cameras that see its point, but only until the cosine is LEAST_COSINE."""
     least = _SEES * np.asarray(seen.weights, np.float32).max(1, initial=0)
     for _ in range(TURNING_ROUNDS):
         turned = normals
