@@ -13,6 +13,9 @@ from pathlib import Path
 
 from fourd.limits import require_regular
 
+if sys.platform != "win32":
+    import fcntl
+
 UNFINISHED = ".unfinished-"
 """Prefix of the names of temporary files."""
 
@@ -31,9 +34,10 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     target = Path(target)
     require_regular(target)
     target.parent.mkdir(parents=True, exist_ok=True)
-    descriptor, name = tempfile.mkstemp(dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix)
-    os.close(descriptor)
+    descriptor, name = _create_temporary(target)
     temporary = Path(name)
+    if sys.platform == "win32":
+        os.close(descriptor)
     try:
         yield temporary
         _fsync(temporary)
@@ -48,7 +52,11 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
         # The error message names the target file, because the user does not know the temporary file.
         raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        try:
+            temporary.unlink(missing_ok=True)
+        finally:
+            if sys.platform != "win32":
+                os.close(descriptor)
 
 
 @contextmanager
@@ -104,10 +112,24 @@ def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
 
 
 def remove_unfinished_file(target: Path | str) -> None:
-    """Remove the temporary files that killed processes left for the file ``target``. Other files are kept."""
+    """Remove the temporary files that killed processes left for the file ``target``.
+
+    Temporary files of running processes are kept, because they are locked. Other files are kept.
+    """
     target = Path(target)
-    for path in target.parent.glob(f"{UNFINISHED}{glob.escape(target.stem)}-????????{glob.escape(target.suffix)}"):
-        path.unlink(missing_ok=True)
+    stem, suffix = glob.escape(target.stem), glob.escape(target.suffix)
+    # A temporary file that is written atomically has its own temporary file.
+    patterns = (f"{UNFINISHED}{stem}-????????{suffix}", f"{UNFINISHED}{UNFINISHED}{stem}-????????-????????{suffix}")
+    for path in [path for pattern in patterns for path in target.parent.glob(pattern)]:
+        try:
+            descriptor = os.open(path, os.O_RDONLY)
+        except OSError:
+            continue
+        try:
+            if _try_lock(descriptor):
+                path.unlink(missing_ok=True)
+        finally:
+            os.close(descriptor)
 
 
 def remove_unfinished_folder(target: Path) -> None:
@@ -134,6 +156,34 @@ def is_unused(folder: Path | str) -> bool:
     return all(
         path.name.startswith(UNFINISHED) or (path.is_dir() and not path.is_symlink()) for path in folder.rglob("*")
     )
+
+
+def _create_temporary(target: Path) -> tuple[int, str]:
+    """Create a temporary file beside ``target``. Returns its descriptor, which is locked, and its path."""
+    while True:
+        descriptor, name = tempfile.mkstemp(
+            dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix
+        )
+        # Another process may have removed the file before it was locked, because it looked like a leftover.
+        if _try_lock(descriptor) and os.path.exists(name):
+            return descriptor, name
+        os.close(descriptor)
+
+
+def _try_lock(descriptor: int) -> bool:
+    """Lock an open file until its descriptor is closed. Returns False if another process holds the lock.
+
+    On Windows, where open files cannot be renamed, and on file systems without locks, nothing is locked.
+    """
+    if sys.platform == "win32":
+        return True
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
+    return True
 
 
 def _fsync(path: Path) -> None:

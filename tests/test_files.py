@@ -105,6 +105,20 @@ def test_pipes_and_devices_are_not_replaced(tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["device", "pipe"]
 
 
+def test_temporary_files_in_use_are_kept(tmp_path: Path) -> None:
+    """Catches a command that removes the temporary file of another command, which writes the same file."""
+    target = tmp_path / "scene.4dv"
+    killed = [tmp_path / f"{UNFINISHED}scene-abcdefgh.4dv"]
+    killed.append(tmp_path / f"{UNFINISHED}{killed[0].stem}-abcdefgh.4dv")
+    for path in killed:
+        path.touch()
+    with atomic_path(target) as temporary:
+        temporary.write_text("whole")
+        remove_unfinished_file(target)
+        assert list(tmp_path.iterdir()) == [temporary]
+    assert list(tmp_path.iterdir()) == [target]
+
+
 def test_a_folder_is_whole_after_a_kill(tmp_path: Path) -> None:
     """Catches an old folder that is lost if a process is killed while it replaces the folder, and folders that stay."""
     target = tmp_path / "site"

@@ -31,7 +31,7 @@ from fourd.baking.packed.members import decode_cloud, optional_member, packed_na
 from fourd.baking.packed.streams import StreamError, decompress_exactly
 from fourd.baking.scene import FULL_VERSION, OBJECT_VERSION, BakedFrame, SceneBackground, SceneManifest, make_frame
 from fourd.errors import UserError
-from fourd.files import atomic_path
+from fourd.files import atomic_path, remove_unfinished_file
 
 MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 64 << 20
@@ -75,6 +75,7 @@ class SceneWriter:
 
     def __enter__(self) -> SceneWriter:
         with disk_errors(self.path), ExitStack() as stack:
+            remove_unfinished_file(self.path)
             temporary = stack.enter_context(atomic_path(self.path))
             self._zip = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED, allowZip64=True)
             self._stack = stack.pop_all()

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 from fourd.errors import UserError
-from fourd.files import atomic_path
+from fourd.files import write_text_atomically
 from fourd.limits import MAX_CALIBRATION_BYTES, read_text_limited
 
 Array = NDArray[np.float64]
@@ -148,31 +148,29 @@ def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
 def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequence[Camera]) -> None:
     """Write intri.yml and extri.yml for ``cameras`` into ``folder``; each file is written atomically."""
     folder = Path(folder)
-    with atomic_path(folder / INTRINSICS_NAME) as temporary:
-        storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_FORMAT_YAML)
-        _write_names(storage, names)
-        for name, camera in zip(names, cameras, strict=True):
-            distortion = camera.distortion if camera.distortion is not None else np.zeros(5)
-            storage.write(f"K_{name}", camera.intrinsics)
-            storage.write(f"D_{name}", distortion.reshape(1, -1))
-            storage.write(f"H_{name}", camera.height)
-            storage.write(f"W_{name}", camera.width)
-        storage.release()
-    with atomic_path(folder / EXTRINSICS_NAME) as temporary:
-        storage = cv2.FileStorage(str(temporary), cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_FORMAT_YAML)
-        _write_names(storage, names)
-        for name, camera in zip(names, cameras, strict=True):
-            storage.write(f"R_{name}", cv2.Rodrigues(camera.rotation)[0])
-            storage.write(f"Rot_{name}", camera.rotation)
-            storage.write(f"T_{name}", camera.translation.reshape(3, 1))
-        storage.release()
+    intri, extri = _new_storage(names), _new_storage(names)
+    for name, camera in zip(names, cameras, strict=True):
+        distortion = camera.distortion if camera.distortion is not None else np.zeros(5)
+        intri.write(f"K_{name}", camera.intrinsics)
+        intri.write(f"D_{name}", distortion.reshape(1, -1))
+        intri.write(f"H_{name}", camera.height)
+        intri.write(f"W_{name}", camera.width)
+        extri.write(f"R_{name}", cv2.Rodrigues(camera.rotation)[0])
+        extri.write(f"Rot_{name}", camera.rotation)
+        extri.write(f"T_{name}", camera.translation.reshape(3, 1))
+    write_text_atomically(folder / INTRINSICS_NAME, intri.releaseAndGetString())
+    write_text_atomically(folder / EXTRINSICS_NAME, extri.releaseAndGetString())
 
 
-def _write_names(storage: cv2.FileStorage, names: Sequence[str]) -> None:
+def _new_storage(names: Sequence[str]) -> cv2.FileStorage:
+    """A storage in memory with the names of the cameras. Storages on the disk report no error when the disk is full."""
+    flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
+    storage = cv2.FileStorage(".yml", flags)
     storage.startWriteStruct("names", cv2.FileNode_SEQ)
     for name in names:
         storage.write("", name)
     storage.endWriteStruct()
+    return storage
 
 
 def _read_camera(name: str, intri: _Storage, extri: _Storage) -> Calibration:

@@ -123,7 +123,8 @@ def open_container(path: Path) -> InputContainer:
         UserError: if the file is a named pipe, a socket or a device. av.FFmpegError, OSError: if it is not a video.
     """
     require_regular(path)
-    return av.open(str(path), options={"protocol_whitelist": "file", "format_whitelist": CONTAINERS})
+    limits = {"protocol_whitelist": "file", "format_whitelist": CONTAINERS}
+    return av.open(str(path), options=limits, metadata_errors="replace")
 
 
 def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
@@ -164,8 +165,7 @@ def index_to_json(index: VideoIndex) -> dict[str, Any]:
 def index_from_json(values: Any) -> VideoIndex:
     """Create an index from its JSON values. Raises TypeError, KeyError, ValueError or ZeroDivisionError for other
     values."""
-    values = dict(values)
-    values |= {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
+    values = dict(values) | {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
     values |= {name: _whole_numbers(values.get(name, ())) for name in ("keyframes", "times")}
     index = VideoIndex(**values)
     _whole_numbers((index.frames, index.width, index.height))

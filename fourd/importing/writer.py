@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from fourd.capture.calibration import write_calibration
 from fourd.capture.frame_rate import NAME as RATE_NAME
@@ -19,6 +20,7 @@ from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import Video, align_videos, common_frames, common_rate, write_video_list
 from fourd.errors import UserError
 from fourd.files import atomic_path, write_bytes_atomically
+from fourd.formats.picture import write_picture
 from fourd.importing.clock import describe_clock, describe_pictures
 from fourd.importing.imported import (
     EncodedPictures,
@@ -150,9 +152,8 @@ def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
             target = folder / f"{frame_name(number)}.jpg"
             if target.exists():
                 continue
-            with atomic_path(target) as temporary:
-                bgr = cv2.cvtColor(reader.read(video.number(number)), cv2.COLOR_RGB2BGR)
-                cv2.imwrite(str(temporary), bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+            bgr = np.asarray(cv2.cvtColor(reader.read(video.number(number)), cv2.COLOR_RGB2BGR), np.uint8)
+            write_picture(target, bgr, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
 
 
 def _link_or_copy(source: Path, target: Path, copy: bool) -> None:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, refuse_symlinks, sample_indices
-from fourd.files import atomic_path, remove_unfinished, write_text_atomically
+from fourd.files import remove_unfinished, write_text_atomically
+from fourd.formats.picture import write_picture
 from fourd.limits import open_regular, read_json
 from fourd.matting.selection import Selection
 from fourd.parallel import run_jobs
@@ -177,9 +178,7 @@ def clean_plate(capture: Capture, index: int) -> Plate:
 def write_plate(path: Path, plate: Plate) -> None:
     """Write a plate atomically as an RGBA PNG."""
     alpha = np.where(plate.seen, 255, 0).astype(np.uint8)
-    with atomic_path(path) as temporary:
-        if not cv2.imwrite(str(temporary), np.dstack([plate.rgb[..., ::-1], alpha])):
-            raise OSError(f"{path}: cannot be written")
+    write_picture(path, np.dstack([plate.rgb[..., ::-1], alpha]))
 
 
 def _weighted_frames(capture: Capture, index: int) -> Iterator[tuple[Floats, Floats]]:

@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, parse_frame_range, refuse_symlinks, sample_indices
 from fourd.errors import UserError
-from fourd.files import atomic_path, remove_unfinished, write_text_atomically
+from fourd.files import remove_unfinished, write_text_atomically
+from fourd.formats.picture import write_picture
 from fourd.limits import read_json
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
 from fourd.matting.mask_files import find_masks, read_mask
@@ -277,6 +278,4 @@ def _make_frames(job: _Job) -> Iterator[int]:
 
 def write_matte(path: Path, matte: Picture) -> None:
     """Write a matte (H, W) uint8 atomically as PNG."""
-    with atomic_path(path) as temporary:
-        if not cv2.imwrite(str(temporary), matte, FASTEST_PNG):
-            raise OSError(f"{path}: cannot be written")
+    write_picture(path, matte, FASTEST_PNG)

@@ -18,6 +18,7 @@ from safetensors.torch import save_file
 
 from fourd.errors import UserError
 from fourd.files import atomic_path
+from fourd.formats.picture import write_picture
 from fourd.processes import DeferredInterrupt
 from fourd.training.cameras.calibration import write_corrected
 from fourd.training.checkpoints import (
@@ -174,8 +175,7 @@ class Trainer:
         log.scalars(self.done, {"validation/psnr": float(np.mean(values)), "seconds": self.seconds})
         log.image(self.done, "validation", pair)
         path = self.run.folder / VALIDATION / f"{self.done:07d}.png"
-        with atomic_path(path) as temporary:
-            cv2.imwrite(str(temporary), cv2.cvtColor(pair, cv2.COLOR_RGB2BGR))
+        write_picture(path, np.asarray(cv2.cvtColor(pair, cv2.COLOR_RGB2BGR), np.uint8))
 
     def _checkpoint(self) -> None:
         """Save the points first and the model's file last. The presence of the model's file marks the checkpoint as

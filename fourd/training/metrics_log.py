@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,6 +46,8 @@ class MetricsLog:
             if path.exists():
                 _truncate(path, resume_step)
             self._stream = path.open("a", encoding="utf-8")
+            self._hook = threading.excepthook
+            threading.excepthook = self._ignore_disk_errors
             purge = resume_step + 1 if resume_step > 0 else None
             self._events = SummaryWriter(str(folder), purge_step=purge, flush_secs=FLUSH_SECONDS)
 
@@ -73,6 +76,7 @@ class MetricsLog:
         """Flush and close the log. Closing the log again has no effect. Raises UserError if the disk is full."""
         if self._stream.closed:
             return
+        threading.excepthook = self._hook
         with self._os_errors_as_user_errors():
             self._stream.close()
             self._events.close()
@@ -82,6 +86,11 @@ class MetricsLog:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+    def _ignore_disk_errors(self, arguments: threading.ExceptHookArgs) -> None:
+        """Print no traceback if TensorBoard's thread cannot write. Its next call raises the same error."""
+        if not (arguments.exc_type is not None and issubclass(arguments.exc_type, OSError | MemoryError)):
+            self._hook(arguments)
 
     @contextmanager
     def _os_errors_as_user_errors(self) -> Iterator[None]:

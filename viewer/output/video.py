@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.errors import UserError
-from fourd.files import atomic_path
+from fourd.files import atomic_path, remove_unfinished_file
 
 # In ITU-T H.273, the codes of BT.709 have the value 1. FFmpeg's code for limited range is also 1.
 _BT709 = 1
@@ -42,6 +42,7 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
     if not fps > 0:
         raise ValueError(f"fps: expected more than 0, got {fps}")
     encoder = _find_encoder(path)
+    remove_unfinished_file(path)
     count = 0
     stream: Any = None
     shape: tuple[int, ...] = ()

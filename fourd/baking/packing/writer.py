@@ -22,7 +22,7 @@ from fourd.baking.manifest import manifest_to_json
 from fourd.baking.packed.members import optional_member, packed_names, view_member
 from fourd.baking.packed.streams import Compression, compress
 from fourd.baking.scene import PACKED_VERSION, VIDEO_VERSION, SceneManifest
-from fourd.files import atomic_path
+from fourd.files import atomic_path, remove_unfinished_file
 
 _BYTES_PER_MEMBER = 64
 """Bytes that are reserved in the manifest for the name, the offset and the size of one member."""
@@ -76,6 +76,7 @@ class PackedWriter:
 
     def __enter__(self) -> PackedWriter:
         with disk_errors(self.path), ExitStack() as stack:
+            remove_unfinished_file(self.path)
             self._temporary = stack.enter_context(atomic_path(self.path))
             self._zip = zipfile.ZipFile(self._temporary, "w", zipfile.ZIP_STORED, allowZip64=True)
             self._zip.writestr(make_member(MANIFEST_NAME), b" " * self._manifest_room())

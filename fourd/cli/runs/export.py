@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -19,6 +19,10 @@ from fourd.baking.scene import BAKED_LAYERS
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.errors import UserError
 from fourd.progress import Terminal, Tracker
+from fourd.training.points.scratch import Scratch
+
+SCRATCH = ".export"
+"""Name of the folder beside the output with the scene that is baked before it is exported."""
 
 
 @dataclass(frozen=True)
@@ -102,9 +106,9 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
         with open_scene(arguments.source) as scene:
             _write(arguments, kind, scene, console)
         return
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=arguments.out.parent, prefix=".export-") as folder:
-        baked = Path(folder) / "scene.4dv"
+    # The folder is removed by the next command if this process is killed.
+    with closing(Scratch(arguments.out.parent / SCRATCH)) as scratch:
+        baked = scratch.folder / "scene.4dv"
         _bake(arguments, baked, console)
         with open_scene(baked) as scene:
             _write(arguments, kind, scene, console)

@@ -18,7 +18,8 @@ from rich.text import Text
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
 from fourd.errors import UserError
-from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited
+from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
+from fourd.processes.isolation import ParserProcess
 from fourd.progress import Terminal
 from fourd.training.run_layout import CHECKPOINTS, checkpoint_files
 
@@ -191,10 +192,20 @@ def _checkpoint(path: Path) -> Rows:
 
 
 def _video(path: Path) -> Rows:
+    """Describe a video in a child process, because a damaged video can crash FFmpeg."""
+    require_regular(path)
+    with ParserProcess() as parser:
+        rows = parser.call("fourd.cli.scenes.info:describe_video_in_child", path).value
+    return [(str(name), str(value)) for name, value in rows]
+
+
+def describe_video_in_child(name: str) -> Rows:
+    """Describe a video in this process."""
     import av
 
     from fourd.capture.video import open_container
 
+    path = Path(name)
     try:
         with open_container(path) as container:
             if not container.streams.video:
@@ -209,7 +220,7 @@ def _video(path: Path) -> Rows:
                 ("codec", stream.codec_context.name),
                 ("size", _bytes(path.stat().st_size)),
             ]
-    except av.FFmpegError as error:
+    except (av.FFmpegError, ValueError, OverflowError, OSError) as error:
         raise UserError(f"{path}: expected a whole video, got a damaged file; copy it again") from error
 
 

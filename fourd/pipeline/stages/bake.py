@@ -9,7 +9,7 @@ from fourd.baking.bake import bake_run
 from fourd.baking.packing.report import PackSettings, pack_and_report
 from fourd.baking.scene import BAKED_LAYERS
 from fourd.capture.frame_rate import NAME
-from fourd.files import atomic_path
+from fourd.files import atomic_path, remove_unfinished_file
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.training.run import load_run
 
@@ -47,6 +47,7 @@ def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = 
 def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None:
     """Load the newest checkpoint and write every frame to the scene file."""
     trained = load_run(files.run)
+    remove_unfinished_file(files.scene)
     with trained.run:
         if settings.pack is None:
             bake_run(trained, files.scene, context.console, settings.layers, settings.fps)

@@ -11,7 +11,6 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 from fourd.background.shell import viewing_centre
@@ -19,7 +18,8 @@ from fourd.capture import open_capture
 from fourd.capture.layout import DERIVED, link_entries
 from fourd.carving import Bounds
 from fourd.carving.sequence import BOUNDS_NAME
-from fourd.files import atomic_path, write_text_atomically
+from fourd.files import write_text_atomically
+from fourd.formats.picture import write_picture
 from fourd.formats.ply import write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
@@ -71,8 +71,7 @@ def run_still(files: StillFiles, settings: NoSettings, context: Context) -> None
             folder = files.still / "masks" / name
             folder.mkdir(parents=True, exist_ok=True)
             for frame in capture.frame_names:
-                with atomic_path(folder / f"{frame}.png") as temporary:
-                    cv2.imwrite(str(temporary), np.zeros((lens.height, lens.width), np.uint8))
+                write_picture(folder / f"{frame}.png", np.zeros((lens.height, lens.width), np.uint8))
     write_text_atomically(files.still / DONE, json.dumps({"capture": str(files.capture.resolve())}) + "\n")
 
 

@@ -60,6 +60,9 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     if sys.platform == "win32":
         lock.close()  # on Windows, open files cannot be removed
+    if folder.exists():  # the next scratch folder removes this folder, because its lock file remains
+        lock.close()
+        return
     with contextlib.suppress(OSError):
         folder.with_name(f"{folder.name}{LOCK_SUFFIX}").unlink(missing_ok=True)
     lock.close()
@@ -73,7 +76,8 @@ def _remove_leftovers(parent: Path) -> None:
         with contextlib.suppress(OSError), path.open("rb+") as stream:
             if _try_lock(stream):
                 shutil.rmtree(path.with_suffix(""), ignore_errors=True)
-                path.unlink(missing_ok=True)
+                if not path.with_suffix("").exists():
+                    path.unlink(missing_ok=True)
 
 
 def _try_lock(stream: BinaryIO) -> bool:

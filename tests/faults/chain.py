@@ -1,0 +1,181 @@
+"""The commands from images to a scene on a tiny capture, and the comparison of their results."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from safetensors import safe_open
+
+from fourd.files import UNFINISHED
+from tests.captures import write_ball_capture
+from tests.faults.operations import Mode
+
+TIMES = ("metrics.jsonl", "events.out.tfevents")
+"""Beginnings of the names of files that contain times."""
+EXPORTED = ".export"
+REPOSITORY = Path(__file__).parents[2]
+SMALL = (
+    "points=200",
+    "layers=4",
+    "least_layers=3",
+    "max_steps=2",
+    "checkpoint_steps=1",
+    "model.hidden=8",
+    "model.planes.levels=1",
+    "model.planes.features=2",
+    "model.planes.base_resolution=8",
+)
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, and the folder that it writes. Paths are relative to the folder of work."""
+
+    words: tuple[str, ...]
+    output: str
+
+    @property
+    def name(self) -> str:
+        return self.words[0]
+
+
+COMMANDS = (
+    Command(("import", "easymocap", "source", "capture", "--copy"), "capture"),
+    Command(("matte", "capture", "--method", "masks", "--masks", "source/given", "--workers", "1"), "capture"),
+    Command(("carve", "capture", "-o", "hulls", "--points", "200", "--workers", "1"), "hulls"),
+    Command(("train", "capture", "-o", "run", "--workers", "1", *(w for s in SMALL for w in ("--set", s))), "run"),
+    Command(("export", "run", "-o", "out/scene.4dv"), "out"),
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a command.
+
+    Attributes:
+        code: exit code, or the negative number of a signal.
+        text: its output.
+        operations: the operations that it did, or an empty list if it was killed.
+    """
+
+    code: int
+    text: str
+    operations: list[str]
+
+
+class Zygote:
+    """Runs commands in processes that are forked from one process with all imports."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.faults.zygote"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=REPOSITORY,
+            env=os.environ | {"OMP_NUM_THREADS": "1", "FOURD_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"},
+        )
+        assert self._process.stdout is not None
+        assert self._process.stdout.readline() == "ready\n"
+
+    def __enter__(self) -> Zygote:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        self._process.wait()
+
+    def run(self, command: Command, root: Path, mode: Mode = "count", at: int = -1) -> Outcome:
+        """Run a command in the folder ``root``."""
+        words = list(command.words)
+        if command.name == "train" and (root / "run" / "config.yaml").exists():
+            words.append("--resume")
+        words = [str(root / word) if _is_path(word) else word for word in words]
+        log, operations = self._folder / "log", self._folder / "operations"
+        operations.unlink(missing_ok=True)
+        job: dict[str, Any] = {"words": words, "root": str(root), "mode": mode, "at": at}
+        job |= {"log": str(log), "operations": str(operations)}
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps(job) + "\n")
+        self._process.stdin.flush()
+        status = json.loads(self._process.stdout.readline())["status"]
+        done = json.loads(operations.read_text()) if operations.exists() else []
+        return Outcome(os.waitstatus_to_exitcode(status), log.read_text(encoding="utf-8"), done)
+
+
+def _is_path(word: str) -> bool:
+    return word.split("/")[0] in ("source", "capture", "hulls", "run", "out")
+
+
+def write_source(root: Path) -> None:
+    """Write a capture of three cameras and one frame, with masks in a separate folder."""
+    write_ball_capture(root / "source", cameras=3, frames=1, size=48)
+    (root / "source" / "masks").rename(root / "source" / "given")
+
+
+def restore(snapshot: Path, root: Path) -> None:
+    """Replace the folder ``root`` by a copy of ``snapshot``, with the same times."""
+    shutil.rmtree(root, ignore_errors=True)
+    shutil.copytree(snapshot, root, symlinks=True)
+
+
+def contents(root: Path) -> dict[str, bytes]:
+    """The contents of all files below a folder by path, without times and durations."""
+    found = {}
+    for path in sorted(root.rglob("*")):
+        if path.is_file() and not path.name.startswith(TIMES):
+            found[str(path.relative_to(root))] = _content(path)
+    return found
+
+
+def leftovers(root: Path) -> list[str]:
+    """Temporary files and scratch folders below a folder."""
+    marks = (UNFINISHED, EXPORTED)
+    found = [path for path in root.rglob("*") if path.name.startswith(marks) or path.name == "scratch"]
+    return [str(path.relative_to(root)) for path in found]
+
+
+def partial_files(root: Path, before: dict[str, bytes], after: dict[str, bytes]) -> Iterator[str]:
+    """The files that have neither the content before the command, nor that after the whole command.
+
+    Records of progress are JSON and may have other contents, but they must be whole. Files that the whole command
+    removes, such as older checkpoints, are not examined.
+    """
+    for name, content in contents(root).items():
+        is_known = content in (before.get(name), after.get(name)) or (name.endswith(".json") and _is_json(content))
+        is_temporary = any(part.startswith((UNFINISHED, EXPORTED, "scratch")) for part in Path(name).parts)
+        if not is_known and not is_temporary and (name in before or name in after):
+            yield name
+
+
+def _is_json(content: bytes) -> bool:
+    try:
+        return isinstance(json.loads(content), dict)
+    except ValueError:
+        return False
+
+
+def _content(path: Path) -> bytes:
+    if path.suffix != ".safetensors" or path.parent.name != "checkpoints":
+        return path.read_bytes()
+    try:
+        with safe_open(path, framework="np") as stream:
+            header = stream.metadata()
+            tensors = {name: stream.get_tensor(name).tobytes().hex() for name in stream.keys()}  # noqa: SIM118
+    except Exception:
+        return path.read_bytes()
+    return json.dumps([header["step"], header["points"], tensors]).encode()

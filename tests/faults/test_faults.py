@@ -1,0 +1,140 @@
+"""Every operation on files fails once, in all commands from images to a scene: no result is lost or damaged."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.faults.chain import (
+    COMMANDS,
+    Command,
+    Outcome,
+    Zygote,
+    contents,
+    leftovers,
+    partial_files,
+    restore,
+    write_source,
+)
+from tests.faults.operations import MODES, Mode
+
+QUICK_FAULTS = 2
+"""Number of faults of each kind in the quick test."""
+CODES: dict[Mode, tuple[int, ...]] = {
+    "full": (0, 2),
+    "memory": (0, 2),
+    "interrupt": (0, 2, 130),
+    "kill": (-9,),
+}
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A command, the folder before it, the contents after it, and the operations that it does."""
+
+    command: Command
+    before: Path
+    after: dict[str, bytes]
+    operations: list[str]
+
+
+@dataclass(frozen=True)
+class Chain:
+    """All commands, and a process that runs them in the folder ``root``."""
+
+    zygote: Zygote
+    root: Path
+    stages: tuple[Stage, ...]
+
+
+@pytest.fixture(scope="module")
+def chain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chain]:
+    folder = tmp_path_factory.mktemp("faults").resolve()
+    root, stages = folder / "work", []
+    write_source(root)
+    with Zygote(folder) as zygote:
+        for number, command in enumerate(COMMANDS):
+            before = folder / f"before {number}"
+            shutil.copytree(root, before, symlinks=True)
+            outcome = zygote.run(command, root)
+            assert outcome.code == 0, outcome.text
+            assert leftovers(root) == []
+            stages.append(Stage(command, before, contents(root), outcome.operations))
+        yield Chain(zygote, root, tuple(stages))
+
+
+def find_fault(chain: Chain, stage: Stage, mode: Mode, at: int) -> str:
+    """Let one operation of a command fail, and run the command again. Returns a description of what is wrong."""
+    restore(stage.before, chain.root)
+    before = contents(chain.root)
+    failed = chain.zygote.run(stage.command, chain.root, mode, at)
+    message = _wrong_message(stage.command, mode, failed)
+    if message:
+        return message
+    partial = list(partial_files(chain.root, before, stage.after))
+    if partial:
+        return f"neither old nor new: {partial}"
+    again = chain.zygote.run(stage.command, chain.root)
+    if again.code != 0:
+        return f"the next run ends with {again.code}: {again.text[-300:]}"
+    if leftovers(chain.root):
+        return f"left over: {leftovers(chain.root)}"
+    now = contents(chain.root)
+    different = sorted(name for name in now.keys() | stage.after.keys() if now.get(name) != stage.after.get(name))
+    return f"other contents after the next run: {different}" if different else ""
+
+
+def _wrong_message(command: Command, mode: Mode, outcome: Outcome) -> str:
+    if outcome.code not in CODES[mode]:
+        return f"exit code {outcome.code}: {outcome.text[-300:]}"
+    if "Traceback" in outcome.text:
+        return f"traceback: {outcome.text[-300:]}"
+    lines = [line for line in outcome.text.splitlines() if line.startswith(f"fourd {command.name}: ")]
+    if outcome.code == 2 and len(lines) != 1:
+        return f"not one line: {outcome.text[-300:]}"
+    return ""
+
+
+def run_faults(chain: Chain, faults: list[tuple[int, Mode, int]]) -> None:
+    wrong = []
+    for number, mode, at in faults:
+        stage = chain.stages[number]
+        fault = find_fault(chain, stage, mode, at)
+        if fault:
+            wrong.append(f"{stage.command.name}, {mode} at operation {at} ({stage.operations[at]}): {fault}")
+    assert not wrong, f"{len(wrong)} of {len(faults)} faults:\n" + "\n".join(wrong)
+
+
+def all_faults(chain: Chain) -> list[tuple[int, Mode, int]]:
+    return [
+        (number, mode, at)
+        for number, stage in enumerate(chain.stages)
+        for mode in MODES
+        for at in range(len(stage.operations))
+    ]
+
+
+def test_some_faults_lose_nothing(chain: Chain, rng: np.random.Generator) -> None:
+    """Catches a torn file, a lost result, a leftover file, and a next run that ends with other bytes."""
+    faults = all_faults(chain)
+    chosen = [
+        each
+        for mode in MODES
+        for each in rng.permutation(np.array([index for index, fault in enumerate(faults) if fault[1] == mode]))[
+            :QUICK_FAULTS
+        ]
+    ]
+    run_faults(chain, [faults[index] for index in chosen])
+
+
+@pytest.mark.slow
+def test_every_fault_loses_nothing(chain: Chain) -> None:
+    """Catches the same, for every operation of every command."""
+    faults = all_faults(chain)
+    print(f"{len(faults)} faults of {sum(len(stage.operations) for stage in chain.stages)} operations")
+    run_faults(chain, faults)

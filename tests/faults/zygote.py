@@ -1,0 +1,90 @@
+"""A process that has imported fourd once, and that forks for each command. Jobs and results are lines of JSON.
+
+The process has one thread, so that forking is safe.
+"""
+
+from __future__ import annotations
+
+import atexit
+import faulthandler
+import importlib
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import torch
+from PIL import Image
+
+from fourd.cli import main as cli
+from fourd.ops.loading import load_native
+from tests.faults.operations import Faults
+
+MAX_SECONDS = 20
+"""A command that runs for this time hangs. It takes less than 3 seconds on an idle machine."""
+MODULES = ("captures.import_", "captures.matte", "captures.carve", "runs.train", "runs.export", "scenes.verify")
+
+
+def run_job(job: dict[str, Any]) -> dict[str, Any]:
+    """Run a command in a forked process. The result has the wait status, and the operations if they were counted."""
+    child = os.fork()
+    if child == 0:
+        code = 70
+        try:
+            code = _run_command(job)
+        finally:
+            os._exit(code)
+    _, status = os.waitpid(child, 0)
+    return {"status": status}
+
+
+def _run_command(job: dict[str, Any]) -> int:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    log = os.open(job["log"], os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
+    sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
+    faulthandler.dump_traceback_later(MAX_SECONDS, exit=True)
+    faults = Faults(Path(job["root"]), job["mode"], job["at"])
+    faults.install()
+    code = 71
+    try:
+        code = cli.main(job["words"])
+    except BaseException as error:
+        print(f"Traceback: {type(error).__name__}: {error}", file=sys.stderr)
+    done, faults.at = list(faults.operations), -1
+    atexit._run_exitfuncs()  # removes scratch folders, as the end of a program does
+    sys.stdout.flush()
+    sys.stderr.flush()
+    Path(job["operations"]).write_text(json.dumps(done))
+    return code
+
+
+def _import_lazily_imported() -> None:
+    """Import what libraries import on their first use, so that commands do not import it again in each process."""
+    importlib.import_module("torch.utils.tensorboard")
+    Image.init()
+    load_native()
+    weight = torch.zeros(1, requires_grad=True)
+    optimizer = torch.optim.Adam([weight])
+    weight.sum().backward()
+    optimizer.step()
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    torch.set_num_threads(1)
+    for name in MODULES:
+        importlib.import_module(f"fourd.cli.{name}")
+    _import_lazily_imported()
+    print("ready", flush=True)
+    for line in sys.stdin:
+        print(json.dumps(run_job(json.loads(line))), flush=True)
+
+
+if __name__ == "__main__":
+    main()
