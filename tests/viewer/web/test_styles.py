@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -208,3 +209,21 @@ def test_files_of_styles_that_are_missing_or_damaged(
             page.run(CHOOSE, "toon")
             assert expected in page.message()
             assert "\n" not in page.message()
+
+
+def test_damaged_normals(folder: Path, tmp_path: Path, open_page: Callable[..., PlayerPage]) -> None:
+    """Catches damaged normals that are drawn, and a scene that vanishes because its normals are damaged."""
+    shutil.copytree(folder / "site", tmp_path / "site")
+    scene = tmp_path / "site" / SCENE_NAME
+    content = bytearray(scene.read_bytes())
+    manifest = json.loads(content[43 : 43 + struct.unpack_from("<L", content, 22)[0]])
+    offset, size = manifest["members"]["frames/000000/optional/normals"]
+    content[offset + size // 2] ^= 0xFF
+    scene.write_bytes(content)
+    with serving(tmp_path / "site") as server:
+        page = open_page(server.url, (SIZE, SIZE))
+        page.pause(0)
+        page.run("await player.styleMenu.choose('toon');")
+        assert page.error().startswith("frames/000000/optional/normals: expected ")
+        page.run("stage.redraw(); window.pixels = stage.renderer.readPixels();")
+        assert page.run("return window.pixels.some((value, index) => index % 4 < 3 && value > 50);")

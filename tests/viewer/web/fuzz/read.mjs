@@ -57,6 +57,10 @@ async function readCloud(file, folder, points, encoding) {
   const base = await decodeBase(members, points, encoding, folder);
   check(base.xyz.length === 3 * points && base.sizes.length === points && base.mean.length === 4 * points, "sizes");
   check(base.factors.length === encoding.shRows * points, "factors");
+  if (file.manifest.hasNormals) {
+    const name = `${folder}/optional/normals`;
+    check((await inflateExactly((await file.read([name])).get(name), 2 * points, name)).length === 2 * points, "normals");
+  }
   check(base.largestRadius >= 0 && Number.isFinite(base.largestRadius), "largest radius");
   check(base.xyz.every(Number.isFinite), "positions");
   for (let view = 0; view < Math.min(sources.length, MAX_VIEWS); view++) {
