@@ -120,7 +120,11 @@ class ViewerState:
         """Write the image, without the panel, to a PNG in the working directory."""
         if self.session.scene is None:
             return
-        image = self.renderer.draw_exact()
+        try:
+            image = self.renderer.draw_exact()
+        except UserError as error:
+            self.session.message = str(error)
+            return
         if image is None:
             return
         path = unused_path(self.session.scene.path.stem, ".png")
