@@ -70,8 +70,8 @@ fourd_kernel(rasterize
   CUDA_BINDING cuda/binding.cpp)
 
 fourd_kernel(rays
-  CPU cpu/build.cpp cpu/refit.cpp cpu/trace.cpp
-  DISPATCH cpu/loops.cpp WIDEST avx2 EXACT
+  CPU cpu/bounds.cpp cpu/discs.cpp cpu/topology.cpp cpu/trace.cpp cpu/triangles.cpp
+  DISPATCH cpu/disc_loops.cpp cpu/loops.cpp WIDEST avx2 EXACT
   CUDA cuda/trace.cu
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)

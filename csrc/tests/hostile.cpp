@@ -278,8 +278,9 @@ void run_rays(unsigned seed, const char* simd) {
         tree.magnitude = fourd::rays::refit(inputs.mesh(), tree.nodes.data(), tree.nodes.size(), tree.blocks.data(),
                                             tree.blocks.size(), inputs.query.threads);
     }
-    fourd::tests::expect_finite(inputs.u, "barycentric weights", seed);
-    fourd::tests::expect_finite(inputs.v, "barycentric weights", seed);
+    expect_finite(inputs.u, "barycentric weights", seed);
+    expect_finite(inputs.v, "barycentric weights", seed);
+    expect_finite(inputs.composite_discs(random, seed % 2 ? 0.1f : 0.0f), "picture of discs", seed);
 }
 
 void run_texture(unsigned seed, const char* simd) {

@@ -221,7 +221,7 @@ void run_rays(unsigned seed) {
     fourd::rays::cuda::trace(inputs.view(tree), inputs.query, inputs.hits(), nullptr);
     fourd::rays::cuda::occluded(inputs.view(tree), inputs.query, inputs.flags.data(), nullptr);
     fourd::rays::cuda::trace_backward(inputs.mesh(), inputs.gradients(), nullptr);
-    fourd::tests::expect_finite(inputs.u, "barycentric weights", seed);
+    expect_finite(inputs.u, "barycentric weights", seed);
 }
 
 void run_texture(unsigned seed) {

@@ -6,6 +6,7 @@
 
 #include "interpolate/interpolate.h"
 #include "rasterize/rasterize.h"
+#include "rays/discs.h"
 #include "rays/rays.h"
 #include "tests/random_inputs.h"
 
@@ -110,6 +111,19 @@ struct RayInputs {
         return {origins.data(), directions.data(), query.count, layers, t.data(), u.data(), v.data(), triangle.data(),
                 to_hits.data(), to_hits.data(), to_hits.data(), to_xyz.data(), to_origins.data(), to_directions.data(),
                 query.threads};
+    }
+
+    // Composites discs at the vertices, with radii and densities that may be invalid. Returns the picture.
+    Floats composite_discs(Random& random, float hostile) const {
+        const std::size_t count = xyz.size() / 3;
+        const Floats radius = random_floats(random, count, -0.1f, 1, hostile);
+        const Floats density = random_floats(random, count, -0.1f, 2, hostile);
+        const Floats colours = random_floats(random, 3 * count, 0, 1, 0), facing = random_floats(random, 3, -1, 1, hostile);
+        Floats rgba(4 * query.count);
+        const rays::DiscTree tree = rays::build_discs({xyz.data(), radius.data(), density.data(), count}, query.threads);
+        const float* const plane = random_int(random, 0, 1) == 1 ? facing.data() : nullptr;
+        rays::composite_discs(tree, query, {colours.data(), plane, random_int(random, 1, rays::kMaxDiscLayers), rgba.data()});
+        return rgba;
     }
 
     static rays::TreeView view(const rays::Tree& tree) {

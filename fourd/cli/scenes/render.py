@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -18,13 +18,16 @@ from fourd.baking.meshes.source import is_mesh
 from fourd.baking.playable import Playable, find_view, open_playable, select_frames, selected_rate
 from fourd.cameras import Camera
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
+from fourd.cli.scenes.lens_options import LensOptions, make_inserts, make_lens
 from fourd.errors import UserError
+from fourd.lenses.inserts import Insert
 from fourd.progress import Terminal
 from fourd.stylize import load_style
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
 from fourd.viewer.output.video import write_video
 from fourd.viewer.playback.sources import open_frame_source
+from fourd.viewer.rendering.lens import LensPlayable
 from fourd.viewer.rendering.styled import StyledPlayable
 
 
@@ -55,6 +58,7 @@ class Arguments:
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Background colour: red, green and blue, 0 to 1 each."""
     style: StyleName = None
+    optics: LensOptions = field(default_factory=LensOptions)
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
     """Frames per second of the video. If --frames selects every S-th frame, the default is divided by S."""
 
@@ -69,6 +73,8 @@ def run(arguments: Arguments) -> None:
     )
     playable = _open(arguments)
     frames = select_frames(playable, arguments.frames)
+    if arguments.optics.is_used:
+        playable = _through_lens(arguments, playable, frames)
     fps = arguments.fps or selected_rate(playable, frames)
     if arguments.views is not None:
         written = _write_views(arguments, playable, frames, fps, console)
@@ -83,6 +89,26 @@ def _open(arguments: Arguments) -> Playable:
         return PlayableMeshes(arguments.source, style)
     playable = open_playable(arguments.source)
     return playable if style is None else StyledPlayable(playable, open_frame_source(arguments.source), style)
+
+
+def _through_lens(arguments: Arguments, playable: Playable, frames: list[int]) -> Playable:
+    """Return the scene seen through the lens of the arguments. The floor lies under the subject's lowest points of the
+    first and the middle rendered frame."""
+    if arguments.style is not None:
+        raise UserError("--style, --lens: expected one of them, got both; styles are not drawn through a lens")
+    if is_mesh(arguments.source):
+        raise UserError(f"{arguments.source}: expected a run or a .4dv scene for --lens, got meshes")
+    source = open_frame_source(arguments.source)
+    views = list(playable.views.values())
+    inserts: tuple[Insert, ...] = ()
+    if arguments.optics.mirror_floor or arguments.optics.glass_ball is not None:
+        chosen = sorted({frames[0], frames[len(frames) // 2]})
+        read = [source.read(frame) for frame in chosen]
+        subject = np.concatenate([frame.xyz[: frame.dynamic_count] for frame in read])
+        inserts = make_inserts(arguments.optics, views, subject)
+    if not views:
+        raise UserError(f"{arguments.source}: expected a scene with cameras for --lens, got none")
+    return LensPlayable(playable, source, make_lens(arguments.optics, views[0], playable.focus), inserts)
 
 
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:

@@ -140,3 +140,29 @@ def _with_weights(
         torch.zeros_like(t).index_put((ray, layer), solved[2]),
         triangle,
     )
+
+
+def composite_discs_reference(
+    xyz: Tensor,
+    radius: Tensor,
+    density: Tensor,
+    colours: Tensor,
+    origins: Tensor,
+    directions: Tensor,
+    facing: Tensor | None,
+    t_min: float,
+    layers: int,
+) -> Tensor:
+    """Compute what :meth:`fourd.ops.rays.discs.DiscTree.composite` computes, for valid discs and rays, as (R, 4)."""
+    away = xyz[None] - origins[:, None]
+    normal = directions[:, None] if facing is None else facing.expand(len(origins), 1, 3)
+    t = (away * normal).sum(-1) / (directions[:, None] * normal).sum(-1)
+    square = (away - t[..., None] * directions[:, None]).square().sum(-1)
+    alpha = density.clamp(max=1) * (1 - square / radius.square())
+    alpha = torch.where(t >= t_min, alpha.clamp(min=0), 0)
+    ordered, index = torch.sort(torch.where(alpha > 0, t, torch.inf), dim=1, stable=True)
+    ordered, index = ordered[:, :layers], index[:, :layers]
+    kept = torch.where(torch.isfinite(ordered), alpha.gather(1, index), 0)
+    transmittance = torch.cumprod(torch.cat([kept.new_ones(len(kept), 1), 1 - kept], 1), 1)
+    colour = ((transmittance[:, :-1] * kept)[..., None] * colours[index]).sum(1)
+    return torch.cat([colour, 1 - transmittance[:, -1:]], 1)

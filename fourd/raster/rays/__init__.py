@@ -10,18 +10,21 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from fourd.raster.rays.bvh import Bvh
+    from fourd.raster.rays.splatting import RaySplats, splat_along_rays
     from fourd.raster.rays.tracing import Hits, occluded, trace, visibility
 
 _MODULES: dict[str, str] = {
     "Bvh": "bvh",
     "Hits": "tracing",
+    "RaySplats": "splatting",
     "occluded": "tracing",
+    "splat_along_rays": "splatting",
     "trace": "tracing",
     "visibility": "tracing",
 }
 """Public names -> modules of this package that define them."""
 
-__all__ = ["Bvh", "Hits", "occluded", "trace", "visibility"]
+__all__ = ["Bvh", "Hits", "RaySplats", "occluded", "splat_along_rays", "trace", "visibility"]
 
 
 def __getattr__(name: str) -> Any:

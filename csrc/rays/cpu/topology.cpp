@@ -1,50 +1,25 @@
-// Builds the tree from the top down. A range of triangles is split where the surface area heuristic of Wald (2007, On
+// Builds the tree from the top down. A range of primitives is split where the surface area heuristic of Wald (2007, On
 // fast Construction of SAH-based Bounding Volume Hierarchies) over 16 bins for each axis is least. A node splits its
 // range until it has eight children. The top of the tree is built on one thread, and the subtrees below on all threads.
-#include <algorithm>
-#include <cmath>
-#include <cstring>
-#include <vector>
+#include "rays/cpu/topology.h"
 
-#include "common/team.h"
-#include "rays/maths.h"
-#include "rays/rays.h"
+#include <algorithm>
+#include <vector>
 
 namespace fourd::rays {
 namespace {
 
 constexpr int kBins = 16;
 constexpr int kMaxSahDepth = 24;          // Nodes below this depth split ranges in halves.
-constexpr std::size_t kParts = 48;        // The top of the tree ends at ranges of 1 / kParts of all triangles.
+constexpr std::size_t kParts = 48;        // The top of the tree ends at ranges of 1 / kParts of all primitives.
 constexpr std::size_t kSmallPart = 4096;  // Ranges of this size or less are not part of the top of the tree.
-static_assert(kMaxSahDepth + 32 <= kMaxDepth, "2^31 triangles are halved at most 31 times");
-
-// The fourth coordinate is unused. With four, compilers use vectors.
-struct Box {
-    float low[4], high[4];
-};
-
-constexpr float kInfinity = __builtin_huge_valf();
-constexpr Box kEmptyBox = {{kInfinity, kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity, -kInfinity}};
-
-inline void extend(Box* box, const Box& by) {
-    for (int i = 0; i < 4; ++i) {
-        box->low[i] = by.low[i] < box->low[i] ? by.low[i] : box->low[i];
-        box->high[i] = by.high[i] > box->high[i] ? by.high[i] : box->high[i];
-    }
-}
+static_assert(kMaxSahDepth + 32 <= kMaxDepth, "2^31 primitives are halved at most 31 times");
 
 // Half of the surface area, or 0 for an empty box.
 inline float area_of(const Box& box) {
     const float x = box.high[0] - box.low[0], y = box.high[1] - box.low[1], z = box.high[2] - box.low[2];
     return x >= 0.0f ? x * y + y * z + z * x : 0.0f;
 }
-
-// A triangle while the tree is built. Four times the centre is low + high.
-struct alignas(16) Reference {
-    Box box;
-    std::int32_t triangle;
-};
 
 inline void extend_by_centre(Box* box, const Reference& reference) {
     for (int i = 0; i < 4; ++i) {
@@ -100,7 +75,7 @@ struct Plane {
     int axis, bin;
 };
 
-// The expected number of blocks of a box with `count` triangles, times its area.
+// The expected number of blocks of a box with `count` primitives, times its area.
 inline float cost_of(const Box& box, std::size_t count) { return area_of(box) * static_cast<float>((count + kWidth - 1) / kWidth); }
 
 Plane best_plane(const Reference* references, const Range& range, const Binning& binning) {
@@ -168,7 +143,7 @@ void split(Reference* references, const Range& range, bool in_halves, Range* lef
 }
 
 // Splits a range into up to eight ranges, of which the range with the largest area is split first. Ranges of up to
-// kWidth triangles are not split.
+// kWidth primitives are not split.
 std::vector<Range> children_of(Reference* references, const Range& range, bool in_halves) {
     std::vector<Range> out{range};
     while (out.size() < kWidth) {
@@ -189,15 +164,15 @@ std::vector<Range> children_of(Reference* references, const Range& range, bool i
 // A part of the tree. Children are numbered within the part.
 struct Part {
     std::vector<Node> nodes;
-    std::vector<Block> blocks;
+    std::vector<Leaf> leaves;
 };
 
-std::int32_t add_block(const Reference* references, const Range& range, Part* part) {
-    Block block;
-    std::fill_n(block.triangle, kWidth, -1);
-    for (std::size_t i = range.begin; i < range.end; ++i) block.triangle[i - range.begin] = references[i].triangle;
-    part->blocks.push_back(block);
-    return ~static_cast<std::int32_t>(part->blocks.size() - 1);
+std::int32_t add_leaf(const Reference* references, const Range& range, Part* part) {
+    Leaf leaf;
+    std::fill_n(leaf.index, kWidth, -1);
+    for (std::size_t i = range.begin; i < range.end; ++i) leaf.index[i - range.begin] = references[i].index;
+    part->leaves.push_back(leaf);
+    return ~static_cast<std::int32_t>(part->leaves.size() - 1);
 }
 
 std::int32_t add_node(Part* part) {
@@ -209,7 +184,7 @@ std::int32_t add_node(Part* part) {
 }
 
 std::int32_t build_subtree(Reference* references, const Range& range, int depth, Part* part) {
-    if (range.size() <= kWidth) return add_block(references, range, part);
+    if (range.size() <= kWidth) return add_leaf(references, range, part);
     const std::int32_t index = add_node(part);
     const std::vector<Range> ranges = children_of(references, range, depth >= kMaxSahDepth);
     for (std::size_t k = 0; k < ranges.size(); ++k) {
@@ -242,74 +217,50 @@ void build_top(Reference* references, const Range& range, int depth, std::size_t
     }
 }
 
-std::int32_t moved(std::int32_t child, std::size_t nodes, std::size_t blocks) {
+std::int32_t moved(std::int32_t child, std::size_t nodes, std::size_t leaves) {
     if (child == kNoChild) return child;
-    return child >= 0 ? child + static_cast<std::int32_t>(nodes) : ~(~child + static_cast<std::int32_t>(blocks));
+    return child >= 0 ? child + static_cast<std::int32_t>(nodes) : ~(~child + static_cast<std::int32_t>(leaves));
 }
 
 // Joins the top of the tree and the subtrees.
-Tree join(const Part& top, std::vector<Task>& tasks, Team& team) {
-    std::vector<std::size_t> first_node, first_block;
-    std::size_t nodes = top.nodes.size(), blocks = 0;
+Topology join(const Part& top, std::vector<Task>& tasks, Team& team) {
+    std::vector<std::size_t> first_node, first_leaf;
+    std::size_t nodes = top.nodes.size(), leaves = 0;
     for (const Task& task : tasks) {
         first_node.push_back(nodes);
-        first_block.push_back(blocks);
+        first_leaf.push_back(leaves);
         nodes += task.part.nodes.size();
-        blocks += task.part.blocks.size();
+        leaves += task.part.leaves.size();
     }
-    Tree out{Buffer<Node>(nodes), Buffer<Block>(blocks), 0.0f};
+    Topology out{Buffer<Node>(nodes), Buffer<Leaf>(leaves)};
     std::copy(top.nodes.begin(), top.nodes.end(), out.nodes.data());
     team.run(static_cast<int>(tasks.size()), [&](int index, int) {
         const Task& task = tasks[index];
-        std::copy(task.part.blocks.begin(), task.part.blocks.end(), out.blocks.data() + first_block[index]);
+        std::copy(task.part.leaves.begin(), task.part.leaves.end(), out.leaves.data() + first_leaf[index]);
         Node* to = out.nodes.data() + first_node[index];
         for (const Node& node : task.part.nodes) {
             *to = node;
-            for (std::int32_t& child : to->child) child = moved(child, first_node[index], first_block[index]);
+            for (std::int32_t& child : to->child) child = moved(child, first_node[index], first_leaf[index]);
             ++to;
         }
-        out.nodes[task.node].child[task.lane] = moved(task.root, first_node[index], first_block[index]);
-    });
-    return out;
-}
-
-Buffer<Reference> references_of(const Mesh& mesh, Team& team) {
-    Buffer<Reference> out(mesh.triangles);
-    run_parts(team, mesh.triangles, 8192, [&](std::size_t begin, std::size_t end) {
-        for (std::size_t i = begin; i < end; ++i) {
-            Reference& reference = out[i];
-            reference.box = kEmptyBox;
-            reference.triangle = static_cast<std::int32_t>(i);
-            bool is_valid = true;
-            for (std::size_t k = 0; k < 3; ++k) {
-                const float* const at = mesh.xyz + 3 * static_cast<std::size_t>(mesh.tri[3 * i + k]);
-                for (int axis = 0; axis < 3; ++axis) is_valid = is_valid && absolute(at[axis]) <= kMaxMagnitude;
-                extend(&reference.box, {{at[0], at[1], at[2], 0.0f}, {at[0], at[1], at[2], 0.0f}});
-            }
-            if (!is_valid) reference.box = {};  // The triangle needs a place in the tree, because refit() may move it.
-        }
+        out.nodes[task.node].child[task.lane] = moved(task.root, first_node[index], first_leaf[index]);
     });
     return out;
 }
 
 }  // namespace
 
-Tree build(const Mesh& mesh, int threads) {
-    if (mesh.triangles == 0) return {};
-    Team team(threads);
-    Buffer<Reference> references = references_of(mesh, team);
+Topology build_topology(Reference* references, std::size_t count, Team& team) {
+    if (count == 0) return {};
     Part top;
     std::vector<Task> tasks;
     add_node(&top);
-    build_top(references.data(), range_of(references.data(), 0, mesh.triangles), 0,
-              std::max(kSmallPart, mesh.triangles / kParts), &top, 0, &tasks);
+    build_top(references, range_of(references, 0, count), 0, std::max(kSmallPart, count / kParts), &top, 0, &tasks);
     team.run(static_cast<int>(tasks.size()), [&](int index, int) {
         Task& task = tasks[index];
-        task.root = build_subtree(references.data(), task.range, task.depth, &task.part);
+        task.root = build_subtree(references, task.range, task.depth, &task.part);
     });
-    Tree out = join(top, tasks, team);
-    out.magnitude = refit(mesh, out.nodes.data(), out.nodes.size(), out.blocks.data(), out.blocks.size(), threads);
-    return out;
+    return join(top, tasks, team);
 }
 
 }  // namespace fourd::rays

@@ -1,0 +1,57 @@
+// The structure of a tree over the boxes of any primitives.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+
+#include "common/team.h"
+#include "rays/rays.h"
+
+namespace fourd::rays {
+
+constexpr float kInfinity = __builtin_huge_valf();
+
+// The fourth coordinate is unused. With four, compilers use vectors.
+struct Box {
+    float low[4], high[4];
+};
+
+constexpr Box kEmptyBox = {{kInfinity, kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity, -kInfinity}};
+
+inline void extend(Box* box, const Box& by) {
+    for (int i = 0; i < 4; ++i) {
+        box->low[i] = by.low[i] < box->low[i] ? by.low[i] : box->low[i];
+        box->high[i] = by.high[i] > box->high[i] ? by.high[i] : box->high[i];
+    }
+}
+
+// A primitive while the tree is built.
+struct alignas(16) Reference {
+    Box box;
+    std::int32_t index;
+};
+
+// The indices of up to kWidth primitives, and -1.
+struct Leaf {
+    std::int32_t index[kWidth];
+};
+
+struct Topology {
+    Buffer<Node> nodes;  // Without bounds. Negative children c are the leaves ~c.
+    Buffer<Leaf> leaves;
+};
+
+// Sorts the references. The result is the same for any number of threads.
+Topology build_topology(Reference* references, std::size_t count, Team& team);
+
+// The box of the primitives of a leaf, in the order of Node::bounds.
+struct LeafBox {
+    float bounds[6];
+};
+
+constexpr LeafBox kEmptyLeafBox = {{kInfinity, -kInfinity, kInfinity, -kInfinity, kInfinity, -kInfinity}};
+
+// Writes the bounds of all nodes from those of the leaves. Returns the largest absolute coordinate.
+float fill_bounds(Node* nodes, std::size_t node_count, const LeafBox* leaves);
+
+}  // namespace fourd::rays

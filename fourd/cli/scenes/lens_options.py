@@ -1,0 +1,123 @@
+"""The options of `fourd render` for lenses, mirrors and glass balls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera, estimate_up
+from fourd.cli.options import option
+from fourd.errors import UserError
+from fourd.lenses.inserts import GlassBall, Insert, MirrorFloor
+from fourd.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
+
+_MAX_SAMPLES = 64
+_FLOOR_RADII = 2.5
+"""Radius of the mirror floor, as a multiple of the radius of the subject."""
+
+
+@dataclass(frozen=True)
+class LensOptions:
+    """A lens that a rasterizer does not have. Images through a lens are made by tracing rays on the CPU."""
+
+    lens: Annotated[
+        Literal["pinhole", "fisheye", "panorama", "thin-lens"] | None, option("LENS", "none: images are rasterized")
+    ] = None
+    """Trace rays through a lens: pinhole, fisheye, panorama (360 x 180 degrees around the camera; use --size with twice
+    as many columns as rows) or thin-lens (depth of field)."""
+    fov: float = 180.0
+    """Angle of a fisheye image in degrees, up to 360."""
+    aperture: Annotated[float | None, option("FLOAT", "5% of the distance to the focus")] = None
+    """Diameter of the thin lens in world units. A larger lens blurs more."""
+    focus_distance: Annotated[float | None, option("FLOAT", "the distance to the scene's focus")] = None
+    """Depth of the sharp plane of the thin lens in world units."""
+    lens_samples: Annotated[int | None, option("INT", "2; 32 for thin-lens")] = None
+    """Rays in each pixel: along rows and along columns, and in total for thin-lens. 1 to 64."""
+    mirror_floor: bool = False
+    """Lay a round mirror under the subject."""
+    glass_ball: Annotated[str | None, option("auto|X,Y,Z,R", "none")] = None
+    """Put a glass ball into the scene, with its centre and radius in world units. auto puts the ball on the floor
+    beside the subject."""
+
+    @property
+    def is_used(self) -> bool:
+        """Whether images are traced."""
+        return self.lens is not None or self.mirror_floor or self.glass_ball is not None
+
+
+def make_lens(options: LensOptions, camera: Camera, focus: NDArray[np.float64]) -> Lens:
+    """Return the lens for a scene with this focus. ``camera`` gives the distance for the defaults of a thin lens.
+
+    Raises:
+        UserError: for an option out of range.
+    """
+    samples = options.lens_samples
+    if samples is not None and not 1 <= samples <= _MAX_SAMPLES:
+        raise UserError(f"--lens-samples: expected 1 to {_MAX_SAMPLES}, got {samples}")
+    if not 0 < options.fov <= 360:
+        raise UserError(f"--fov: expected more than 0 and at most 360 degrees, got {options.fov:g}")
+    if options.lens == "fisheye":
+        return Fisheye(options.fov, samples or 2)
+    if options.lens == "panorama":
+        return Panorama(samples or 2)
+    if options.lens != "thin-lens":
+        return Pinhole(samples or 2)
+    distance = (
+        float(camera.forward @ (focus - camera.centre)) if options.focus_distance is None else options.focus_distance
+    )
+    if not 0 < distance < np.inf:
+        raise UserError(f"--focus-distance: expected a distance above 0, got {distance:g}; name the distance")
+    aperture = 0.05 * distance if options.aperture is None else options.aperture
+    if not 0 <= aperture < np.inf:
+        raise UserError(f"--aperture: expected a diameter of at least 0, got {aperture:g}")
+    return ThinLens(aperture, distance, samples or 32)
+
+
+def make_inserts(options: LensOptions, cameras: list[Camera], subject: NDArray[np.float32]) -> tuple[Insert, ...]:
+    """Return the mirror and the ball around a subject with the points ``subject`` (N, 3).
+
+    Raises:
+        UserError: for a ball that is not four numbers, or for a subject without points.
+    """
+    if not options.mirror_floor and options.glass_ball is None:
+        return ()
+    if len(subject) == 0 or not cameras:
+        raise UserError("--mirror-floor, --glass-ball: expected a scene with cameras and points, got none")
+    up = estimate_up(cameras)
+    points = subject.astype(np.float64)
+    middle = np.median(points, axis=0)
+    heights = (points - middle) @ up
+    across = points - middle - heights[:, None] * up
+    radius = float(np.percentile(np.linalg.norm(across, axis=1), 99.5))
+    # Single points below the subject do not lower the floor.
+    floor = middle + float(np.percentile(heights, 0.1)) * up
+    inserts: list[Insert] = []
+    if options.mirror_floor:
+        inserts.append(MirrorFloor(floor, up, _FLOOR_RADII * max(radius, 1e-9)))
+    if options.glass_ball is not None:
+        inserts.append(_glass_ball(options.glass_ball, cameras, floor, up, radius))
+    return tuple(inserts)
+
+
+def _glass_ball(
+    text: str, cameras: list[Camera], floor: NDArray[np.float64], up: NDArray[np.float64], radius: float
+) -> GlassBall:
+    if text == "auto":
+        size = 0.28 * radius
+        # Towards the first camera and to its right, so that the subject is seen through the ball and beside it.
+        right = np.cross(up, floor - cameras[0].centre)
+        right /= -np.linalg.norm(right)
+        forward = np.cross(right, up)
+        aside = 0.9 * right - 0.6 * forward * np.sign(float(forward @ (floor - cameras[0].centre)))
+        return GlassBall(floor + radius * aside + size * up, size)
+    parts = text.split(",")
+    try:
+        x, y, z, ball = (float(part) for part in parts)
+    except ValueError:
+        raise UserError(f"--glass-ball: expected auto or four numbers X,Y,Z,R, got '{text}'") from None
+    if not (ball > 0 and np.isfinite([x, y, z, ball]).all()):
+        raise UserError(f"--glass-ball: expected finite numbers and a radius above 0, got '{text}'")
+    return GlassBall(np.array([x, y, z]), ball)

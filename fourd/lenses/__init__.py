@@ -1,0 +1,2 @@
+"""Images of 4D scenes through lenses that a rasterizer does not have, by tracing rays: fisheye lenses, panoramas and
+depth of field, with mirrors and glass balls in the scene. Nothing here needs torch."""

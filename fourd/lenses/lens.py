@@ -1,0 +1,168 @@
+"""Lenses: which rays an image consists of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RayBundle:
+    """The rays of an image.
+
+    Attributes:
+        origins: (R, 3) world positions.
+        directions: (R, 3) world directions. t along a direction is measured in its length.
+        facing: (3,) normal of the discs that the rays hit, or None if each disc faces the ray.
+        pixels: (R,) index of the pixel of each ray, row by row.
+        width, height: size of the image in pixels. A pixel without a ray is black.
+    """
+
+    origins: Array
+    directions: Array
+    facing: Array | None
+    pixels: NDArray[np.int64]
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Pinhole:
+    """The camera itself, with ``samples`` x ``samples`` rays in each pixel."""
+
+    samples: int = 1
+
+    def rays(self, camera: Camera) -> RayBundle:
+        """Return the rays of the image of ``camera``."""
+        points, pixels = _sample_points(camera, self.samples)
+        directions = _through(camera, points)
+        origins = np.broadcast_to(camera.centre, directions.shape)
+        return RayBundle(origins, directions, camera.forward, pixels, camera.width, camera.height)
+
+
+@dataclass(frozen=True)
+class Fisheye:
+    """An equidistant fisheye lens: the distance of a pixel from the image centre is proportional to the angle between
+    its ray and the viewing direction.
+
+    Attributes:
+        fov_deg: angle of the circle that touches the longer sides of the image, in degrees, above 0 and at most 360.
+            Pixels whose angle is above 180 degrees stay black.
+        samples: rays in each pixel along rows and along columns.
+    """
+
+    fov_deg: float = 180.0
+    samples: int = 1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.fov_deg <= 360:
+            raise ValueError(f"fov: expected more than 0 and at most 360 degrees, got {self.fov_deg:g}")
+
+    def rays(self, camera: Camera) -> RayBundle:
+        """Return the rays of a fisheye image with position, direction and size of ``camera``."""
+        points, pixels = _sample_points(camera, self.samples)
+        offset = (points - (camera.width / 2, camera.height / 2)) / (min(camera.width, camera.height) / 2)
+        distance = np.linalg.norm(offset, axis=1)
+        angle = distance * np.radians(self.fov_deg) / 2
+        kept = (angle <= np.pi) & (distance <= 1)
+        scale = np.divide(
+            np.sin(angle), distance, out=np.full_like(angle, np.radians(self.fov_deg) / 2), where=distance > 0
+        )
+        local = np.concatenate([offset * scale[:, None], np.cos(angle)[:, None]], 1)[kept]
+        return _from_centre(camera, local, pixels[kept])
+
+
+@dataclass(frozen=True)
+class Panorama:
+    """An equirectangular panorama: columns are 360 degrees around the camera's vertical axis, and rows 180 degrees from
+    top to bottom. The viewing direction is in the middle. Viewers for headsets open such images.
+
+    Attributes:
+        samples: rays in each pixel along rows and along columns.
+    """
+
+    samples: int = 1
+
+    def rays(self, camera: Camera) -> RayBundle:
+        """Return the rays of a panorama at the position of ``camera``, with its axes and its image size."""
+        points, pixels = _sample_points(camera, self.samples)
+        longitude = (points[:, 0] / camera.width - 0.5) * 2 * np.pi
+        latitude = (points[:, 1] / camera.height - 0.5) * np.pi
+        local = np.stack(
+            [np.cos(latitude) * np.sin(longitude), np.sin(latitude), np.cos(latitude) * np.cos(longitude)], 1
+        )
+        return _from_centre(camera, local, pixels)
+
+
+@dataclass(frozen=True)
+class ThinLens:
+    """A lens with an aperture: points in the plane at the focus distance are sharp, and others are blurred.
+
+    Attributes:
+        aperture: diameter of the lens in world units, at least 0.
+        focus: depth of the sharp plane in world units, above 0.
+        rays_per_pixel: number of rays, spread over the lens and the pixel, from 1.
+        seed: seed of the positions, which are the same for every image of a video.
+    """
+
+    aperture: float
+    focus: float
+    rays_per_pixel: int = 32
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.aperture < np.inf:
+            raise ValueError(f"aperture: expected a diameter of at least 0, got {self.aperture:g}")
+        if not 0 < self.focus < np.inf:
+            raise ValueError(f"focus: expected a distance above 0, got {self.focus:g}")
+        if self.rays_per_pixel < 1:
+            raise ValueError(f"rays per pixel: expected at least 1, got {self.rays_per_pixel}")
+
+    def rays(self, camera: Camera) -> RayBundle:
+        """Return the rays of the image of ``camera`` through a lens at its centre."""
+        rng = np.random.default_rng(self.seed)
+        corners, pixels = _sample_points(camera, 1)
+        bundles = []
+        for k in range(self.rays_per_pixel):
+            # Ring by ring (golden angle), turned by a random angle in each pixel, so that the blur has no pattern.
+            radius = 0.5 * self.aperture * np.sqrt((k + 0.5) / self.rays_per_pixel)
+            angle = k * np.pi * (3 - np.sqrt(5)) + rng.uniform(0, 2 * np.pi, len(corners))
+            on_lens = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], 1)
+            sharp = self.focus * _through(camera, corners + rng.uniform(-0.5, 0.5, corners.shape))
+            offset = on_lens @ camera.rotation
+            bundles.append((camera.centre + offset, (sharp - offset) / self.focus))
+        origins, directions = (np.concatenate(arrays) for arrays in zip(*bundles, strict=True))
+        indices = np.tile(pixels, self.rays_per_pixel)
+        return RayBundle(origins, directions, camera.forward, indices, camera.width, camera.height)
+
+
+Lens = Pinhole | Fisheye | Panorama | ThinLens
+
+
+def _sample_points(camera: Camera, samples: int) -> tuple[Array, NDArray[np.int64]]:
+    """Return the image positions (R, 2) of evenly spaced samples, and the index (R,) of the pixel of each sample."""
+    steps = (np.arange(samples) + 0.5) / samples
+    columns = (np.arange(camera.width)[:, None] + steps).reshape(-1)
+    rows = (np.arange(camera.height)[:, None] + steps).reshape(-1)
+    y, x = np.meshgrid(rows, columns, indexing="ij")
+    points = np.stack([x, y], -1).reshape(-1, 2)
+    whole = points.astype(np.int64)
+    return points, whole[:, 1] * camera.width + whole[:, 0]
+
+
+def _through(camera: Camera, points: Array) -> Array:
+    """Return the world directions (R, 3) through image positions. Their component along the viewing axis is 1."""
+    local = np.concatenate([points, np.ones((len(points), 1))], 1) @ np.linalg.inv(camera.intrinsics).T
+    return local @ camera.rotation
+
+
+def _from_centre(camera: Camera, local: Array, pixels: NDArray[np.int64]) -> RayBundle:
+    directions = local @ camera.rotation
+    origins = np.broadcast_to(camera.centre, directions.shape)
+    return RayBundle(origins, directions, None, pixels, camera.width, camera.height)

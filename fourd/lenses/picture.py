@@ -1,0 +1,114 @@
+"""Pictures of baked frames through a lens: :func:`draw_through_lens`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.baking.scene import BakedFrame, SceneManifest
+from fourd.baking.shade import shade
+from fourd.cameras import Camera
+from fourd.lenses.inserts import Insert
+from fourd.lenses.lens import Lens
+from fourd.ops.pixel_filter.reference import filter_pixels_reference
+from fourd.ops.rays.discs import DiscTree
+
+Array = NDArray[np.float64]
+
+MAX_BOUNCES = 3
+"""Number of inserts that a ray meets at most. Later light is the background."""
+RAYS_PER_CHUNK = 1 << 18
+"""Number of rays that are traced at once, which limits memory."""
+MIN_SHARE = 1 / 512
+"""Rays whose share of a pixel's light is smaller are not traced."""
+
+
+@dataclass(frozen=True)
+class _Traced:
+    """What rays meet: the points of a frame, and inserts."""
+
+    tree: DiscTree
+    colours: NDArray[np.float32]
+    inserts: Sequence[Insert]
+    background: Array
+    near: float
+    layers: int
+    threads: int
+
+    def light(self, origins: Array, directions: Array, facing: Array | None, bounces: int) -> Array:
+        """Return the RGB colours (R, 3) that arrive along the rays."""
+        at = [insert.hits(origins, directions) for insert in self.inserts]
+        nearest = np.min(at, axis=0) if at else np.full(len(origins), np.inf)
+        rgba = self.tree.composite(
+            self.colours,
+            origins.astype(np.float32),
+            directions.astype(np.float32),
+            facing=None if facing is None else facing.astype(np.float32),
+            t_min=self.near if facing is not None else 0.0,
+            t_max=nearest.astype(np.float32),
+            layers=self.layers,
+            threads=self.threads,
+        ).astype(np.float64)
+        behind = np.broadcast_to(self.background, (len(origins), 3)).copy()
+        visible = 1 - rgba[:, 3]
+        for insert, t in zip(self.inserts, at, strict=True):
+            rays = np.nonzero((t == nearest) & np.isfinite(t) & (visible > MIN_SHARE))[0]
+            if len(rays) > 0 and bounces < MAX_BOUNCES:
+                points = origins[rays] + t[rays, None] * directions[rays]
+                behind[rays] = self._through(insert, points, directions[rays], bounces)
+        return rgba[:, :3] + visible[:, None] * behind
+
+    def _through(self, insert: Insert, points: Array, directions: Array, bounces: int) -> Array:
+        branches, light = insert.leave(points, directions)
+        for branch in branches:
+            kept = branch.share > MIN_SHARE
+            if kept.any():
+                arriving = self.light(branch.origins[kept], branch.directions[kept], None, bounces + 1)
+                light[kept] += branch.share[kept, None] * arriving
+        return light
+
+
+def draw_through_lens(
+    frame: BakedFrame,
+    camera: Camera,
+    manifest: SceneManifest,
+    lens: Lens,
+    *,
+    inserts: Sequence[Insert] = (),
+    layers: int | None = None,
+    background: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    threads: int = 0,
+) -> NDArray[np.float32]:
+    """Draw a frame through a lens, as RGB (H, W, 3) float32 in [0, 1].
+
+    Points are discs with the alpha that the compositor gives them. For a :class:`~fourd.lenses.lens.Pinhole` and a
+    :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image plane, and for other lenses they face the ray.
+    The colours of points are those seen from the camera's position, also in mirrors and glass.
+
+    Args:
+        frame: a frame whose values are all finite.
+        camera: a pinhole camera without lens distortion. It gives position, axes and image size.
+        lens: the lens. Images with one ray in each pixel are filtered by the scene's pixel filter.
+        inserts: mirrors and glass balls in the scene.
+        layers: maximum number K of points that are composited for each ray; None for the scene's value.
+        background: RGB colour behind the points, in [0, 1].
+        threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
+    """
+    arrays = (frame.xyz, frame.radius.astype(np.float32), frame.density.astype(np.float32))
+    colours = shade(frame, camera, manifest, threads=threads)
+    tree = DiscTree(*arrays, threads=threads)
+    traced = _Traced(tree, colours, inserts, np.asarray(background), manifest.near, layers or manifest.layers, threads)
+    rays = lens.rays(camera)
+    size = rays.width * rays.height
+    sums, counts = np.zeros((size, 3)), np.bincount(rays.pixels, minlength=size)
+    for begin in range(0, len(rays.pixels), RAYS_PER_CHUNK):
+        part = slice(begin, begin + RAYS_PER_CHUNK)
+        light = traced.light(rays.origins[part], rays.directions[part], rays.facing, 0)
+        for channel in range(3):
+            sums[:, channel] += np.bincount(rays.pixels[part], light[:, channel], minlength=size)
+    image = sums / np.maximum(counts, 1)[:, None]
+    picture = image.reshape(rays.height, rays.width, 3).clip(0, 1).astype(np.float32)
+    return filter_pixels_reference(picture, manifest.pixel_filter) if counts.max(initial=0) <= 1 else picture

@@ -1,0 +1,89 @@
+"""Compositing of discs along rays, for NumPy arrays (``csrc/rays/discs.h``)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.ops.loading import load_native, simd_name, thread_count
+
+Array = NDArray[np.float32]
+
+MAX_LAYERS = 64
+
+
+class DiscTree:
+    """A tree of boxes over N discs. It does not change, and several threads may use it."""
+
+    def __init__(self, xyz: Array, radius: Array, density: Array, *, threads: int = 0) -> None:
+        """Build the tree.
+
+        Args:
+            xyz: (N, 3) float32 centres in world units.
+            radius: (N,) float32 radii in world units.
+            density: (N,) float32 alpha at the centre; values above 1 count as 1. A disc is never hit if a number is not
+                finite, or if radius or density is not positive.
+            threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
+
+        Raises:
+            ValueError: for arrays of wrong shapes or dtypes. ImportError: if the native module is not built.
+        """
+        self._count = len(xyz)
+        _check("xyz", xyz, (self._count, 3))
+        _check("radius", radius, (self._count,))
+        _check("density", density, (self._count,))
+        arrays = [np.ascontiguousarray(array) for array in (xyz, radius, density)]
+        self._native = load_native().build_discs(*arrays, thread_count(threads))
+
+    def composite(
+        self,
+        colours: Array,
+        origins: Array,
+        directions: Array,
+        *,
+        facing: Array | None = None,
+        t_min: float = 0.0,
+        t_max: float | Array = np.inf,
+        layers: int = 12,
+        threads: int = 0,
+    ) -> Array:
+        """Composite the K nearest discs of each ray, front to back, in the order of (t, index).
+
+        The alpha of a disc at the distance d from its centre is density * (1 - d^2 / radius^2).
+
+        Args:
+            colours: (N, 3) float32 colours of the discs.
+            origins, directions: (R, 3) float32. t is measured in multiples of the direction. A ray with a direction of
+                zero, or with a number that is not finite, hits nothing.
+            facing: (3,) float32 normal of all discs, for example the viewing direction of a pinhole camera. With None,
+                each disc faces the ray.
+            t_min, t_max: hits have t in [t_min, t_max]. ``t_max`` is a number, or one for each ray (R,) float32.
+            layers: number K, from 1 to 64.
+            threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
+
+        Returns:
+            (R, 4) float32: colour times alpha, and alpha.
+
+        Raises:
+            ValueError: for arrays of wrong shapes or dtypes, or ``layers`` out of range.
+        """
+        _check("colours", colours, (self._count, 3))
+        _check("origins", origins, (len(origins), 3))
+        _check("directions", directions, (len(origins), 3))
+        if facing is not None:
+            _check("facing", facing, (3,))
+        if not 1 <= layers <= MAX_LAYERS:
+            raise ValueError(f"layers: expected 1 to {MAX_LAYERS}, got {layers}")
+        out = np.empty((len(origins), 4), np.float32)
+        limits = [np.atleast_1d(np.asarray(limit, np.float32)) for limit in (t_min, t_max)]
+        arrays = [np.ascontiguousarray(array) for array in (colours, origins, directions)]
+        plane = None if facing is None else np.ascontiguousarray(facing)
+        load_native().composite_discs(
+            self._native, *arrays, *limits, plane, layers, thread_count(threads), simd_name(), out
+        )
+        return out
+
+
+def _check(name: str, array: Array, shape: tuple[int, ...]) -> None:
+    if array.shape != shape or array.dtype != np.float32:
+        raise ValueError(f"{name}: expected float32 of shape {shape}, got {array.dtype} of shape {array.shape}")

@@ -1,0 +1,187 @@
+"""Soft triangles composited along rays: :func:`splat_along_rays`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from fourd.cameras import Camera
+from fourd.ops.meshes.checks import check_layers, check_tensor
+from fourd.ops.splat_triangles.reference import MAX_ALPHA, MIN_TRANSMITTANCE, SMALLEST_WINDOW, edges_of, project_corners
+from fourd.raster.rays.bvh import Bvh
+from fourd.raster.rays.tracing import Hits, trace
+
+CHUNK_LAYERS = 16
+"""Number of hits that are traced at once."""
+MIN_ALPHA = 1 / 255
+
+
+@dataclass(frozen=True)
+class RaySplats:
+    """What rays show.
+
+    Attributes:
+        features: (R, C) composited features.
+        alpha: (R,) opacity in [0, 1].
+    """
+
+    features: Tensor
+    alpha: Tensor
+
+
+def splat_along_rays(
+    bvh: Bvh,
+    xyz: Tensor,
+    features: Tensor,
+    opacity: Tensor,
+    sigma: Tensor,
+    origins: Tensor,
+    directions: Tensor,
+    *,
+    camera: Camera | None = None,
+    t_min: float = 0.01,
+    layers: int | None = None,
+    backend: str = "auto",
+    threads: int = 0,
+) -> RaySplats:
+    """Composite soft triangles front to back along rays, as UTrice does (Li et al. 2025), with the window of triangle
+    splatting (Held et al. 2025).
+
+    Let a_k be the barycentric weight of vertex k at the hit, times the perimeter of the triangle, divided by the length
+    of the edge that is opposite to vertex k. The window is min(a_0, a_1, a_2)^sigma: 1 at the incentre and 0 at the
+    edges. The alpha of a triangle is min(0.99, opacity window). Triangles with an alpha of at least 1/255 are
+    composited in the order of (t, index), until the transmittance is at most 1e-4.
+
+    Without ``camera``, lengths are those in space. With ``camera``, lengths and weights are those in the image of this
+    camera. Rays through its pixel centres then show what :func:`fourd.raster.triangles.splat_triangles` renders, except
+    that triangles are in the order of t instead of the depths of their centres.
+
+    Args:
+        bvh: tree over the triangles.
+        xyz: (V, 3) float32 positions, equal to ``bvh.xyz``.
+        features: (T, C) float32 colours or other features.
+        opacity: (T,) float32 opacity at the incentre.
+        sigma: (T,) float32 exponent of the window, above 0.
+        camera: camera whose image defines the window, or None.
+        t_min: hits nearer than ``t_min`` are skipped, in multiples of the direction.
+        layers: maximum number of triangles that are composited along a ray, or None for no limit.
+        origins, directions, backend, threads: as in :func:`fourd.raster.rays.trace`.
+
+    The results are differentiable in xyz, features, opacity, sigma, origins and directions.
+
+    Raises:
+        TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
+    """
+    count = len(bvh.triangles)
+    check_tensor("features", features, (count, "C"), like=("xyz", xyz))
+    for name, value in (("opacity", opacity), ("sigma", sigma)):
+        check_tensor(name, value, (count,), like=("xyz", xyz))
+    limit = check_layers(layers)
+    next_hits = partial(trace, bvh, xyz, t_min=t_min, layers=CHUNK_LAYERS, backend=backend, threads=threads)
+    soup = _Soup(features, opacity, sigma, _Window(xyz[bvh.triangles.long()], camera))
+    state = _State.start(features, len(origins))
+    active = torch.arange(len(origins), device=origins.device)
+    after: tuple[Tensor, Tensor] | None = None
+    while len(active) > 0:
+        hits = next_hits(origins[active], directions[active], after=after)
+        more = hits.is_hit[:, -1] & ~state.composite(soup, hits, active, limit)
+        t, triangle = hits.last()
+        after, active = (t[more], triangle[more]), active[more]
+    return RaySplats(state.colour, 1 - state.transmittance)
+
+
+class _Window:
+    """The window of triangles at barycentric weights, in space or in the image of a camera."""
+
+    def __init__(self, corners: Tensor, camera: Camera | None) -> None:
+        if camera is None:
+            self.depths = None
+            edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
+            length = edges.square().sum(-1).sqrt()
+        else:
+            flat = corners.reshape(-1, 3)
+            index = torch.arange(len(flat), dtype=torch.int32, device=flat.device).reshape(-1, 3)
+            u, v, self.depths = project_corners(flat, index, camera).unbind(-1)
+            length = edges_of(u, v)[2]
+        self.scale = length.sum(1, keepdim=True) / length
+
+    def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
+        """Return min_k a_k (M,) for triangles (M,) and barycentric weights (M, 3) in space."""
+        if self.depths is not None:
+            # A perspective projection multiplies weights by depths.
+            scaled = weights * self.depths[triangle]
+            weights = scaled / scaled.sum(1, keepdim=True)
+        return (weights * self.scale[triangle]).amin(1)
+
+
+def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
+    is_inside = window >= SMALLEST_WINDOW
+    safe = torch.where(is_inside, window, torch.ones_like(window))
+    value = opacity * torch.exp2(sigma * torch.log2(safe))
+    # Alphas above the limit have no gradient.
+    limited = torch.where(value <= MAX_ALPHA, value, torch.full_like(value, MAX_ALPHA))
+    return torch.where(is_inside & (value >= MIN_ALPHA), limited, torch.zeros_like(value))
+
+
+@dataclass(frozen=True)
+class _Soup:
+    """The triangles: features (T, C), opacity and sigma (T,), and their windows."""
+
+    features: Tensor
+    opacity: Tensor
+    sigma: Tensor
+    window: _Window
+
+    def alpha(self, hits: Hits, ray: Tensor, layer: Tensor) -> Tensor:
+        """Return the alpha (M,) of M hits."""
+        triangle = hits.triangle[ray, layer].long()
+        weights = torch.stack([hits.u[ray, layer], hits.v[ray, layer]], 1)
+        window = self.window.at(triangle, torch.cat([weights, 1 - weights.sum(1, keepdim=True)], 1))
+        return _alpha(window, self.opacity[triangle], self.sigma[triangle])
+
+
+@dataclass
+class _State:
+    """Compositing of R rays.
+
+    Attributes:
+        colour: (R, C) features so far.
+        transmittance: (R,) transmittance behind the last composited triangle.
+        taken: (R,) int64 number of triangles that were composited.
+    """
+
+    colour: Tensor
+    transmittance: Tensor
+    taken: Tensor
+
+    @staticmethod
+    def start(features: Tensor, rays: int) -> _State:
+        return _State(
+            features.new_zeros(rays, features.shape[1]),
+            features.new_ones(rays),
+            torch.zeros(rays, dtype=torch.int64, device=features.device),
+        )
+
+    def composite(self, soup: _Soup, hits: Hits, active: Tensor, limit: int) -> Tensor:
+        """Composite the next hits of the rays ``active``. Return a mask of the rays that are complete."""
+        ray, layer = hits.is_hit.nonzero(as_tuple=True)
+        alpha = soup.features.new_zeros(hits.t.shape).index_put((ray, layer), soup.alpha(hits, ray, layer))
+        counts = (alpha.detach() > 0).long()
+        before = self.taken[active, None] + torch.cumsum(counts, 1) - counts
+        alpha = torch.where(before < limit, alpha, torch.zeros_like(alpha))
+        products = torch.cumprod(1 - alpha, 1)
+        transmittance = self.transmittance[active]
+        in_front = transmittance[:, None] * torch.cat([torch.ones_like(products[:, :1]), products[:, :-1]], 1)
+        is_behind = in_front.detach() <= MIN_TRANSMITTANCE
+        weights = torch.where(is_behind, torch.zeros_like(alpha), in_front * alpha)
+        triangle = hits.triangle[ray, layer].long()
+        colour = weights[ray, layer, None] * soup.features[triangle]
+        self.colour = self.colour.index_add(0, active[ray], colour)
+        # Weights are subtracted, because hits behind a complete ray's last triangle have no effect.
+        remaining = transmittance - weights.sum(1)
+        self.transmittance = self.transmittance.index_put((active,), remaining)
+        self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)
+        return (remaining.detach() <= MIN_TRANSMITTANCE) | (self.taken[active] >= limit)

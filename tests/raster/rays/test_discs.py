@@ -1,0 +1,105 @@
+"""Compositing of discs along rays, compared with plain torch and with the compositor of points."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from fourd.ops.loading import load_native
+from fourd.ops.points.arrays import render_points_numpy
+from fourd.ops.rays.discs import DiscTree
+from fourd.ops.rays.reference import composite_discs_reference
+from tests.baking.scenes import ring
+
+
+def discs(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Centres, radii, densities (some above 1) and colours."""
+    return (
+        rng.normal(0, 0.3, (count, 3)).astype(np.float32),
+        rng.uniform(0.02, 0.1, count).astype(np.float32),
+        rng.uniform(0.1, 1.2, count).astype(np.float32),
+        rng.random((count, 3)).astype(np.float32),
+    )
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2"])
+@pytest.mark.parametrize(("count", "layers"), [(0, 4), (1, 1), (7, 3), (2000, 12), (500, 64)])
+@pytest.mark.parametrize("is_facing", [True, False])
+def test_colours_equal_the_reference(
+    count: int, layers: int, is_facing: bool, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches discs that are lost in the tree, a wrong order, and t of directions that are not normalised."""
+    if not load_native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    xyz, radius, density, colours = discs(rng, count)
+    origins = rng.uniform(-1.5, 1.5, (400, 3)).astype(np.float32)
+    directions = (rng.normal(0, 0.2, (400, 3)) - origins) * 10.0 ** rng.uniform(-3, 3, (400, 1))
+    facing = np.array([0.3, -0.2, 0.9], np.float32) if is_facing else None
+    rays = origins, directions.astype(np.float32)
+    found = DiscTree(xyz, radius, density).composite(colours, *rays, facing=facing, layers=layers)
+    tensors = [torch.from_numpy(array).double() for array in (xyz, radius, density, colours, *rays)]
+    plane = None if facing is None else torch.from_numpy(facing).double()
+    expected = composite_discs_reference(*tensors, plane, 0.0, layers).numpy()
+    # Rounding decides whether a ray grazes a disc, and the order of discs at nearly the same t.
+    difference = np.abs(found - expected).max(1)
+    assert np.mean(difference > 1e-4) <= 0.01
+    assert count < 7 or expected[:, 3].max() > 0.3
+
+
+def test_a_pinhole_shows_the_picture_of_the_compositor(rng: np.random.Generator) -> None:
+    """Catches discs of another shape or order than those of the compositor."""
+    xyz, radius, density, colours = discs(rng, 4000)
+    camera = ring(3, size=96)[1]
+    rgb, alpha, _ = render_points_numpy(xyz, colours, radius, density.clip(max=1), camera, layers=12, near=0.01)
+    rows, columns = np.mgrid[:96, :96] + 0.5
+    local = np.stack([columns, rows, np.ones_like(rows)], -1).reshape(-1, 3) @ np.linalg.inv(camera.intrinsics).T
+    directions = (local @ camera.rotation).astype(np.float32)
+    origins = np.broadcast_to(camera.centre.astype(np.float32), directions.shape)
+    found = DiscTree(xyz, radius, density).composite(
+        colours, origins, directions, facing=camera.forward.astype(np.float32), t_min=0.01, layers=12
+    )
+    expected = np.concatenate([rgb, alpha[..., None]], 2).reshape(-1, 4)
+    assert np.abs(found - expected).mean() <= 1e-4
+    assert expected[:, 3].mean() > 0.05
+
+
+def test_limits_hide_discs(rng: np.random.Generator) -> None:
+    """Catches limits in other units than the direction, and limits of another ray."""
+    xyz = np.array([[0, 0, 2], [0, 0, 4]], np.float32)
+    tree = DiscTree(xyz, np.ones(2, np.float32), np.full(2, 0.5, np.float32))
+    colours = np.array([[1, 0, 0], [0, 1, 0]], np.float32)
+    origins, directions = np.zeros((3, 3), np.float32), np.tile(np.array([0, 0, 0.5], np.float32), (3, 1))
+    t_max = np.array([np.inf, 6, 3], np.float32)
+    found = tree.composite(colours, origins, directions, t_max=t_max)
+    np.testing.assert_allclose(found, [[0.5, 0.25, 0, 0.75], [0.5, 0, 0, 0.5], [0, 0, 0, 0]], atol=1e-6)
+    found = tree.composite(colours, origins, directions, t_min=5.0)
+    np.testing.assert_allclose(found[0], [0, 0.5, 0, 0.5], atol=1e-6)
+
+
+def test_invalid_discs_and_rays_hit_nothing() -> None:
+    """Catches NaN that reaches the picture, and discs with a radius of 0."""
+    xyz = np.zeros((5, 3), np.float32)
+    xyz[0, 1], xyz[1, 2] = np.nan, np.inf
+    radius = np.array([1, 1, 0, -1, np.inf], np.float32)
+    tree = DiscTree(xyz, radius, np.ones(5, np.float32))
+    rays = np.array([[0, 0, 1], [0, 0, 0], [np.nan, 0, 1], [0, np.inf, 0]], np.float32)
+    found = tree.composite(np.ones((5, 3), np.float32), np.tile(np.float32([0, 0, -2]), (4, 1)), rays)
+    assert not found.any()
+    tree = DiscTree(np.zeros((1, 3), np.float32), np.ones(1, np.float32), np.ones(1, np.float32))
+    found = tree.composite(np.ones((1, 3), np.float32), np.tile(np.float32([0, 0, -2]), (4, 1)), rays)
+    np.testing.assert_array_equal(found[:, 3], [1, 0, 0, 0])
+
+
+def test_wrong_arguments_are_named() -> None:
+    """Catches shapes that the kernel would read past."""
+    points = np.zeros((3, 3), np.float32), np.ones(3, np.float32), np.ones(3, np.float32)
+    with pytest.raises(ValueError, match=r"radius: expected float32 of shape \(3,\), got float32 of shape \(2,\)"):
+        DiscTree(points[0], points[1][:2], points[2])
+    tree = DiscTree(*points)
+    rays = np.zeros((2, 3), np.float32), np.ones((2, 3), np.float32)
+    with pytest.raises(ValueError, match=r"colours: expected float32 of shape \(3, 3\), got float64 of shape \(3, 3\)"):
+        tree.composite(points[0].astype(np.float64), *rays)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="layers: expected 1 to 64, got 65"):
+        tree.composite(points[0], *rays, layers=65)
