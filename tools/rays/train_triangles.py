@@ -1,8 +1,8 @@
-"""Train soft triangles on one frame by rasterization, by rays, or by rays from fisheye images, and score held-out views.
+"""Train soft triangles on one frame by rasterization, by rays, or by rays from fisheye images.
 
     python tools/rays/train_triangles.py CAPTURE --test-views 03,09,14 --method raster|rays|fisheye
 
-All methods start with the same triangles, which are neither removed nor split, and take the same steps. The fisheye
+The program scores held-out views. All methods start with the same triangles, which are neither removed nor split, and take the same steps. The fisheye
 images are resampled from the images of the capture, with a known equidistant lens.
 """
 
@@ -123,7 +123,7 @@ def main() -> None:
         targets = [Target.of(view) for view in mesh_views(images, masks, cameras)]
     if arguments.method != "raster":
         soup = RaySoup(soup, rays)
-    fit = SoftFit(soup, targets, TriangleSettings(), generator)
+    fit = SoftFit(soup, targets, TriangleSettings(max_steps=arguments.steps), generator)
     for step in range(arguments.steps):
         fit.step(Phase(SIGMA_RANGE[0], 0.0, 0.1 ** (step / arguments.steps), grows=False))
         if step % 20 == 19:
