@@ -2,8 +2,8 @@
 
     python tools/rays/train_triangles.py CAPTURE --test-views 03,09,14 --method raster|rays|fisheye
 
-The program scores held-out views. All methods start with the same triangles, which are neither removed nor split, and take the same steps. The fisheye
-images are resampled from the images of the capture, with a known equidistant lens.
+The program scores held-out views. All methods start with the same triangles, which are neither removed nor split, and
+take the same steps. The fisheye images are resampled from the images of the capture, with a known equidistant lens.
 """
 
 from __future__ import annotations
