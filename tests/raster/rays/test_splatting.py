@@ -18,7 +18,10 @@ Soup = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 def stacked_soup(rng: np.random.Generator, camera: Camera, count: int) -> Soup:
     """Triangles at increasing depths of a camera, so that both orders agree: xyz, tri, features, opacity, sigma."""
     depth = np.linspace(1.5, 5.0, count)[:, None, None] + rng.uniform(-0.4, 0.4, (count, 3, 1)) * 3.5 / count
-    across = (rng.uniform(-0.35, 0.35, (count, 1, 2)) + rng.normal(0, 0.12, (count, 3, 2))) * depth
+    # No slivers: rounding of their hits would change their large gradients.
+    angles = np.radians([0, 120, 240]) + rng.uniform(0, 2 * np.pi, (count, 1)) + rng.uniform(-0.5, 0.5, (count, 3))
+    corners = rng.uniform(0.06, 0.25, (count, 1, 1)) * np.stack([np.cos(angles), np.sin(angles)], -1)
+    across = (rng.uniform(-0.35, 0.35, (count, 1, 2)) + corners) * depth
     local = np.concatenate([across, depth], -1).reshape(-1, 3)
     xyz = torch.from_numpy(((local - camera.translation) @ camera.rotation).astype(np.float32))
     values = (rng.random((count, 3)), rng.uniform(0.2, 1.0, count), rng.uniform(0.3, 2.0, count))
@@ -52,11 +55,11 @@ def test_picture_and_gradients_equal_the_rasterized_ones(layers: int | None, rng
             picture = torch.cat([image.features, image.alpha[..., None]], 2).reshape(-1, 4)
         results.append((picture.detach(), torch.autograd.grad((picture * upstream).sum(), leaves)))
     (expected, gradients), (found_picture, found_gradients) = results
-    assert float((found_picture - expected).abs().mean()) <= 1e-4
+    assert float((found_picture - expected).abs().mean()) <= 1e-5
     assert float(expected[:, 3].max()) > 0.7
-    for one, other in zip(found_gradients, gradients, strict=True):
-        difference = (one - other).norm() / other.norm()
-        assert float(difference) <= 0.02
+    # Rounding decides whether a ray near an edge of a triangle hits it, which changes the gradient of positions most.
+    for one, other, bound in zip(found_gradients, gradients, (0.05, 1e-3, 1e-3, 2e-3), strict=True):
+        assert float((one - other).norm() / other.norm()) <= bound
 
 
 def test_many_layers_are_composited_in_chunks(rng: np.random.Generator) -> None:
