@@ -169,7 +169,7 @@ def _check_rays(
 def _check_trace(
     bvh: Bvh, xyz: Tensor, origins: Tensor, layers: int, after: tuple[Tensor, Tensor] | None
 ) -> tuple[Tensor | None, Tensor | None]:
-    """Check the arguments that only :func:`trace` has, and return the two tensors of ``after``, or None."""
+    """Check the arguments that only :func:`trace` has. Return t and triangle of ``after``, or None and None."""
     like = ("origins", origins)
     check_tensor("xyz", xyz, ("V", 3), like=like)
     bvh.require_positions(xyz)

@@ -45,7 +45,7 @@ def test_colours_equal_the_reference(
     # Rounding decides whether a ray grazes a disc, and the order of discs at nearly the same t.
     difference = np.abs(found - expected).max(1)
     assert np.mean(difference > 1e-4) <= 0.01
-    assert count < 7 or expected[:, 3].max() > 0.3
+    assert count < 100 or expected[:, 3].max() > 0.3
 
 
 def test_a_pinhole_shows_the_picture_of_the_compositor(rng: np.random.Generator) -> None:
