@@ -75,7 +75,8 @@ def test_sites_have_normals(tier: Tier, tmp_path: Path) -> None:
         reader.close()
         assert frame.normals is not None
         outwards = frame.xyz / np.linalg.norm(frame.xyz, axis=1, keepdims=True)
-        assert np.median(np.abs((decode_octahedral(frame.normals) * outwards).sum(1))) > 0.9
+        # Normals of points that no camera sees from the front are turned to the cameras, so that they are less exact.
+        assert np.median(np.abs((decode_octahedral(frame.normals) * outwards).sum(1))) > 0.85
         with zipfile.ZipFile(path) as archive:
             assert archive.namelist()[-1] == "frames/000000/optional/normals"
     packed = SceneReader(tmp_path / "packed.4dv")
