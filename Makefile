@@ -1,11 +1,13 @@
 # Targets that run Python first create an environment in .venv, for example `make demo` and `make test`.
 PYTHON ?= python3
+# Warnings are errors with WERROR=ON, for changes of csrc/. Newer compilers warn about more.
+WERROR ?= OFF
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*')
 
-.PHONY: help install demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count
+.PHONY: help install demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count fuzz
 
 help:
 	@echo "make demo       synthetic capture -> trained 4D scene -> video, in demo/"
@@ -14,13 +16,14 @@ help:
 	@echo "make lint       ruff, mypy and import-linter"
 	@echo "make docs       the documentation as a site, in build/site/"
 	@echo "make sanitize   the C++ kernels under ASan, UBSan and TSan"
+	@echo "make fuzz       the readers of files, with coverage feedback, for SECONDS=60"
 	@echo "make count      the C++ kernels' instructions against those accepted before"
 	@echo "make clean      remove the environment and everything built"
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet -c constraints.txt torch scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -C cmake.define.FOURD_WERROR=ON -e '.[train,dev,docs]'
+	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -C cmake.define.FOURD_WERROR=$(WERROR) -e '.[train,dev,docs]'
 	touch $@
 
 install: $(STAMP)
@@ -58,6 +61,12 @@ sanitize-thread: install
 	$(BIN)/cmake -S csrc/tests -B build/tsan -DFOURD_SANITIZE=thread -G "Unix Makefiles" -DCMAKE_BUILD_TYPE=Debug -DFOURD_WERROR=ON >/dev/null
 	$(BIN)/cmake --build build/tsan
 	build/tsan/hostile 60
+
+# Fuzz the readers for SECONDS in all. The corpora are in build/fuzz/.
+SECONDS ?= 60
+fuzz: install
+	$(BIN)/pip install --quiet -c constraints.txt atheris
+	$(BIN)/python -m tests.hostile.fuzz --seconds $(SECONDS)
 
 count: install
 	PATH=$(abspath $(BIN)):$$PATH $(BIN)/python tools/count_instructions.py

@@ -30,7 +30,8 @@ points::Cloud Player::prepare(const Frame& frame, const points::Settings& settin
     run_parts(team, count, kPointsPerTask,
               [&](std::size_t begin, std::size_t end) { sizes_.convert(frame, begin, end); });
     const points::Cloud cloud{frame.points.xyz, colour_.data(), sizes_.radius.data(), sizes_.density.data(), count, 3};
-    workspace_.fill(cloud, settings, team);
+    workspace_.source_fingerprint = Fingerprint();
+    workspace_.bins.prepare(cloud, settings, team);
     run_parts(team, count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         for_visible(begin, end, [&](std::size_t first, std::size_t last) {
             shade::shade_some(frame.points, shading, first, last, colour_.data());
@@ -44,8 +45,7 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
     Team team(settings.threads);
     const points::Cloud cloud = prepare(frame, settings, shading, team);
     const points::Loops& loops = points::select_loops(settings.simd);
-    team.run(workspace_.bins.tiles(),
-             [&](int index, int) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
+    workspace_.draw_tiles(team, [&](int index) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
 }
 
 void Player::draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
@@ -60,8 +60,8 @@ void Player::draw_surface(const Frame& frame, const points::Settings& settings, 
         });
     });
     surface.normals = normals_.data();
-    team.run(workspace_.bins.tiles(),
-             [&](int index, int) { loops.draw_surface(workspace_.tile(cloud, settings, index), surface); });
+    workspace_.draw_tiles(team,
+                          [&](int index) { loops.draw_surface(workspace_.tile(cloud, settings, index), surface); });
 }
 
 // The points of a frame are in spatial order, so invisible points form long spans, which the function skips.

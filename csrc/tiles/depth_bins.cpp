@@ -115,27 +115,32 @@ std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, 
     return counts;
 }
 
-// Writes the entries of all tiles. In each tile, the entries of a part follow the entries of the previous parts. The
-// argument `places` has the counts from count_entries.
-void DepthBins::fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team) {
+// Writes the entries of the tiles in the rows [top, bottom). In each tile, the entries of a part follow the entries of
+// the previous parts. The counts of these tiles in counts_ are replaced.
+void DepthBins::fill_rows(int top, int bottom, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
+    const std::size_t columns = static_cast<std::size_t>(columns_);
+    const std::size_t first = top * columns, last = bottom * columns;
     std::size_t total = 0;
-    for (std::size_t tile = 0; tile < count; ++tile) {
+    for (std::size_t tile = first; tile < last; ++tile) {
         tile_begin_[tile] = total;
-        for (std::size_t part = 0; part < runs.size(); ++part) {
-            std::size_t& place = places[part * count + tile];
+        for (std::size_t part = 0; part < runs_.size(); ++part) {
+            std::size_t& place = counts_[part * count + tile];
             const std::size_t here = place;
             place = total;
             total += here;
         }
     }
-    tile_begin_[count] = total;
+    tile_begin_[last] = total;
     entries_.require(total);
-    team.run(static_cast<int>(runs.size()), [&](int part, int) {
-        std::size_t* place = places.data() + part * count;
-        for (std::size_t rank = runs[part].begin; rank < runs[part].end; ++rank) {
+    team.run(static_cast<int>(runs_.size()), [&](int part, int) {
+        std::size_t* place = counts_.data() + part * count;
+        for (std::size_t rank = runs_[part].begin; rank < runs_[part].end; ++rank) {
             const std::uint32_t index = items_[rank].index;
-            for_each_tile(ranked_tile_ranges_[rank], columns_, [&](int tile) { entries_[place[tile]++] = index; });
+            TileRange range = ranked_tile_ranges_[rank];
+            range.top = static_cast<std::uint16_t>(std::max<int>(range.top, top));
+            range.bottom = static_cast<std::uint16_t>(std::min<int>(range.bottom, bottom - 1));
+            for_each_tile(range, columns_, [&](int tile) { entries_[place[tile]++] = index; });
         }
     });
 }
@@ -147,14 +152,36 @@ void DepthBins::sort(std::size_t count, const Project& project, Team& team) {
     radix_sort(project_all(count, project, team), team);
 }
 
-void DepthBins::fill(std::size_t count, int width, int height, const Project& project, Team& team) {
+void DepthBins::prepare(std::size_t count, int width, int height, const Project& project, Team& team) {
     columns_ = (width + kTile - 1) / kTile;
     rows_ = (height + kTile - 1) / kTile;
     ranked_tile_ranges_.require(count);
     tile_begin_.require(static_cast<std::size_t>(tiles()) + 1);
     sort(count, project, team);
-    const std::vector<Run> runs = split(visible_, team.size());
-    fill_tiles(runs, count_entries(runs, team), team);
+    runs_ = split(visible_, team.size());
+    counts_ = count_entries(runs_, team);
+}
+
+void DepthBins::fill(std::size_t count, int width, int height, const Project& project, Team& team) {
+    prepare(count, width, height, project, team);
+    fill_rows(0, rows_, team);
+}
+
+int DepthBins::fill_band(int top, std::size_t max_entries, Team& team) {
+    const std::size_t count = static_cast<std::size_t>(tiles());
+    std::size_t total = 0;
+    int bottom = top;
+    for (; bottom < rows_; ++bottom) {
+        std::size_t row = 0;
+        for (std::size_t part = 0; part < runs_.size(); ++part) {
+            const std::size_t* counts = counts_.data() + part * count + static_cast<std::size_t>(bottom) * columns_;
+            for (int column = 0; column < columns_; ++column) row += counts[column];
+        }
+        if (bottom > top && total + row > max_entries) break;
+        total += row;
+    }
+    fill_rows(top, bottom, team);
+    return bottom;
 }
 
 std::size_t DepthBins::bytes() const {

@@ -26,11 +26,21 @@ class DepthBins {
     // Projects, sorts and bins `count` primitives, and replaces the previous contents.
     void fill(std::size_t count, int width, int height, const Project& project, Team& team);
 
+    // Projects and sorts the primitives like fill(), and counts the entries of the tiles. Call fill_band afterwards,
+    // for all rows of tiles from top to bottom.
+    void prepare(std::size_t count, int width, int height, const Project& project, Team& team);
+
+    // Bins the primitives into the rows of tiles from `top`, and returns the first row that follows. The number of
+    // rows is limited by `max_entries`, but is at least 1. Only these rows have entries until the next call. Large
+    // primitives can have more entries than the memory has room for.
+    int fill_band(int top, std::size_t max_entries, Team& team);
+
     // Projects and sorts the primitives, without binning them. order() then returns the sorted items.
     void sort(std::size_t count, const Project& project, Team& team);
     const Item* order() const { return items_.data(); }  // Indexed by rank.
 
     int columns() const { return columns_; }  // Number of tiles per row.
+    int rows() const { return rows_; }        // Number of rows of tiles.
     int tiles() const { return columns_ * rows_; }
     std::size_t visible() const { return visible_; }  // Number of visible primitives.
     const TileRange& tile_range(std::size_t index) const { return tile_ranges_[index]; }
@@ -51,10 +61,12 @@ class DepthBins {
     void radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team);
     void radix_sort(std::vector<Run> runs, Team& team);
     std::vector<std::size_t> count_entries(const std::vector<Run>& runs, Team& team);
-    void fill_tiles(const std::vector<Run>& runs, std::vector<std::size_t> places, Team& team);
+    void fill_rows(int top, int bottom, Team& team);
 
     int columns_ = 0, rows_ = 0;
     std::size_t visible_ = 0;
+    std::vector<Run> runs_;            // Spans of ranks.
+    std::vector<std::size_t> counts_;  // For each span, the number of entries of each tile.
     Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // Indexed by primitive, and by rank.
     Buffer<Item> items_, spare_;
     Buffer<std::uint32_t> entries_;

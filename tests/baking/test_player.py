@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from threading import Barrier
 
 import numpy as np
@@ -118,3 +119,21 @@ def test_threads_that_share_a_player_take_turns() -> None:
 
     with ThreadPoolExecutor(4) as pool:
         assert all(all(same) for same in pool.map(draw, range(4)))
+
+
+def test_large_discs_need_little_memory() -> None:
+    """Catches memory for each pair of a disc and a tile: a small file of discs that cover the image needs gigabytes.
+    Also catches wrong pixels where the image is drawn in bands."""
+    points, side = 8000, 1600
+    frame, scene = random_frame(points, 2, seed=1), replace(manifest(2, 1), pixel_filter=0.0)
+    frame = replace(frame, radius=np.full(points, 20, np.float16), density=(0.02 * frame.density).astype(np.float16))
+    camera = scene.source_cameras[0].resize(side, side)
+    player = Player()
+    image = player.draw(frame, camera, scene)
+    assert (side // 16) ** 2 * points > 1 << 26, "the entries of all tiles are more than those of a band"
+    half = side // 2
+    for top in (0, half):
+        intrinsics = camera.intrinsics - np.array([[0, 0, 0], [0, 0, top], [0, 0, 0]])
+        part = player.draw(frame, replace(camera, intrinsics=intrinsics, height=half), scene)
+        difference = np.abs(image[top : top + half].astype(int) - part)
+        assert difference.max() <= 1

@@ -95,10 +95,11 @@ std::size_t count_visits(const Tile& tile) {
 void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, const Image& out) {
     const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
-    workspace.fill(cloud, settings, team);
-    workspace.source_fingerprint = fingerprint(cloud, settings);
-    team.run(workspace.bins.tiles(),
-             [&](int index, int) { loops.render(workspace.tile(cloud, settings, index), out); });
+    workspace.source_fingerprint = Fingerprint();
+    workspace.bins.prepare(cloud, settings, team);
+    const bool is_complete = workspace.draw_tiles(
+        team, [&](int index) { loops.render(workspace.tile(cloud, settings, index), out); });
+    if (is_complete) workspace.source_fingerprint = fingerprint(cloud, settings);
 }
 
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,

@@ -26,6 +26,12 @@ struct Workspace {
     // Projects, sorts and bins the points of a cloud.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
+    // Calls draw(tile index) for all tiles, in parallel. Call bins.prepare before. If there are more than kMaxEntries
+    // entries, the tiles are binned and drawn in bands, which limits the memory. Returns whether there was one band,
+    // whose entries are kept.
+    template <typename Draw>
+    bool draw_tiles(Team& team, const Draw& draw);
+
     // Calls fill unless the last render had the same inputs. In a backward pass the inputs are usually the same,
     // because the last render was the forward pass.
     void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
@@ -35,5 +41,19 @@ struct Workspace {
 
     std::size_t bytes() const;  // Size of the memory that is kept between images.
 };
+
+constexpr std::size_t kMaxEntries = std::size_t{1} << 26;  // 256 MB
+
+template <typename Draw>
+bool Workspace::draw_tiles(Team& team, const Draw& draw) {
+    int bands = 0;
+    for (int top = 0; top < bins.rows(); ++bands) {
+        const int bottom = bins.fill_band(top, kMaxEntries, team);
+        const int first = top * bins.columns();
+        team.run((bottom - top) * bins.columns(), [&](int index, int) { draw(first + index); });
+        top = bottom;
+    }
+    return bands == 1;
+}
 
 }  // namespace fourd::points

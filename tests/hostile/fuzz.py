@@ -1,0 +1,142 @@
+"""Fuzz the readers of files with coverage feedback (atheris): python -m tests.hostile.fuzz [--seconds N] [READER ...]
+
+Each reader runs in its own process for its share of the time. The corpora, which grow, are in build/fuzz/. An input on
+which a reader raises another error than UserError, hangs for 10 seconds or needs 2 GB is written to
+build/fuzz/READER-crash-HASH. Fix the reader, and keep the class of the input as a case in tests/hostile/.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from types import FunctionType
+
+import atheris
+
+from fourd.baking.container import SceneReader
+from fourd.baking.splats.reader import SplatReader
+from fourd.boards import read_board
+from fourd.capture.calibration import check_calibration
+from fourd.capture.decoding import decode_rgb
+from fourd.capture.matroska import missing_bytes
+from fourd.capture.video_list import list_videos
+from fourd.configs import load_overlay
+from fourd.errors import UserError
+from fourd.formats.ply import read_ply
+from fourd.importing.formats import actorshq, anipose, caliscope, neural3dv, qualisys, transforms_json
+from fourd.training.config import TrainConfig
+from fourd.viewer.navigation.recorded_path import load_recorded_path
+
+FOLDER = Path("build") / "fuzz"
+MAX_BYTES = 1 << 16
+"""Maximum size in bytes of an input."""
+
+
+def read_scene(path: Path) -> None:
+    reader = SceneReader(path)
+    try:
+        for index in range(min(reader.manifest.frame_count, 2)):
+            reader.read(index)
+    finally:
+        reader.close()
+
+
+def read_splats(path: Path) -> None:
+    SplatReader(path).read(0)
+
+
+READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
+    "scene": ("a.4dv", read_scene),
+    "points": ("a.ply", read_ply),
+    "splats": ("a.ply", read_splats),
+    "raw-splats": ("a.splat", read_splats),
+    "calibration": ("intri.yml", lambda path: check_calibration(path.parent)),
+    "picture": ("a.png", decode_rgb),
+    "matroska": ("a.mkv", missing_bytes),
+    "videos": ("videos.json", lambda path: list_videos(path.parent)),
+    "overlay": ("a.yaml", lambda path: load_overlay(TrainConfig(), path)),
+    "board": ("a.toml", read_board),
+    "path": ("a.json", load_recorded_path),
+    "transforms": ("transforms.json", lambda path: transforms_json.read(path.parent)),
+    "qualisys": ("a.qca.txt", qualisys.read_cameras),
+    "anipose": ("a.toml", anipose.read_cameras),
+    "caliscope": ("camera_array.toml", caliscope.read_cameras),
+    "actorshq": ("calibration.csv", actorshq.read_cameras),
+    "neural3dv": ("poses_bounds.npy", lambda path: neural3dv.read(path.parent)),
+}
+"""The file name and the function of each reader."""
+
+
+def instrument() -> None:
+    """Measure the coverage of all functions of fourd, which are already imported."""
+    for module in [module for name, module in sys.modules.items() if name.startswith("fourd.")]:
+        values = list(vars(module).values())
+        values += [value for kind in values if isinstance(kind, type) for value in vars(kind).values()]
+        for value in values:
+            if isinstance(value, FunctionType) and value.__module__.startswith("fourd."):
+                atheris.instrument_func(value)
+
+
+def fuzz(name: str, options: list[str]) -> None:
+    """Fuzz one reader in this process, until libFuzzer ends the process."""
+    file, read = READERS[name]
+    folder = Path(tempfile.mkdtemp(prefix="fourd-fuzz-"))
+    path = folder / file
+    if name == "calibration":
+        (folder / "extri.yml").write_text('%YAML:1.0\n---\nnames: ["0"]\n')
+
+    def test_one_input(content: bytes) -> None:
+        path.write_bytes(content)
+        try:
+            read(path)
+        except UserError as error:
+            if "\n" in str(error):
+                raise
+
+    instrument()
+    atheris.Setup([sys.argv[0], *options], test_one_input)
+    atheris.Fuzz()
+
+
+def write_seeds() -> None:
+    """Write the whole files of the tests' samples as the first inputs of the corpora."""
+    from tests.hostile.samples import Samples
+
+    with tempfile.TemporaryDirectory() as folder:
+        for sample in Samples(Path(folder)).all:
+            content = (sample.folder / sample.file).read_bytes()
+            for name, (file, _) in READERS.items():
+                if Path(file).suffix == Path(sample.file).suffix and len(content) <= MAX_BYTES:
+                    (FOLDER / name).mkdir(parents=True, exist_ok=True)
+                    (FOLDER / name / sample.folder.name).write_bytes(content)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=int, default=60, help="time in seconds for all readers together")
+    parser.add_argument("--child", nargs=argparse.REMAINDER, help=argparse.SUPPRESS)
+    parser.add_argument("readers", nargs="*", metavar="READER", help=f"default: all of {', '.join(READERS)}")
+    arguments = parser.parse_args()
+    if arguments.child:
+        fuzz(arguments.child[0], arguments.child[1:])
+        return 0
+    names = arguments.readers or list(READERS)
+    write_seeds()
+    failed = []
+    for name in names:
+        (FOLDER / name).mkdir(parents=True, exist_ok=True)
+        options = [f"-max_total_time={max(1, arguments.seconds // len(names))}", f"-max_len={MAX_BYTES}", "-timeout=10"]
+        options += ["-rss_limit_mb=2048", "-print_final_stats=0", "-verbosity=0", f"-artifact_prefix={FOLDER / name}-"]
+        command = [sys.executable, "-m", "tests.hostile.fuzz", "--child", name, str(FOLDER / name), *options]
+        code = subprocess.run(command, check=False).returncode
+        print(f"{name}: {'ok' if code == 0 else 'failed'}", flush=True)
+        failed += [name] if code else []
+    return 2 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
