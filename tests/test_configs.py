@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -60,3 +61,18 @@ def test_mistakes_are_named(text: str, message: str, tmp_path: Path) -> None:
 def test_no_such_file(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"none\.yaml"):
         load_overlay(TrainConfig(), tmp_path / "none.yaml")
+
+
+def test_hostile_files_are_refused_at_once(tmp_path: Path) -> None:
+    """Catches an overlay that waits for a named pipe, and an error message that expands nested aliases."""
+    os.mkfifo(tmp_path / "pipe.yaml")
+    with pytest.raises(UserError, match=r"pipe.yaml: expected a file, got a named pipe; name a file"):
+        load_overlay(TrainConfig(), tmp_path / "pipe.yaml")
+    nested = tmp_path / "nested.yaml"
+    nested.write_text("scene: " + "[&l0 [1], " + ", ".join(_level(index) for index in range(1, 10)) + "]\n")
+    with pytest.raises(UserError, match=r"nested.yaml, line 1: scene: expected one of object, full, got a list"):
+        load_overlay(TrainConfig(), nested)
+
+
+def _level(index: int) -> str:
+    return f"&l{index} [{', '.join([f'*l{index - 1}'] * 10)}]"

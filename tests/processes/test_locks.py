@@ -15,6 +15,7 @@ import pytest
 from fourd.cli.main import main
 from fourd.errors import UserError
 from fourd.processes import DeferredInterrupt, locked_folder
+from tests.baking.scenes import write_scene
 
 HOLDER = """
 import sys
@@ -89,7 +90,9 @@ def test_commands_refuse_a_folder_that_is_in_use(
 ) -> None:
     """Catches a command without a lock, and a lock that is not released."""
     capture = shutil.copytree(ball_capture, tmp_path / "capture")
-    out = tmp_path / "out"
+    out, scene, board = tmp_path / "out", tmp_path / "scene.4dv", tmp_path / "board.toml"
+    write_scene(scene, points=5)
+    board.write_text("columns = 5\nrows = 4\nsquare_m = 0.03\n")
     commands = {
         ("train", capture, "-o", out, "--max-steps", "1"): out,
         ("make", capture, "-o", tmp_path / "scene.4dv"): tmp_path / "scene.work",
@@ -97,6 +100,9 @@ def test_commands_refuse_a_folder_that_is_in_use(
         ("import", "easymocap", capture, out): out,
         ("carve", capture, "--out", out): out,
         ("mesh", capture, "-o", out): out,
+        ("synth", out): out,
+        ("web", scene, "-o", out): out,
+        ("calibrate", capture, "--board", board, "-o", out): out,
     }
     for words, folder in commands.items():
         with locked_folder(folder):
