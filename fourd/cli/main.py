@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import select
+import signal
 import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
@@ -126,6 +127,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _report_errors(words)
         finally:
+            if arguments is None:
+                # The command has ended. Ctrl-C would only print a traceback while Python exits.
+                signal.signal(signal.SIGINT, signal.SIG_IGN)
             sys.stdout.flush()
     except BrokenPipeError:
         if not _reader_is_gone():

@@ -55,6 +55,9 @@ COMMANDS = (
     Command(("train", "capture", "-o", "run", "--workers", "1", *(w for s in SMALL for w in ("--set", s))), "run"),
     Command(("export", "run", "-o", "out/scene.4dv"), "out"),
 )
+MAKE = Command(
+    ("make", "source", "-o", "out/scene.4dv", "--workers", "1", *(w for s in SMALL for w in ("--set", s))), "out"
+)
 
 
 @dataclass(frozen=True)
@@ -98,8 +101,10 @@ class Zygote:
         self._process.stdin.close()
         self._process.wait()
 
-    def run(self, command: Command, root: Path, mode: Mode = "count", at: int = -1) -> Outcome:
-        """Run a command in the folder ``root``."""
+    def run(
+        self, command: Command, root: Path, mode: Mode = "count", at: int = -1, signal: int = 0, seconds: float = 0.0
+    ) -> Outcome:
+        """Run a command in the folder ``root``, with a fault or with a signal after ``seconds``."""
         words = list(command.words)
         if command.name == "train" and (root / "run" / "config.yaml").exists():
             words.append("--resume")
@@ -107,6 +112,7 @@ class Zygote:
         log, operations = self._folder / "log", self._folder / "operations"
         operations.unlink(missing_ok=True)
         job: dict[str, Any] = {"words": words, "root": str(root), "mode": mode, "at": at}
+        job |= {"signal": signal, "seconds": seconds}
         job |= {"log": str(log), "operations": str(operations)}
         assert self._process.stdin is not None
         assert self._process.stdout is not None

@@ -12,6 +12,7 @@ import json
 import os
 import signal
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,19 @@ from tests.faults.operations import Faults
 
 MAX_SECONDS = 20
 """A command that runs for this time hangs. It takes less than 3 seconds on an idle machine."""
-MODULES = ("captures.import_", "captures.matte", "captures.carve", "runs.train", "runs.export", "scenes.verify")
+MODULES = (
+    "captures.import_",
+    "captures.matte",
+    "captures.carve",
+    "runs.train",
+    "runs.export",
+    "runs.make",
+    "scenes.verify",
+)
 
 
 def run_job(job: dict[str, Any]) -> dict[str, Any]:
-    """Run a command in a forked process. The result has the wait status, and the operations if they were counted."""
+    """Run a command in a forked process, and send it a signal if the job has one. The result has the wait status."""
     child = os.fork()
     if child == 0:
         code = 70
@@ -37,6 +46,9 @@ def run_job(job: dict[str, Any]) -> dict[str, Any]:
             code = _run_command(job)
         finally:
             os._exit(code)
+    if job["signal"]:
+        time.sleep(job["seconds"])
+        os.kill(child, job["signal"])
     _, status = os.waitpid(child, 0)
     return {"status": status}
 
@@ -56,6 +68,7 @@ def _run_command(job: dict[str, Any]) -> int:
         code = cli.main(job["words"])
     except BaseException as error:
         print(f"Traceback: {type(error).__name__}: {error}", file=sys.stderr)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as main does for the words of the command line
     done, faults.at = list(faults.operations), -1
     atexit._run_exitfuncs()  # removes scratch folders, as the end of a program does
     sys.stdout.flush()

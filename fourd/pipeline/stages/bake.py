@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,7 +49,7 @@ def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None
     """Load the newest checkpoint and write every frame to the scene file."""
     trained = load_run(files.run)
     remove_unfinished_file(files.scene)
-    with trained.run:
+    with trained.run, closing(trained.frames):
         if settings.pack is None:
             bake_run(trained, files.scene, context.console, settings.layers, settings.fps)
             return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -50,7 +51,9 @@ def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
     with opened as run:
         budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
-        summary = Trainer(run, lpips, context.console, budget).train()
+        trainer = Trainer(run, lpips, context.console, budget)
+        with closing(trainer.frames):
+            summary = trainer.train()
     context.log(f"{files.run}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
 
 

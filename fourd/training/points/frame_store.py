@@ -61,6 +61,11 @@ class FrameStore:
                 self._write(frame, temporary)
         self._saved = folder
 
+    def close(self) -> None:
+        """Remove the scratch folder. Without this call, the folder is removed when this object is deleted. Python then
+        loses a Ctrl-C."""
+        self._scratch.close()
+
     def _write(self, frame: int, target: Path) -> None:
         """Write a frame's points to ``target``. If the points are not in memory, the newest file with the points is
         copied."""
