@@ -114,7 +114,8 @@ class Session:
         self.settings = replace(self.settings, layers=layers)
 
     def choose_style(self, name: str | None) -> None:
-        """Draw the scene in a preset or in a style file, or in the captured colours if ``name`` is None.
+        """Choose the style of the scene: the name of a preset style, the path of a style file, or None for the captured
+        colours.
 
         If the style cannot be loaded, the current style stays and ``message`` contains the reason.
         """

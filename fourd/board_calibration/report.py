@@ -30,7 +30,7 @@ MAX_FOCAL_STD = 0.005
 MAX_CENTRE_STD_DEGREES = 0.3
 """A standard deviation of the viewing direction above this value is reported.
 
-The viewing direction depends on the principal point, whose standard deviation is known.
+The standard deviation of the viewing direction is that of the principal point, divided by the focal length.
 """
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10

@@ -23,7 +23,7 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 SIZE_STEP_PX = 32
-"""Multiple, in pixels, to which the sides of padded plates are rounded up."""
+"""The sides of padded plates are rounded up to a multiple of this number of pixels."""
 CACHED_STEPS = 100
 """Number of training steps for which the cached depth and image features of a plate are reused. The depth and the
 features change only slowly during training."""

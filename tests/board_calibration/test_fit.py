@@ -114,7 +114,7 @@ def test_cameras_are_joined_through_others() -> None:
 
 
 def test_separate_groups_of_cameras_are_named() -> None:
-    """Catches a rig whose groups of cameras have no known relative pose."""
+    """Catches a fit that accepts groups of cameras that never see the board together."""
     settings = replace(SETTINGS, cameras=4)
     _, views = seen_views(settings, range(40), {0: range(20), 1: range(20), 2: range(20, 40), 3: range(20, 40)})
     with pytest.raises(UserError, match=r"^videos: .* separate groups: a and b; c and d; film the board where"):

@@ -32,6 +32,8 @@ from fourd.training.config import TrainConfig
 from fourd.viewer.navigation.recorded_path import load_recorded_path
 
 FOLDER = Path("build") / "fuzz"
+GRACE_SECONDS = 60
+"""Seconds after which a reader's process is ended if libFuzzer does not end it."""
 MAX_BYTES = 1 << 16
 """Maximum size in bytes of an input."""
 
@@ -129,11 +131,16 @@ def main() -> int:
     failed = []
     for name in names:
         (FOLDER / name).mkdir(parents=True, exist_ok=True)
-        options = [f"-max_total_time={max(1, arguments.seconds // len(names))}", f"-max_len={MAX_BYTES}", "-timeout=10"]
+        share = max(1, arguments.seconds // len(names))
+        options = [f"-max_total_time={share}", f"-max_len={MAX_BYTES}", "-timeout=10"]
         options += ["-rss_limit_mb=2048", "-print_final_stats=0", "-verbosity=0", f"-artifact_prefix={FOLDER / name}-"]
         command = [sys.executable, "-m", "tests.hostile.fuzz", "--child", name, str(FOLDER / name), *options]
-        code = subprocess.run(command, check=False).returncode
-        print(f"{name}: {'ok' if code == 0 else 'failed'}", flush=True)
+        # libFuzzer can lock up in its own signal handler, where it does not end by itself.
+        try:
+            code = subprocess.run(command, check=False, timeout=share + GRACE_SECONDS).returncode
+        except subprocess.TimeoutExpired:
+            code = None
+        print(f"{name}: {'ended late' if code is None else 'ok' if code == 0 else 'failed'}", flush=True)
         failed += [name] if code else []
     return 2 if failed else 0
 
