@@ -334,8 +334,7 @@ class VideoReader:
 
 
 def first_frame(path: Path) -> tuple[int, int, int, str]:
-    """Width and height in pixels of the first frame after it is rotated upright, the angle of this rotation in degrees,
-    and the HDR transfer function of the frame.
+    """Width and height in pixels of the first frame, rotated upright; the rotation in degrees; HDR transfer function.
 
     Raises:
         UserError: if no frame can be decoded, or the metadata mirrors the frames or turns them by an angle that is not

@@ -127,14 +127,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _report_errors(words)
         finally:
-            if arguments is None:
-                # The command has ended. Ctrl-C would only print a traceback while Python exits.
-                signal.signal(signal.SIGINT, signal.SIG_IGN)
             sys.stdout.flush()
     except BrokenPipeError:
         if not _reader_is_gone():
             raise
         return BROKEN_PIPE
+
+
+def console_main() -> int:
+    """Run the command of the terminal and return the exit code. The process must exit afterwards."""
+    try:
+        return main()
+    finally:
+        # The command has ended. Ctrl-C would only print a traceback while Python exits.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _reader_is_gone() -> bool:
@@ -243,4 +249,4 @@ def _wrap(text: str) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(console_main())

@@ -198,6 +198,9 @@ class Trainer:
         self._saved_step = self.done
 
     def _save_points(self, folder: Path) -> None:
+        # In a damaged checkpoint of the same step, a file can be a pipe or a folder, which no file may replace.
+        if any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
+            shutil.rmtree(folder)
         try:
             self.frames.save(folder)
             for name, cloud in self.scene.static_clouds.items():
