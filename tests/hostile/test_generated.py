@@ -85,7 +85,8 @@ def run_commands(tmp_path: Path, rng: np.random.Generator, count: int) -> None:
     samples = Samples(tmp_path / "samples").all
     scene = next(sample.folder / sample.file for sample in samples if sample.name == "object scene")
     words = HostileWords(scene, tmp_path / "samples" / "ball", tmp_path / "out", rng)
-    names = ("out", "log", "absent")
+    # A hostile word can be the name of the output, which is then in the working folder.
+    names = ("out", "log", "absent", "here")
     before, faults, done = snapshot(tmp_path, names), {}, 0
     while done < count:
         line = words.next()
