@@ -25,6 +25,9 @@ constexpr float kPadding = 0x1p-21f;
 // Smallest absolute coordinate of a scaled direction (Ray) in box tests. Coordinates below this number are replaced by
 // it, so that products with the reciprocal stay finite.
 constexpr float kMinShare = 1e-18f;
+constexpr float kTiny = 1.17549435e-38f;  // The smallest normal number.
+constexpr float kMaxFloat = 3.402823466e38f;
+constexpr float kInfinity = __builtin_huge_valf();
 
 // A ray, prepared for intersection. The direction is multiplied by the power of two `scale`, so that its largest
 // coordinate is between 1 and 2. With the scaled direction, the point at t has the parameter t' = t / scale.
@@ -92,6 +95,15 @@ FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, 
     return true;
 }
 
+// The interval of t' that contains the interval [t_min, t] of t. Added numbers cover the rounding of tiny t.
+FOURD_HD FOURD_INLINE float first_of(const Ray& ray) {
+    return ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
+}
+
+FOURD_HD FOURD_INLINE float last_of(const Ray& ray, float t) {
+    return t * ray.inverse_scale + kTiny * ray.inverse_scale;
+}
+
 // Whether (t, triangle) comes after another hit.
 FOURD_HD FOURD_INLINE bool is_after(float t, std::int32_t triangle, float other_t, std::int32_t other) {
     return t > other_t || (t == other_t && triangle > other);
@@ -122,8 +134,8 @@ FOURD_HD FOURD_INLINE Weights weights_of(const float ax, const float ay, const f
 // The part of the ray in the padded box of a triangle, as an interval of t'.
 FOURD_HD FOURD_INLINE void box_interval(const Ray& ray, const float* a, const float* b, const float* c, float* first,
                                         float* last) {
-    *first = -3.402823466e38f;
-    *last = 3.402823466e38f;
+    *first = -kMaxFloat;
+    *last = kMaxFloat;
     for (int i = 0; i < 3; ++i) {
         const float rest_low = b[i] < c[i] ? b[i] : c[i], rest_high = b[i] > c[i] ? b[i] : c[i];
         const float low = a[i] < rest_low ? a[i] : rest_low, high = a[i] > rest_high ? a[i] : rest_high;
@@ -138,9 +150,12 @@ FOURD_HD FOURD_INLINE void box_interval(const Ray& ray, const float* a, const fl
 // t in [t_min, t_max], and writes t, u and v. Rays hit a triangle from both sides, and also at its edges.
 FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float* b, const float* c, Hit* out) {
     const float az = a[ray.z] - ray.origin[ray.z], bz = b[ray.z] - ray.origin[ray.z], cz = c[ray.z] - ray.origin[ray.z];
-    const float ax = (a[ray.x] - ray.origin[ray.x]) - ray.shear_x * az, ay = (a[ray.y] - ray.origin[ray.y]) - ray.shear_y * az;
-    const float bx = (b[ray.x] - ray.origin[ray.x]) - ray.shear_x * bz, by = (b[ray.y] - ray.origin[ray.y]) - ray.shear_y * bz;
-    const float cx = (c[ray.x] - ray.origin[ray.x]) - ray.shear_x * cz, cy = (c[ray.y] - ray.origin[ray.y]) - ray.shear_y * cz;
+    const float ax = (a[ray.x] - ray.origin[ray.x]) - ray.shear_x * az;
+    const float ay = (a[ray.y] - ray.origin[ray.y]) - ray.shear_y * az;
+    const float bx = (b[ray.x] - ray.origin[ray.x]) - ray.shear_x * bz;
+    const float by = (b[ray.y] - ray.origin[ray.y]) - ray.shear_y * bz;
+    const float cx = (c[ray.x] - ray.origin[ray.x]) - ray.shear_x * cz;
+    const float cy = (c[ray.y] - ray.origin[ray.y]) - ray.shear_y * cz;
     const Weights weights = weights_of(ax, ay, bx, by, cx, cy);
     const bool inside = (weights.a >= 0.0f && weights.b >= 0.0f && weights.c >= 0.0f) ||
                         (weights.a <= 0.0f && weights.b <= 0.0f && weights.c <= 0.0f);

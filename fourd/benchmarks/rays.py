@@ -6,24 +6,21 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from fourd.benchmarks.meshes import make_mesh
 from fourd.benchmarks.peers import embree_tracer
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import make_camera
+from fourd.lenses.lens import Pinhole
 from fourd.raster.rays import Bvh, trace
 
 
 def primary_rays(side: int) -> tuple[Tensor, Tensor]:
     """Return origins and directions (side^2, 3) of the rays through the pixel centres of the benchmarks' camera."""
-    camera = make_camera(side, side)
-    pixels = torch.arange(side, dtype=torch.float64) + 0.5
-    rows, columns = torch.meshgrid(pixels, pixels, indexing="ij")
-    at = torch.stack([columns, rows, torch.ones_like(rows)], -1).reshape(-1, 3)
-    directions = at @ torch.from_numpy(camera.rotation.T @ np.linalg.inv(camera.intrinsics)).T
-    origins = torch.from_numpy(camera.centre.copy()).expand_as(directions)
-    return origins.float().contiguous(), directions.float().contiguous()
+    rays = Pinhole().rays(make_camera(side, side))
+    return _float_tensor(rays.origins), _float_tensor(rays.directions)
 
 
 def random_rays(count: int) -> tuple[Tensor, Tensor]:
@@ -53,3 +50,7 @@ def ray_works(count: int, side: int) -> Iterator[tuple[str, Work, dict[str, Work
 
 def _tracing(bvh: Bvh, xyz: Tensor, rays: tuple[Tensor, Tensor], layers: int) -> Work:
     return lambda: trace(bvh, xyz, *rays, layers=layers)
+
+
+def _float_tensor(array: NDArray[np.float64]) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, np.float32))

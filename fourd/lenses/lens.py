@@ -53,7 +53,7 @@ class Fisheye:
 
     Attributes:
         fov_deg: angle of the circle that touches the longer sides of the image, in degrees, above 0 and at most 360.
-            Pixels whose angle is above 180 degrees stay black.
+            Pixels outside this circle stay black.
         samples: rays in each pixel along rows and along columns.
     """
 
@@ -70,7 +70,7 @@ class Fisheye:
         offset = (points - (camera.width / 2, camera.height / 2)) / (min(camera.width, camera.height) / 2)
         distance = np.linalg.norm(offset, axis=1)
         angle = distance * np.radians(self.fov_deg) / 2
-        kept = (angle <= np.pi) & (distance <= 1)
+        kept = distance <= 1
         scale = np.divide(
             np.sin(angle), distance, out=np.full_like(angle, np.radians(self.fov_deg) / 2), where=distance > 0
         )

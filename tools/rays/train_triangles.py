@@ -21,7 +21,7 @@ from fourd.capture import open_capture
 from fourd.carving.bounds import hull_bounds
 from fourd.carving.carve import carve_frame
 from fourd.carving.colour import colour_points
-from fourd.lenses.lens import Fisheye
+from fourd.lenses.lens import Fisheye, Pinhole
 from fourd.mesh.views import mesh_views
 from fourd.raster.rays import Bvh, splat_along_rays
 from fourd.raster.triangles import TriangleRender
@@ -61,16 +61,14 @@ class RaySoup(Soup):
 
 def pinhole_rays(camera: Camera) -> tuple[Tensor, Tensor]:
     """Return the rays (H, W, 3) through the pixel centres of a camera."""
-    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    local = np.stack([columns, rows, np.ones_like(rows)], -1) @ np.linalg.inv(camera.intrinsics).T
-    directions = torch.from_numpy((local @ camera.rotation).astype(np.float32))
-    return torch.from_numpy(camera.centre.astype(np.float32)).expand_as(directions).contiguous(), directions
+    rays, shape = Pinhole().rays(camera), (camera.height, camera.width, 3)
+    origins, directions = (np.array(array, np.float32).reshape(shape) for array in (rays.origins, rays.directions))
+    return torch.from_numpy(origins), torch.from_numpy(directions)
 
 
 def fisheye_target(camera: Camera, image: np.ndarray, matte: np.ndarray, rays: RaysOf) -> Target:
     """Resample an image (H, W, 3) and its matte to a fisheye image, cropped to the subject, and store its rays."""
-    square = camera.resize(camera.width, camera.height)
-    bundle = Fisheye(FISHEYE_DEG).rays(square)
+    bundle = Fisheye(FISHEYE_DEG).rays(camera)
     directions = np.tile(camera.forward, (camera.height * camera.width, 1))
     directions[bundle.pixels] = bundle.directions
     pixels, depth = camera.project(camera.centre + directions)

@@ -8,6 +8,7 @@
 #include <cstring>
 
 #include "common/inline.h"
+#include "rays/hit_list.h"
 #include "rays/maths.h"
 
 namespace fourd::rays::FOURD_SIMD {
@@ -39,49 +40,18 @@ FOURD_INLINE bool intersect_lane(const Ray& ray, const Block& block, int lane, H
     return intersect(ray, corners[0], corners[1], corners[2], hit);
 }
 
-struct NearestHits {
-    const Rays& rays;
-    const Ray& ray;
-    std::size_t index;
-    int layers, found;
-    float *t, *u, *v;
-    std::int32_t* triangle;
-
-    FOURD_INLINE void add(const Hit& hit) {
-        if (rays.after_t != nullptr && !is_after(hit.t, hit.triangle, rays.after_t[index], rays.after_triangle[index])) return;
-        if (found == layers && !is_after(t[found - 1], triangle[found - 1], hit.t, hit.triangle)) return;
-        int at = found < layers ? found++ : found - 1;
-        for (; at > 0 && is_after(t[at - 1], triangle[at - 1], hit.t, hit.triangle); --at) {
-            t[at] = t[at - 1];
-            u[at] = u[at - 1];
-            v[at] = v[at - 1];
-            triangle[at] = triangle[at - 1];
-        }
-        t[at] = hit.t;
-        u[at] = hit.u;
-        v[at] = hit.v;
-        triangle[at] = hit.triangle;
-    }
-};
-
 void trace(const TreeView& tree, const Rays& rays, std::size_t begin, std::size_t end, const Hits& hits) {
     for (std::size_t index = begin; index < end; ++index) {
-        const std::size_t to = index * static_cast<std::size_t>(hits.layers);
-        for (int k = 0; k < hits.layers; ++k) {
-            hits.t[to + k] = __builtin_huge_valf();
-            hits.u[to + k] = hits.v[to + k] = 0.0f;
-            hits.triangle[to + k] = -1;
-        }
+        HitList nearest(rays, hits, index);
         WideRay ray;
         if (!prepare_ray(tree.node_count, tree.magnitude, rays, index, &ray)) continue;
-        NearestHits nearest{rays, ray.ray, index, hits.layers, 0, hits.t + to, hits.u + to, hits.v + to, hits.triangle + to};
         traverse(tree.nodes, tree.blocks, ray, first_of(ray.ray), last_of(ray.ray, ray.ray.t_max),
                  [&](const Block& block, float* last) FOURD_INLINE_LAMBDA {
                      for (unsigned bits = triangles_near(ray, block); bits != 0; bits &= bits - 1) {
                          Hit hit;
                          if (intersect_lane(ray.ray, block, lowest_bit(bits), &hit)) nearest.add(hit);
                      }
-                     if (nearest.found == nearest.layers) {
+                     if (nearest.is_full()) {
                          const float bound = last_of(ray.ray, nearest.t[nearest.found - 1]);
                          if (bound < *last) *last = bound;
                      }

@@ -76,7 +76,9 @@ struct Plane {
 };
 
 // The expected number of blocks of a box with `count` primitives, times its area.
-inline float cost_of(const Box& box, std::size_t count) { return area_of(box) * static_cast<float>((count + kWidth - 1) / kWidth); }
+inline float cost_of(const Box& box, std::size_t count) {
+    return area_of(box) * static_cast<float>((count + kWidth - 1) / kWidth);
+}
 
 Plane best_plane(const Reference* references, const Range& range, const Binning& binning) {
     Bin bins[3][kBins];

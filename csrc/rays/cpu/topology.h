@@ -5,18 +5,18 @@
 #include <cstdint>
 
 #include "common/team.h"
+#include "rays/maths.h"
 #include "rays/rays.h"
 
 namespace fourd::rays {
-
-constexpr float kInfinity = __builtin_huge_valf();
 
 // The fourth coordinate is unused. With four, compilers use vectors.
 struct Box {
     float low[4], high[4];
 };
 
-constexpr Box kEmptyBox = {{kInfinity, kInfinity, kInfinity, kInfinity}, {-kInfinity, -kInfinity, -kInfinity, -kInfinity}};
+constexpr Box kEmptyBox = {{kInfinity, kInfinity, kInfinity, kInfinity},
+                           {-kInfinity, -kInfinity, -kInfinity, -kInfinity}};
 
 inline void extend(Box* box, const Box& by) {
     for (int i = 0; i < 4; ++i) {

@@ -2,52 +2,11 @@
 
 #include "device/clear.h"
 #include "device/executor.h"
+#include "rays/hit_list.h"
 #include "rays/maths.h"
 
 namespace fourd::rays::cuda {
 namespace {
-
-constexpr float kTiny = 1.17549435e-38f;
-
-// One ray and the nearest hits found so far, in the order of (t, triangle).
-struct Search {
-    const TreeView& tree;
-    const Rays& rays;
-    std::size_t index;
-    Ray ray;
-    int layers, found;
-    float *t, *u, *v;
-    std::int32_t* triangle;
-
-    FOURD_DEVICE bool is_wanted(const Hit& hit) const {
-        if (rays.after_t != nullptr &&
-            !is_after(hit.t, hit.triangle, rays.after_t[index], rays.after_triangle[index])) {
-            return false;
-        }
-        return found < layers || is_after(t[found - 1], triangle[found - 1], hit.t, hit.triangle);
-    }
-
-    FOURD_DEVICE void add(const Hit& hit) {
-        if (!is_wanted(hit)) return;
-        int at = found < layers ? found++ : found - 1;
-        for (; at > 0 && is_after(t[at - 1], triangle[at - 1], hit.t, hit.triangle); --at) {
-            t[at] = t[at - 1];
-            u[at] = u[at - 1];
-            v[at] = v[at - 1];
-            triangle[at] = triangle[at - 1];
-        }
-        t[at] = hit.t;
-        u[at] = hit.u;
-        v[at] = hit.v;
-        triangle[at] = hit.triangle;
-    }
-
-    // The largest t' of interest, rounded up.
-    FOURD_DEVICE float last() const {
-        const float bound = layers > 0 && found == layers ? t[found - 1] : ray.t_max;
-        return bound * ray.inverse_scale + kTiny * ray.inverse_scale;
-    }
-};
 
 FOURD_DEVICE static bool meets_box(const Ray& ray, const Node& node, int lane, float first, float last, float* entry) {
     float enter = first, leave = last;
@@ -85,7 +44,7 @@ struct Entry {
 
 template <typename Visit, typename Last>
 FOURD_DEVICE static void traverse(const TreeView& tree, const Ray& ray, Visit& visit, const Last& last) {
-    const float first = ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
+    const float first = first_of(ray);
     Entry stack[kMaxStack];
     int size = 0;
     stack[size++] = {first, 0};
@@ -120,20 +79,17 @@ struct Trace {
     Hits hits;
 
     FOURD_DEVICE void operator()(std::size_t index) const {
-        const std::size_t to = index * static_cast<std::size_t>(hits.layers);
-        for (int k = 0; k < hits.layers; ++k) {
-            hits.t[to + k] = INFINITY;
-            hits.u[to + k] = hits.v[to + k] = 0.0f;
-            hits.triangle[to + k] = -1;
-        }
-        Search search{tree, rays, index, {}, hits.layers, 0, hits.t + to, hits.u + to, hits.v + to, hits.triangle + to};
-        if (!prepare_ray(tree, rays, index, &search.ray)) return;
-        const auto visit = [&search](const Hit& hit) {
-            search.add(hit);
+        HitList nearest(rays, hits, index);
+        Ray ray;
+        if (!prepare_ray(tree, rays, index, &ray)) return;
+        const auto visit = [&nearest](const Hit& hit) {
+            nearest.add(hit);
             return false;
         };
-        const auto last = [&search] { return search.last(); };
-        traverse(tree, search.ray, visit, last);
+        const auto last = [&nearest, &ray] {
+            return last_of(ray, nearest.is_full() ? nearest.t[nearest.found - 1] : ray.t_max);
+        };
+        traverse(tree, ray, visit, last);
     }
 };
 
@@ -151,7 +107,7 @@ struct Occluded {
             *flag = 1;
             return true;
         };
-        const float bound = ray.t_max * ray.inverse_scale + kTiny * ray.inverse_scale;
+        const float bound = last_of(ray, ray.t_max);
         const auto last = [bound] { return bound; };
         traverse(tree, ray, visit, last);
     }

@@ -27,8 +27,7 @@ from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
 from fourd.viewer.output.video import write_video
 from fourd.viewer.playback.sources import open_frame_source
-from fourd.viewer.rendering.lens import LensPlayable
-from fourd.viewer.rendering.styled import StyledPlayable
+from fourd.viewer.rendering.drawn_playable import DrawnPlayable, LensDrawer, StyleDrawer
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,9 @@ def _open(arguments: Arguments) -> Playable:
     if is_mesh(arguments.source):
         return PlayableMeshes(arguments.source, style)
     playable = open_playable(arguments.source)
-    return playable if style is None else StyledPlayable(playable, open_frame_source(arguments.source), style)
+    if style is None:
+        return playable
+    return DrawnPlayable(playable, open_frame_source(arguments.source), StyleDrawer(style))
 
 
 def _through_lens(arguments: Arguments, playable: Playable, frames: list[int]) -> Playable:
@@ -108,7 +109,8 @@ def _through_lens(arguments: Arguments, playable: Playable, frames: list[int]) -
         inserts = make_inserts(arguments.optics, views, subject)
     if not views:
         raise UserError(f"{arguments.source}: expected a scene with cameras for --lens, got none")
-    return LensPlayable(playable, source, make_lens(arguments.optics, views[0], playable.focus), inserts)
+    lens = make_lens(arguments.optics, views[0], playable.focus)
+    return DrawnPlayable(playable, source, LensDrawer(lens, inserts))
 
 
 def _write_views(arguments: Arguments, playable: Playable, frames: list[int], fps: float, console: Console) -> int:

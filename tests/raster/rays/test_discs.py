@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from fourd.lenses.lens import Pinhole
 from fourd.ops.loading import load_native
 from fourd.ops.points.arrays import render_points_numpy
 from fourd.ops.rays.discs import DiscTree
@@ -53,10 +54,8 @@ def test_a_pinhole_shows_the_picture_of_the_compositor(rng: np.random.Generator)
     xyz, radius, density, colours = discs(rng, 4000)
     camera = ring(3, size=96)[1]
     rgb, alpha, _ = render_points_numpy(xyz, colours, radius, density.clip(max=1), camera, layers=12, near=0.01)
-    rows, columns = np.mgrid[:96, :96] + 0.5
-    local = np.stack([columns, rows, np.ones_like(rows)], -1).reshape(-1, 3) @ np.linalg.inv(camera.intrinsics).T
-    directions = (local @ camera.rotation).astype(np.float32)
-    origins = np.broadcast_to(camera.centre.astype(np.float32), directions.shape)
+    rays = Pinhole().rays(camera)
+    origins, directions = rays.origins.astype(np.float32), rays.directions.astype(np.float32)
     found = DiscTree(xyz, radius, density).composite(
         colours, origins, directions, facing=camera.forward.astype(np.float32), t_min=0.01, layers=12
     )

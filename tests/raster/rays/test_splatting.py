@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from fourd.cameras import Camera
+from fourd.lenses.lens import Pinhole
 from fourd.raster.rays import Bvh, splat_along_rays
 from fourd.raster.triangles import splat_triangles
 from tests.baking.scenes import ring
@@ -30,10 +31,9 @@ def stacked_soup(rng: np.random.Generator, camera: Camera, count: int) -> Soup:
 
 
 def pixel_rays(camera: Camera) -> tuple[Tensor, Tensor]:
-    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    local = np.stack([columns, rows, np.ones_like(rows)], -1).reshape(-1, 3) @ np.linalg.inv(camera.intrinsics).T
-    directions = torch.from_numpy((local @ camera.rotation).astype(np.float32))
-    return torch.from_numpy(camera.centre.astype(np.float32)).expand_as(directions).contiguous(), directions
+    rays = Pinhole().rays(camera)
+    origins, directions = (np.array(array, np.float32) for array in (rays.origins, rays.directions))
+    return torch.from_numpy(origins), torch.from_numpy(directions)
 
 
 @pytest.mark.parametrize("layers", [None, 3])
