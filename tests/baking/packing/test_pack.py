@@ -39,7 +39,7 @@ def natural_frame(points: int, views: int, rng: np.random.Generator) -> BakedFra
     base = np.clip(128 + 80 * normal + rng.normal(0, 5, (points, 3)), 0, 255)
     rgb = np.clip(base[:, None] + rng.normal(0, 8, (points, views, 3)), 0, 255).astype(np.uint8)
     terms = np.zeros((points, 3, 16))
-    terms[..., :4] = normal[:, :1, None] * rng.normal(size=4) * 0.3
+    terms[..., :4] = normal[:, :1, None] * rng.uniform(0.15, 0.6, size=4) * rng.choice([-1, 1], size=4)
     return replace(
         frame,
         xyz=(0.4 * normal).astype(np.float32),
