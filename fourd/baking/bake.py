@@ -5,7 +5,8 @@ Export evaluates the networks for every frame, so that a program can render the 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,7 @@ from fourd.baking.scene import (
     BakedFrame,
     SceneBackground,
     SceneManifest,
+    make_frame,
     to_triple,
 )
 from fourd.baking.styled.normals import add_normals
@@ -32,10 +34,12 @@ from fourd.model import PointModel
 from fourd.model.appearance import mix_own_colours, zero_low_visibility
 from fourd.model.point_model import EvaluatedPoints
 from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceViews, sample_sources
+from fourd.ops.morton import morton_order
 from fourd.training.occlusion import with_surface_depth
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.rendering import NEAR
 from fourd.training.run import Run, TrainedRun
+from fourd.training.segments.segmented_run import SegmentedRun, SegmentFrame
 
 GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
 """Function that returns a camera's source view for the given points. The returned view has a depth map if occlusion is
@@ -47,11 +51,16 @@ do not underflow in fp16."""
 
 
 def bake_run(
-    trained: TrainedRun, out: Path, console: Console, layers: int = BAKED_LAYERS, fps: float | None = None
+    trained: TrainedRun | SegmentedRun,
+    out: Path,
+    console: Console,
+    layers: int = BAKED_LAYERS,
+    fps: float | None = None,
 ) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
-    Blend weights (fp16) and colours (uint8) of the points are baked for every training view.
+    Blend weights (fp16) and colours (uint8) of the points are baked for every training view. In the frames that two
+    segments share, the scene fades from one segment to the next.
 
     Args:
         layers: maximum number of points that are composited per pixel. This number is stored in the scene.
@@ -64,14 +73,18 @@ def bake_run(
     run = trained.run
     require_bakeable(run)
     sources = select_baked_views(run)
-    with SceneWriter(out, make_manifest(trained, layers, fps)) as writer, torch.no_grad():
-        manifest = writer.manifest
-        background = bake_background(trained, sources)
+    first = trained.segment(0) if isinstance(trained, SegmentedRun) else trained
+    manifest = replace(make_manifest(first, layers, fps), frame_numbers=run.capture.frame_numbers)
+    with SceneWriter(out, manifest) as writer, torch.no_grad():
+        background = bake_background(first, sources)
         if background is not None:
             writer.add_background(add_normals(background, manifest))
         for frame in track(range(run.capture.frame_count), description="export", console=console):
-            baked = add_normals(bake_frame(trained, frame, sources), manifest)
-            writer.add_frame(frame, baked, bake_shadow(trained, frame))
+            if isinstance(trained, SegmentedRun):
+                writer.add_frame(frame, add_normals(_bake_segments(trained.at(frame), sources), manifest))
+            else:
+                baked = add_normals(bake_frame(trained, frame, sources), manifest)
+                writer.add_frame(frame, baked, bake_shadow(trained, frame))
 
 
 def require_bakeable(run: Run) -> None:
@@ -133,6 +146,20 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
 
     points, time = trained.frames.get(frame), trained.run.capture.time(frame)
     return _bake_points(trained.model, points, time, sources, get_source_view)
+
+
+def _bake_segments(parts: Sequence[SegmentFrame], sources: list[int]) -> BakedFrame:
+    """Bake a frame from the points of the one or two segments that contain it."""
+    baked = [bake_frame(part.trained, part.frame, sources) for part in parts]
+    if len(baked) == 1:
+        return baked[0]
+    kept = [part.kept(frame.point_count) for part, frame in zip(parts, baked, strict=True)]
+    arrays = {
+        name: np.concatenate([frame.arrays[name][rows] for frame, rows in zip(baked, kept, strict=True)])
+        for name in baked[0].arrays
+    }
+    order = morton_order(arrays["xyz"])
+    return make_frame({name: array[order] for name, array in arrays.items()})
 
 
 def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:

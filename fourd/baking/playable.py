@@ -19,6 +19,7 @@ from fourd.errors import UserError
 
 if TYPE_CHECKING:
     from fourd.training.run import TrainedRun
+    from fourd.training.segments.segmented_run import SegmentedRun
 
 
 class Playable(Protocol):
@@ -83,9 +84,9 @@ class PlayableScene:
 
 @dataclass(frozen=True)
 class PlayableRun:
-    """A trained run. Rendering evaluates the networks of the run."""
+    """A trained run, with or without segments. Rendering evaluates the networks of the run."""
 
-    trained: TrainedRun
+    trained: TrainedRun | SegmentedRun
 
     @property
     def views(self) -> dict[str, Camera]:
@@ -109,7 +110,7 @@ class PlayableRun:
     ) -> NDArray[np.float32]:
         trained = self.trained
         layers = layers or trained.run.config.train.layers
-        picture = trained.renderer.render(trained.frames.get(frame), frame, camera, layers)
+        picture = trained.render(frame, camera, layers)
         over = (1 - picture.alpha)[..., None] * background
         return np.clip(picture.rgb + over, 0, 1).astype(np.float32)
 
@@ -121,9 +122,9 @@ def open_playable(path: Path) -> Playable:
             f"{path}: expected a run's folder or a .4dv file, got a path that does not exist; check the path"
         )
     if path.is_dir() and not is_splats(path):
-        from fourd.training.run import load_run
+        from fourd.training.segments.segmented_run import open_trained
 
-        return PlayableRun(load_run(path))
+        return PlayableRun(open_trained(path))
     return PlayableScene(open_scene(path))
 
 

@@ -80,6 +80,8 @@ class Capture:
         frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
+        time_span: indices in the whole capture of the frames between time 0 and time 1. By default, these are all
+            frames.
         fps: number of selected frames per second of the recording, or None if the frame rate is not known. If every
             S-th frame is selected, this is the recording's frame rate divided by S.
     """
@@ -104,6 +106,7 @@ class Capture:
         self.frame_names = tuple(frame_names)
         self.frame_numbers = tuple(frame_numbers)
         self.total_frames = total_frames
+        self.time_span = range(total_frames)
         self.fps = fps
         self._distorted_cameras = tuple(distorted_cameras)
         self._footage = tuple(footage)
@@ -132,6 +135,12 @@ class Capture:
         other.cameras = tuple(cameras)
         return other
 
+    def with_time_span(self, span: range) -> Capture:
+        """Copy the capture with another ``time_span``, which contains all selected frames."""
+        other = copy(self)
+        other.time_span = span
+        return other
+
     @property
     def frame_count(self) -> int:
         """Number of selected frames."""
@@ -143,11 +152,8 @@ class Capture:
         return all(footage.mattes is not None for footage in self._footage)
 
     def time(self, frame: int) -> float:
-        """Time of a selected frame in [0, 1]: f / (F - 1) for frame f of a capture with F frames in total.
-
-        If the capture has only one frame, its time is 0.
-        """
-        return self.frame_numbers[frame] / max(self.total_frames - 1, 1)
+        """Time of a selected frame in [0, 1]: f / (F - 1) for frame f of the F frames of ``time_span``; 0 if F = 1."""
+        return (self.frame_numbers[frame] - self.time_span.start) / max(len(self.time_span) - 1, 1)
 
     def image(self, camera: int, frame: int) -> Picture:
         """Undistorted RGB image (H, W, 3) uint8 of a camera and frame; the array is read-only.

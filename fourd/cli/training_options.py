@@ -22,6 +22,11 @@ BACKGROUND_HELP = (
     "stereo depth maps. "
     "sfm: stereo depth maps only. FILE.ply: your own points, in world units."
 )
+SEGMENT_HELP = (
+    "Maximum number of frames of one model. A longer capture is divided into segments, each with a model of its own "
+    "and with the whole budget. Successive segments share 4 frames, in which the scene fades from one to the next. "
+    "For --scene object."
+)
 CONFIG_KEYS = {
     "scene": "scene",
     "test_views": "test_views",
@@ -34,8 +39,17 @@ CONFIG_KEYS = {
     "max_seconds": "max_seconds",
     "max_steps": "max_steps",
     "seed": "seed",
+    "segment": "segments.frames",
 }
 """Dotted key of the training config that each option overrides."""
+
+SWITCHES = {
+    "refine.poses": "refine_cameras",
+    "refine.focal": "refine_cameras",
+    "refine.colours": "refine_colours",
+    "segments.warm_start": "warm_start",
+}
+"""Option that switches on a key of the training config, by the dotted name of the key."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
@@ -74,6 +88,9 @@ class TrainingOptions:
     """Refine poses and focal lengths by bundle adjustment before carving, then by gradient descent during training."""
     refine_colours: bool = False
     """Learn an affine colour correction for each camera."""
+    segment: Annotated[int | None, _config_option("segment", "INT", SEGMENT_HELP)] = None
+    warm_start: bool = False
+    """With --segment: start the networks of each segment from the trained networks of the previous segment."""
     points_from: Annotated[Path | None, option("DIR", "points are carved from the mattes")] = None
     """Folder with your own initial points in world units, as one PLY file per frame: 000000.ply and so on."""
     accept_mattes: bool = False
@@ -110,13 +127,20 @@ class TrainingOptions:
             value = getattr(self, name)
             if value is None:
                 continue
-            flag = f"--{name.replace('_', '-')}"
             if key in assigned:
-                raise UserError(f"{flag}, --set {key}: expected one of them, got both; remove one")
-            config = _replace_key(config, key, _config_values(name, key, value), flag)
-        flags = {"poses": self.refine_cameras, "focal": self.refine_cameras, "colours": self.refine_colours}
-        enabled = {name: True for name, is_on in flags.items() if is_on}
-        return replace(config, refine=replace(config.refine, **enabled))
+                raise UserError(f"{_flag(name)}, --set {key}: expected one of them, got both; remove one")
+            config = _replace_key(config, key, _config_values(name, key, value), _flag(name))
+        for key, name in SWITCHES.items():
+            if getattr(self, name):
+                config = _replace_key(config, key, {key.rpartition(".")[2]: True}, _flag(name))
+        if self.warm_start and config.segments.frames is None:
+            raise UserError("--warm-start: expected also --segment, got only --warm-start; add --segment FRAMES")
+        return config
+
+
+def _flag(name: str) -> str:
+    """Return the option on the command line that sets the field ``name`` of the options."""
+    return f"--{name.replace('_', '-')}"
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
@@ -139,7 +163,7 @@ def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) ->
     """
     head, _, rest = key.partition(".")
     if rest:
-        return replace(config, **{head: _replace_key(getattr(config, head), rest, values, flag)})
+        values = {head: _replace_key(getattr(config, head), rest, values, flag)}
     try:
         return replace(config, **values)
     except ValueError as error:

@@ -43,6 +43,11 @@ class KPlanes(nn.Module):
         planes = len(self.pairs) if self.config.reduction == "concat" else 1
         return self.config.levels * self.config.features * planes
 
+    @property
+    def time_plane_indices(self) -> list[int]:
+        """Indices in ``planes`` of the planes over time, which have one row per frame."""
+        return [index for index in range(len(self.planes)) if self.pairs[index % len(self.pairs)] in TIME_PAIRS]
+
     def forward(self, coordinates: Tensor) -> Tensor:
         """Features (N, out_features) at coordinates (N, 4) in [-1, 1]."""
         axes = [axis for pair in self.pairs for axis in pair] * self.config.levels

@@ -2,7 +2,7 @@
 
 The order of the stages is import, check, repair, mattes, plates, adjust, carve (or points), background, train, bake.
 The config and the contents of the capture decide which stages are needed. The relevant settings of the config are the
-kind of scene, camera refinement and given points.
+kind of scene, camera refinement, given points and segments. A run with segments has one stage train for each segment.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import has_masks, stages_to_mattes
 from fourd.pipeline.runner import AnyStage
+from fourd.pipeline.segments import divide_stage, segment_stages
 from fourd.pipeline.stages.adjust import AdjustSettings, adjust_stage
 from fourd.pipeline.stages.background import BackgroundFiles, BackgroundSettings, background_stage
 from fourd.pipeline.stages.bake import BakeFiles, BakeSettings, bake_stage
@@ -91,7 +92,19 @@ def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage
     """Stages that train a run. The capture must have masks or mattes. For ``plates``, see
     :func:`stages_to_first_points`."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
-    return (*stages_to_first_points(request, plates=plates), train_stage(files, request.train))
+    return (*stages_to_first_points(request, plates=plates), *training_stages(files, request.train))
+
+
+def training_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
+    """The stage that trains a run. A run with segments is first divided, and each segment is trained by one stage."""
+    if config.segments.frames is None:
+        return (train_stage(files, config),)
+    return (divide_stage(files, config), *segment_stages(files, config))
+
+
+def stages_to_resume(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
+    """Stages that continue the training of an existing run."""
+    return (train_stage(files, config),) if config.segments.frames is None else segment_stages(files, config)
 
 
 def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> tuple[AnyStage, ...]:
@@ -100,8 +113,6 @@ def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> 
     made: tuple[AnyStage, ...] = ()
     if not has_masks(request.capture):
         made = stages_to_mattes(request.capture, MatteStageSettings(train.views, train.frames, mattes))
-    return (
-        *made,
-        *stages_to_run(request, plates=not made),
-        bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture),
-    )
+    run = stages_to_run(request, plates=not made)
+    trained = tuple(stage.name for stage in run if stage.name.startswith("train"))
+    return (*made, *run, bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture, trained))

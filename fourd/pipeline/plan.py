@@ -17,6 +17,7 @@ from fourd.importing.detection import pick_format
 from fourd.importing.imported import EncodedPictures, Frames, Imported, PictureFiles, VideoFile
 from fourd.pipeline.capture_graph import has_masks, is_usable
 from fourd.training.config import TrainConfig
+from fourd.training.segments.plan import SegmentPlan
 
 IMPORT_S_PER_MP = 1.2
 """Seconds to index, sample and match one megapixel of the sampled images. Measured: 32 s for 3 frames of 8.3
@@ -101,7 +102,11 @@ def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_p
         stages += ([("plates", 0.0)] if facts.has_mattes or is_still else []) + [("background", BACKGROUND_S)]
     steps_s = float("inf") if train.max_steps is None else TRAIN_S_PER_STEP * train.max_steps
     budget_s = float("inf") if train.max_seconds is None else train.max_seconds
-    return [*stages, ("train", min(steps_s, budget_s)), ("bake", 0.0)]
+    segments = 1
+    if train.segments.frames is not None:
+        segments = len(SegmentPlan.divide(frames, train.segments).ranges)
+    training = "train" if segments == 1 else f"train {segments} segments"
+    return [*stages, (training, segments * min(steps_s, budget_s)), ("bake", 0.0)]
 
 
 def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:

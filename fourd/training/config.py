@@ -193,6 +193,28 @@ class RefineConfig:
 
 
 @dataclass(frozen=True)
+class SegmentConfig:
+    """Segments of a long capture. A segment is a range of frames that has its own model."""
+
+    frames: int | None = None
+    """Maximum number of frames of a segment. The budget applies to each segment. With null, one model describes all
+    frames."""
+    overlap: int = 4
+    """Number of frames that two successive segments share. In these frames, the scene fades from one segment to the
+    next."""
+    warm_start: bool = False
+    """Start the networks of each segment from the trained networks of the previous segment."""
+
+    def __post_init__(self) -> None:
+        require(self.overlap >= 0, f"overlap: expected 0 or more, got {self.overlap}")
+        least = max(2, 3 * self.overlap)
+        require(
+            self.frames is None or self.frames >= least,
+            f"frames: expected at least {least} with an overlap of {self.overlap} frames, got {self.frames}",
+        )
+
+
+@dataclass(frozen=True)
 class TrainConfig:
     """All training settings of a run, saved in the run's config.yaml."""
 
@@ -208,6 +230,8 @@ class TrainConfig:
     """Settings of densification in a full scene."""
     refine: RefineConfig = field(default_factory=RefineConfig)
     """Settings of the corrections of the calibration."""
+    segments: SegmentConfig = field(default_factory=SegmentConfig)
+    """Settings of the segments of a long capture."""
     points: int = 40_000
     """Maximum number of points in each frame."""
     trim_hull: bool = True
@@ -297,6 +321,17 @@ class TrainConfig:
             not (self.background.shadow and self.model.appearance == "sh"),
             "background.shadow: expected image-based colour (model.appearance: both or ibr), got sh",
         )
+        if self.segments.frames is not None:
+            require(
+                self.scene == "object",
+                "segments.frames: expected scene: object, because all segments of a whole scene would need the same "
+                f"background, got {self.scene}",
+            )
+            require(
+                not (self.refine.cameras or self.refine.colours),
+                "segments.frames: expected no refinement of cameras or colours, because each segment would refine its "
+                "own cameras, got both",
+            )
         for name in ("max_steps", "max_seconds", "checkpoint_seconds", "checkpoint_steps", "validation_seconds"):
             value = getattr(self, name)
             require(value is None or value > 0, f"{name}: expected more than 0, got {value}")

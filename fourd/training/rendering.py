@@ -42,6 +42,12 @@ class RenderablePoints:
         return cls(points.xyz, points.radius, points.density, colour)
 
 
+def concatenate(clouds: Sequence[RenderablePoints]) -> RenderablePoints:
+    """Join clouds to one cloud, in the given order."""
+    names = ("xyz", "radius", "density", "colour")
+    return RenderablePoints(*(torch.cat([getattr(cloud, name) for cloud in clouds]) for name in names))
+
+
 def composite(
     clouds: Sequence[RenderablePoints], viewer: Camera, layers: int, background: Tensor | None = None
 ) -> PointRender:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from fourd.background.contraction import Contraction
 from fourd.background.plates import PlateView, read_plates
+from fourd.cameras import Camera
 from fourd.capture import Capture
 from fourd.configs import load_overlay
 from fourd.errors import UserError
@@ -33,7 +34,7 @@ from fourd.training.cameras.rig import Rig
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.checkpoints import latest_checkpoint, load_checkpoint, restore
 from fourd.training.config import TrainConfig
-from fourd.training.evaluation.render import ModelRenderer
+from fourd.training.evaluation.render import ModelRenderer, RenderedView
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.frame_store import FrameStore, load_points
 from fourd.training.points.scratch import Scratch
@@ -46,6 +47,7 @@ from fourd.training.run_layout import (
     POINTS,
     PREPARATION,
     SCRATCH,
+    SEGMENTS,
     VALIDATION,
     points_folder,
 )
@@ -63,8 +65,10 @@ class SceneConfig:
     """Upper corner of the bounds."""
     spacing: float = 0.01
     """Mean distance between neighbouring points."""
+    first_frame: int = 0
+    """Index in the capture of the frame at time 0. This is the first frame of a segment, or 0."""
     frame_count: int = 1
-    """Number of frames of the whole capture."""
+    """Number of frames from time 0 to time 1. These are the frames of a segment, or all frames of the capture."""
     reach: float = 1.0
     """Distance from the centre of the bounds to the farthest camera. Within this distance, the contraction does not
     distort space."""
@@ -109,6 +113,11 @@ class Run:
         """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles
         to the viewing camera. The angles are measured at the centre of the bounds."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
+
+    @property
+    def has_segments(self) -> bool:
+        """Whether the models are in the segments of the run, and not in the run itself."""
+        return self.config.train.segments.frames is not None
 
     @property
     def checkpoints(self) -> Path:
@@ -199,6 +208,20 @@ class TrainedRun:
     frames: FrameStore
     renderer: ModelRenderer
 
+    @property
+    def rig(self) -> Rig:
+        """The cameras of the capture, with the corrections of the run."""
+        return self.renderer.views.rig
+
+    def render(self, frame: int, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
+        """Render a frame. The arguments are those of :meth:`ModelRenderer.render`."""
+        return self.renderer.render(self.frames.get(frame), frame, camera, layers, exclude)
+
+    def close(self) -> None:
+        """Close the capture, and remove the scratch folder."""
+        self.frames.close()
+        self.run.capture.close()
+
 
 def open_run(folder: Path) -> Run:
     """Open a run folder and its capture.
@@ -211,12 +234,19 @@ def open_run(folder: Path) -> Run:
     config = load_overlay(RunConfig(), path)
     adjusted = folder if config.train.refine.cameras else None
     views = open_run_views(config.capture, DataSelection.of(config.train), adjusted)
-    return Run(folder, config, views.capture, views.training, views.test)
+    scene = config.scene
+    capture = views.capture.with_time_span(range(scene.first_frame, scene.first_frame + scene.frame_count))
+    return Run(folder, config, capture, views.training, views.test)
 
 
 def load_run(folder: Path) -> TrainedRun:
     """Open a run and load its newest intact checkpoint, for evaluation, rendering and export."""
     run = open_run(folder)
+    if run.has_segments:
+        raise UserError(
+            f"{folder}: expected a run with one model, got a run with segments; name one segment, such as "
+            f"{folder / SEGMENTS / '000'}, or the scene of all segments: fourd export {folder} -o scene.4dv"
+        )
     found, note = latest_checkpoint(run.checkpoints)
     if found is None:
         reason = f" ({note})" if note else ""

@@ -1,7 +1,8 @@
 """Names of files and folders of a run.
 
 ``config.yaml`` is written once, when training starts. ``hull/``, ``background/`` and ``calibration/`` contain the
-results of the stages before training. ``checkpoints/`` contains STEP.safetensors and STEP.points/.
+results of the stages before training. ``checkpoints/`` contains STEP.safetensors and STEP.points/. A run with segments
+has ``segments/`` instead of ``checkpoints/``.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ START = "start"
 CHECKPOINTS = "checkpoints"
 SCRATCH = "scratch"
 VALIDATION = "validation"
+SEGMENTS = "segments"
+"""Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
 PREPARATION = (HULL, BACKGROUND, CALIBRATION)
 """Folders that are written before training. These folders may exist before ``config.yaml``, the file that marks a
 folder as a run."""
@@ -36,6 +39,17 @@ def checkpoint_files(folder: Path) -> list[Path]:
 def points_folder(checkpoint: Path) -> Path:
     """Path of the folder that contains the points of a checkpoint."""
     return checkpoint.with_suffix(".points")
+
+
+def segment_folder(run: Path, index: int) -> Path:
+    """Path of the run of a segment."""
+    return run / SEGMENTS / f"{index:03d}"
+
+
+def segment_folders(run: Path) -> list[Path]:
+    """The existing runs of the segments of a run, in the order of their frames."""
+    named = [path for path in (run / SEGMENTS).glob("*") if path.name.isdecimal()]
+    return sorted(named, key=lambda path: int(path.name))
 
 
 def newest_checkpoint(run: Path) -> str:

@@ -117,3 +117,25 @@ def test_help_shows_the_defaults_of_the_config(command: str, capsys: pytest.Capt
     for default in (defaults.points, defaults.background.points, defaults.scene, defaults.background.seeding):
         assert f"(default: {default})" in text
     assert "default: None" not in text
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--segment", "5"], "--segment: expected at least 12 with an overlap of 4 frames, got 5; change the value"),
+        (["--segment", "48", "--scene", "full"], "--segment: expected scene: object, because all segments of a whole"),
+        (
+            ["--segment", "48", "--refine-colours"],
+            "--refine-colours: segments.frames: expected no refinement of",
+        ),
+        (["--warm-start"], "--warm-start: expected also --segment, got only --warm-start; add --segment FRAMES"),
+    ],
+)
+def test_segments_that_cannot_be_trained_are_refused(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches an option that is ignored, and an internal error instead of the option's name."""
+    assert main(["train", str(tmp_path), "-o", str(tmp_path / "out"), "--max-steps", "1", *words]) == 2
+    line = capsys.readouterr().err
+    assert line.startswith(f"fourd train: {message}")
+    assert line.count("\n") == 1

@@ -106,6 +106,6 @@ class LiveSite:
 def _bake(run: Path, scene: Path, console: Console) -> None:
     """Bake the newest checkpoint of a run. Imports torch, which scenes do not need."""
     from fourd.baking.bake import bake_run
-    from fourd.training.run import load_run
+    from fourd.training.segments.segmented_run import open_trained
 
-    bake_run(load_run(run), scene, console)
+    bake_run(open_trained(run), scene, console)

@@ -24,7 +24,9 @@ from fourd.training.evaluation.metrics import psnr
 from fourd.training.evaluation.render import RenderedView
 from fourd.training.evaluation.scores import Evaluation, ViewScores, score_view, summarize
 from fourd.training.losses.lpips import load_lpips
-from fourd.training.run import TrainedRun, load_run
+from fourd.training.run import TrainedRun
+from fourd.training.run_layout import segment_folder
+from fourd.training.segments.segmented_run import SegmentedRun, open_trained
 
 PLATES_HELP = (
     "Folder of images CAM.png that show the scene without the subject. These images are compared with the rendered "
@@ -58,7 +60,7 @@ class Arguments:
 def run(arguments: Arguments) -> None:
     """Render every held-out image, compare it with the captured image, and print the mean scores."""
     console = Terminal(stderr=True)
-    trained = load_run(arguments.run)
+    trained = open_trained(arguments.run)
     indices = _evaluated_views(trained, arguments.views)
     lpips = load_lpips(arguments.lpips_weights)
     if lpips is None:
@@ -73,14 +75,13 @@ def run(arguments: Arguments) -> None:
         exported = open_scene(arguments.scene)
     whole = (trained.run.config.train.scene if exported is None else exported.manifest.kind) == "full"
     for frame in track(range(capture.frame_count), description="eval", console=console):
-        points = trained.frames.get(frame)
         for index in indices:
             camera = fitted[index].camera if index in fitted else capture.cameras[index]
             if exported is not None:
                 rgb = exported.render(camera, frame).rgb.clip(0, 1)
             else:
                 layers = trained.run.config.train.layers
-                picture = trained.renderer.render(points, frame, camera, layers, exclude=index)
+                picture = trained.render(frame, camera, layers, exclude=index)
                 rgb = _display_colours(trained, index, fitted, picture)
             matte = capture.mask(index, frame)
             truth = _truth(capture.image(index, frame), None if whole else matte)
@@ -111,7 +112,7 @@ def run(arguments: Arguments) -> None:
 
 
 def _fit_cameras(
-    trained: TrainedRun, indices: list[int], arguments: Arguments, console: Console
+    trained: TrainedRun | SegmentedRun, indices: list[int], arguments: Arguments, console: Console
 ) -> dict[int, FittedView]:
     """Fit each evaluated camera to its own images.
 
@@ -125,6 +126,11 @@ def _fit_cameras(
         raise UserError("--refine-test-colours: expected no --scene, got both options; remove one of them")
     if not arguments.refine_test:
         return {}
+    if isinstance(trained, SegmentedRun):
+        raise UserError(
+            f"--refine-test: expected a run with one model, got the segments of {trained.run.folder}; leave "
+            f"--refine-test out, or name one segment, such as {segment_folder(trained.run.folder, 0)}"
+        )
     layers = trained.run.config.train.layers
     return {
         index: fit_test_camera(trained.renderer, trained.frames, index, layers, colours=arguments.refine_test_colours)
@@ -133,13 +139,13 @@ def _fit_cameras(
 
 
 def _display_colours(
-    trained: TrainedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
+    trained: TrainedRun | SegmentedRun, index: int, fitted: dict[int, FittedView], picture: RenderedView
 ) -> NDArray[np.float32]:
     """Apply the colour correction of camera ``index`` to a rendered image, if the camera has one. Returns (H, W, 3)."""
     if index in fitted and fitted[index].colours is not None:
         return fitted[index].recolour(picture.rgb, picture.alpha).clip(0, 1)
     rgb, alpha = torch.from_numpy(picture.rgb), torch.from_numpy(picture.alpha)
-    return trained.renderer.views.rig.camera_colours(index, rgb, alpha).clamp(0, 1).numpy()
+    return trained.rig.camera_colours(index, rgb, alpha).clamp(0, 1).numpy()
 
 
 def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArray[np.float32]:
@@ -149,10 +155,10 @@ def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArr
 
 
 def _backgrounds(
-    trained: TrainedRun, indices: list[int], folder: Path, fitted: dict[int, FittedView]
+    trained: TrainedRun | SegmentedRun, indices: list[int], folder: Path, fitted: dict[int, FittedView]
 ) -> dict[str, float]:
     """Compare the rendered background with the images in ``folder``. Returns the PSNR in dB by camera name."""
-    if trained.renderer.background is None:
+    if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
         raise UserError("--plates: expected a run with --scene full, got a run with --scene object; leave --plates out")
     layers = trained.run.config.train.layers
     scores = {}
@@ -172,7 +178,7 @@ def _backgrounds(
     return scores
 
 
-def _evaluated_views(trained: TrainedRun, views: str | None) -> list[int]:
+def _evaluated_views(trained: TrainedRun | SegmentedRun, views: str | None) -> list[int]:
     names = trained.run.capture.names
     if views is None:
         if not trained.run.test:
@@ -188,7 +194,7 @@ def _evaluated_views(trained: TrainedRun, views: str | None) -> list[int]:
     return [names.index(name) for name in wanted]
 
 
-def _print(evaluation: Evaluation, trained: TrainedRun, backgrounds: dict[str, float]) -> None:
+def _print(evaluation: Evaluation, trained: TrainedRun | SegmentedRun, backgrounds: dict[str, float]) -> None:
     table = Table(title=f"{trained.run.folder} at step {trained.step}: {len(evaluation.pictures)} images")
     for column in ("", "PSNR dB", "SSIM", "LPIPS"):
         table.add_column(column, justify="right" if column else "left")

@@ -12,11 +12,11 @@ from fourd.cli.options import CapturePath, Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
 from fourd.errors import UserError
-from fourd.pipeline.graph import RunRequest, stages_to_run
+from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.train import TrainFiles, train_stage
+from fourd.pipeline.stages.train import TrainFiles
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
 from fourd.training.config import TrainConfig
@@ -57,7 +57,7 @@ def _run_stages(arguments: Arguments) -> None:
     stages: tuple[AnyStage, ...]
     if arguments.resume:
         config = _resumed_config(options, open_run(arguments.out).config.train)
-        stages = (train_stage(TrainFiles(arguments.capture, arguments.out, options.lpips_weights), config),)
+        stages = stages_to_resume(TrainFiles(arguments.capture, arguments.out, options.lpips_weights), config)
     else:
         config = options.train_config()
         require_new_run(arguments.out)
@@ -67,7 +67,7 @@ def _run_stages(arguments: Arguments) -> None:
             config,
             options.points_from,
             options.lpips_weights,
-            options.accept_mattes,
+            accept_mattes=options.accept_mattes,
         )
         stages = stages_to_run(request)
     Runner(context).run(stages)

@@ -21,7 +21,7 @@ from fourd.errors import UserError
 from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
 from fourd.processes.isolation import ParserProcess
 from fourd.progress import Terminal
-from fourd.training.run_layout import CHECKPOINTS, checkpoint_files
+from fourd.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
 
 if TYPE_CHECKING:
     from fourd.baking.scene import SceneBackground
@@ -244,12 +244,16 @@ def _run(path: Path) -> Rows:
         raise bad
     train = _entry(config, "train")
     steps = [int(file.stem) for file in checkpoint_files(path / CHECKPOINTS)]
+    segments = segment_folders(path)
     rows = [
         ("capture", _text(_entry(config, "capture")) or "unknown"),
         ("checkpoints", ", ".join(f"step {step:,}" for step in steps) or "none yet"),
         ("held out", _text(_entry(train, "test_views")) or "no views"),
         ("frames", _text(_entry(train, "frames")) or "all"),
     ]
+    if segments:
+        trained = sum(1 for segment in segments if checkpoint_files(segment / CHECKPOINTS))
+        rows[1] = ("segments", f"{len(segments)}, of which {trained} have a checkpoint")
     rows += [("last measured", line) for line in _last_metrics(path / "metrics.jsonl")]
     rows.append(("first points", f"{sum(1 for _ in path.glob('hull/*.ply'))} frames"))
     rows.append(("size", _bytes(sum(file.stat().st_size for file in path.rglob("*") if file.is_file()))))

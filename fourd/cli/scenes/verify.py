@@ -10,13 +10,14 @@ import tyro
 
 from fourd.errors import UserError
 from fourd.progress import Terminal, Tracker
-from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files
+from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files, segment_folders
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """A run: compares every checkpoint with its digests (BLAKE2b). A scene: compares every member of the file with its
-    checksum (CRC-32) and decodes all frames. A capture: decodes every image, matte and video. No file is changed."""
+    """A run: compares every checkpoint, also those of its segments, with its digests (BLAKE2b). A scene: compares every
+    member of the file with its checksum (CRC-32) and decodes all frames. A capture: decodes every image, matte and
+    video. No file is changed."""
 
     path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
     """A run folder, a .4dv file or a capture folder."""
@@ -57,7 +58,8 @@ def _verify_scene(path: Path, track: Tracker) -> str:
 def _verify_run(path: Path, console: Terminal, track: Tracker) -> str:
     from fourd.training.checkpoints import verify_checkpoint
 
-    found = checkpoint_files(path / CHECKPOINTS)
+    runs = [path, *segment_folders(path)]
+    found = [checkpoint for run in runs for checkpoint in checkpoint_files(run / CHECKPOINTS)]
     damaged: list[str] = []
     for checkpoint in track.track(found, len(found), "checkpoints"):
         try:

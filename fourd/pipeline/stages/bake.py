@@ -12,7 +12,7 @@ from fourd.baking.scene import BAKED_LAYERS
 from fourd.capture.frame_rate import NAME
 from fourd.files import atomic_path, remove_unfinished_file
 from fourd.pipeline.stage import Artefact, Context, Stage
-from fourd.training.run import load_run
+from fourd.training.segments.segmented_run import open_trained
 
 
 @dataclass(frozen=True)
@@ -36,20 +36,22 @@ class BakeSettings:
     pack: PackSettings | None = None
 
 
-def bake_stage(files: BakeFiles, settings: BakeSettings, capture: Path | None = None) -> Stage[BakeFiles, BakeSettings]:
-    """Create the stage that bakes the newest checkpoint of a run.
+def bake_stage(
+    files: BakeFiles, settings: BakeSettings, capture: Path | None = None, after: tuple[str, ...] = ("train",)
+) -> Stage[BakeFiles, BakeSettings]:
+    """Create the stage that bakes the newest checkpoint of a run, or of each segment of a run.
 
-    If the frame rate that is stored in ``capture`` changes, the stage runs again.
+    If the frame rate that is stored in ``capture`` changes, the stage runs again. The stages named ``after`` train the
+    run.
     """
     inputs = () if capture is None else (Artefact(capture / NAME),)
-    return Stage("bake", run_bake, files, settings, inputs=inputs, outputs=(files.scene,), after=("train",))
+    return Stage("bake", run_bake, files, settings, inputs=inputs, outputs=(files.scene,), after=after)
 
 
 def run_bake(files: BakeFiles, settings: BakeSettings, context: Context) -> None:
-    """Load the newest checkpoint and write every frame to the scene file."""
-    trained = load_run(files.run)
+    """Load the newest checkpoints and write every frame to the scene file."""
     remove_unfinished_file(files.scene)
-    with trained.run, closing(trained.frames):
+    with closing(open_trained(files.run)) as trained:
         if settings.pack is None:
             bake_run(trained, files.scene, context.console, settings.layers, settings.fps)
             return

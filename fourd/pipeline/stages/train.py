@@ -19,6 +19,9 @@ from fourd.training.points.spacing import mean_spacing
 from fourd.training.run import Run, RunConfig, SceneConfig, open_run
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
 
+PREPARED_BY = ("adjust", "carve", "points", "background")
+"""Names of the stages whose results training reads."""
+
 
 @dataclass(frozen=True)
 class TrainFiles:
@@ -39,7 +42,7 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
         config,
         outputs=(files.run / CHECKPOINTS,),
         leftovers=(Leftovers(files.run, keep=PREPARATION),),
-        after=("adjust", "carve", "points", "background"),
+        after=PREPARED_BY,
     )
 
 

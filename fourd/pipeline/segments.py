@@ -1,0 +1,150 @@
+"""Stages of a run with segments. The stages before training work on all frames. Each segment is then trained by its
+own stage, as a run of its own in ``RUN/segments/``.
+
+The run of a segment has its own links to the initial points of its frames. It can therefore be trained, resumed,
+evaluated and played like any run, and on any machine that has the capture.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from fourd.carving.sequence import BOUNDS_NAME
+from fourd.configs import save_config
+from fourd.files import atomic_path
+from fourd.pipeline.runner import AnyStage
+from fourd.pipeline.stage import Context, Leftovers, Stage
+from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, run_train, start_run
+from fourd.training.cameras.selection import DataSelection, open_run_views
+from fourd.training.checkpoints import latest_checkpoint
+from fourd.training.config import SegmentConfig, TrainConfig
+from fourd.training.run import Run, RunConfig, open_run, remove_leftovers
+from fourd.training.run_layout import (
+    CHECKPOINTS,
+    CONFIG_NAME,
+    HULL,
+    PREPARATION,
+    SEGMENTS,
+    segment_folder,
+    segment_folders,
+)
+from fourd.training.segments.plan import SegmentPlan, frame_range
+from fourd.training.segments.warm_start import write_warm_start
+
+DIVIDE = "segments"
+"""Name of the stage that divides a run into segments."""
+
+
+@dataclass(frozen=True)
+class DivideFiles:
+    """The folders of the capture and of the run. The config of the run is written to its folder."""
+
+    capture: Path
+    run: Path
+
+
+@dataclass(frozen=True)
+class SegmentFiles:
+    """The files that the training of a segment reads and writes.
+
+    Attributes:
+        run: the folder of the whole run.
+        segment: the folder of the segment's run.
+        previous: the folder of the previous segment, from whose networks the training starts. If None, the training
+            starts from untrained networks.
+        lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched.
+    """
+
+    run: Path
+    segment: Path
+    previous: Path | None
+    lpips_weights: Path | None
+
+
+def divide_stage(files: TrainFiles, config: TrainConfig) -> Stage[DivideFiles, TrainConfig]:
+    """Create the stage that writes the config of a run with segments."""
+    return Stage(
+        DIVIDE,
+        run_divide,
+        DivideFiles(files.capture, files.run),
+        config,
+        outputs=(files.run / CONFIG_NAME,),
+        leftovers=(Leftovers(files.run, keep=(*PREPARATION, SEGMENTS)),),
+        after=PREPARED_BY,
+    )
+
+
+def segment_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
+    """Create the stages that train the segments of a run. The number of frames is read from the capture."""
+    with open_run_views(files.capture, DataSelection.of(config)) as views:
+        numbers = views.capture.frame_numbers
+    plan = SegmentPlan.divide(len(numbers), config.segments)
+    return tuple(_train_stage(files, config, plan, numbers, index) for index in range(len(plan.ranges)))
+
+
+def _train_stage(
+    files: TrainFiles, config: TrainConfig, plan: SegmentPlan, numbers: Sequence[int], index: int
+) -> Stage[SegmentFiles, TrainConfig]:
+    folder = segment_folder(files.run, index)
+    previous = segment_folder(files.run, index - 1) if config.segments.warm_start and index > 0 else None
+    return Stage(
+        f"train {folder.name}",
+        run_segment,
+        SegmentFiles(files.run, folder, previous, files.lpips_weights),
+        replace(config, frames=frame_range(numbers, plan.ranges[index]), segments=SegmentConfig()),
+        outputs=(folder / CHECKPOINTS,),
+        leftovers=(Leftovers(folder),),
+        after=(DIVIDE, *(() if previous is None else (f"train {previous.name}",))),
+    )
+
+
+def run_divide(files: DivideFiles, config: TrainConfig, context: Context) -> None:
+    """Write the config of the whole run, and remove the segments of an earlier division that had more segments."""
+    with start_run(files.capture, files.run, config) as run:
+        plan = SegmentPlan.divide(run.capture.frame_count, config.segments)
+    for folder in segment_folders(files.run):
+        if int(folder.name) >= len(plan.ranges):
+            shutil.rmtree(folder)
+    lengths = sorted({len(frames) for frames in plan.ranges})
+    context.log(
+        f"{files.run}: {len(plan.ranges)} segments of {' or '.join(str(length) for length in lengths)} frames, "
+        f"which share {plan.overlap} frames with the next segment"
+    )
+
+
+def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> None:
+    """Start the run of a segment, or resume it from its newest checkpoint. Nothing is done if the budget of a finished
+    segment is unchanged."""
+    remove_leftovers(files.segment)
+    if not (files.segment / CONFIG_NAME).exists():
+        with open_run(files.run) as whole:
+            _start_segment(whole, files.segment, config)
+    with open_run(files.segment) as run:
+        if files.previous is not None and latest_checkpoint(run.checkpoints)[0] is None:
+            write_warm_start(run, files.previous)
+        capture = run.config.capture
+    run_train(TrainFiles(capture, files.segment, files.lpips_weights), config, context)
+
+
+def _start_segment(whole: Run, folder: Path, config: TrainConfig) -> None:
+    """Link the initial points of the segment's frames into its folder, and write its config.yaml."""
+    with open_run_views(whole.config.capture, DataSelection.of(config)) as views:
+        numbers = views.capture.frame_numbers
+    for name in (BOUNDS_NAME, *(f"{number:06d}.ply" for number in numbers)):
+        _link(whole.folder / HULL / name, folder / HULL / name)
+    scene = replace(whole.config.scene, first_frame=numbers[0], frame_count=numbers[-1] - numbers[0] + 1)
+    save_config(RunConfig(whole.config.capture, scene, config), folder / CONFIG_NAME)
+
+
+def _link(source: Path, target: Path) -> None:
+    """Link a file, which no stage changes in place. On a file system without hard links, copy the file."""
+    with atomic_path(target) as temporary:
+        temporary.unlink()
+        try:
+            os.link(source, temporary)
+        except OSError:
+            shutil.copyfile(source, temporary)

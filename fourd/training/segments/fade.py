@@ -1,0 +1,25 @@
+"""Cross-fade between the points of two models in a frame that two segments share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+GOLDEN_RATIO = (5**0.5 - 1) / 2
+
+
+def kept_points(count: int, share: float, *, is_first: bool) -> NDArray[np.int64]:
+    """Indices of the points that a segment contributes to a frame, in ascending order.
+
+    Both segments describe the same surface, and each of them covers it with points. A segment contributes ``share`` of
+    its points, spread evenly over the surface. The number of points of the frame therefore stays the same, and with it
+    the number of points along each viewing ray. Points in Morton order are close in space if their indices are close,
+    so the multiples of the golden ratio modulo 1 choose indices at even distances.
+
+    Args:
+        count: number of points of the segment in this frame, in Morton order.
+        share: share of the segment in this frame, in [0, 1].
+        is_first: whether the segment is the earlier of the two segments. The two segments choose complementary indices.
+    """
+    phase = np.arange(count) * GOLDEN_RATIO % 1.0
+    return np.flatnonzero(phase >= 1.0 - share if is_first else phase < share)

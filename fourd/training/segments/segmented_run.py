@@ -1,0 +1,122 @@
+"""A trained run with segments, of which at most two are open."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.errors import UserError
+from fourd.training.cameras.rig import Rig
+from fourd.training.evaluation.render import RenderedView, render_view
+from fourd.training.rendering import RenderablePoints, concatenate
+from fourd.training.run import Run, TrainedRun, load_run, open_run
+from fourd.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folder
+from fourd.training.segments.fade import kept_points
+from fourd.training.segments.plan import SegmentPlan
+
+
+@dataclass(frozen=True)
+class SegmentFrame:
+    """A frame of a run as one of its segments describes it.
+
+    Attributes:
+        trained: the segment.
+        frame: index of the frame in the segment.
+        share: share of the segment in the frame, in (0, 1]. The shares of all segments of a frame sum to 1.
+        is_first: whether the segment is the first of the segments of this frame.
+    """
+
+    trained: TrainedRun
+    frame: int
+    share: float
+    is_first: bool
+
+    def kept(self, count: int) -> NDArray[np.int64]:
+        """Indices of those of the segment's ``count`` points that belong to the frame."""
+        return kept_points(count, self.share, is_first=self.is_first)
+
+
+class SegmentedRun:
+    """A run with segments. A segment is loaded when one of its frames is needed. Only the segments of the last frame
+    stay loaded, so memory does not grow with the number of segments.
+
+    Attributes:
+        run: the whole run, which has no models.
+        plan: the frames of each segment.
+    """
+
+    def __init__(self, run: Run) -> None:
+        """Raises UserError if a segment was not trained."""
+        assert run.config.train.segments.frames is not None, "expected a run with segments"
+        self.run = run
+        self.plan = SegmentPlan.divide(run.capture.frame_count, run.config.train.segments)
+        self._open: dict[int, TrainedRun] = {}
+        for index, frames in enumerate(self.plan.ranges):
+            folder = segment_folder(run.folder, index)
+            if not checkpoint_files(folder / CHECKPOINTS):
+                raise UserError(
+                    f"{folder}: expected the trained segment of the frames {frames.start} to {frames.stop - 1}, got no "
+                    "checkpoint; continue with fourd train --resume"
+                )
+
+    @property
+    def step(self) -> int:
+        """Number of training steps of the first segment."""
+        return self.segment(0).step
+
+    @property
+    def rig(self) -> Rig:
+        """The cameras of the capture. Runs with segments do not correct cameras."""
+        return Rig(self.run.capture.cameras)
+
+    def segment(self, index: int) -> TrainedRun:
+        """The segment with the index ``index``, loaded from its newest checkpoint."""
+        if index not in self._open:
+            self._open[index] = load_run(segment_folder(self.run.folder, index))
+        return self._open[index]
+
+    def at(self, frame: int) -> tuple[SegmentFrame, ...]:
+        """The one or two segments that describe a frame."""
+        shares = self.plan.shares(frame)
+        self._close_all_except({index for index, _ in shares})
+        return tuple(
+            SegmentFrame(self.segment(index), frame - self.plan.ranges[index].start, share, is_first=place == 0)
+            for place, (index, share) in enumerate(shares)
+        )
+
+    def render(self, frame: int, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
+        """Render a frame. The arguments are those of :meth:`ModelRenderer.render`."""
+        clouds = [_evaluate(part, camera, exclude) for part in self.at(frame)]
+        return render_view([concatenate(clouds)], camera, layers, self.run.config.train.pixel_filter)
+
+    def close(self) -> None:
+        """Close the capture and all segments."""
+        self._close_all_except(set())
+        self.run.capture.close()
+
+    def _close_all_except(self, kept: set[int]) -> None:
+        for index in [index for index in self._open if index not in kept]:
+            self._open.pop(index).close()
+
+
+def open_trained(folder: Path) -> TrainedRun | SegmentedRun:
+    """Open a trained run, with or without segments.
+
+    Raises UserError if the run is missing or was not trained.
+    """
+    run = open_run(folder)
+    if run.has_segments:
+        return SegmentedRun(run)
+    run.capture.close()
+    return load_run(folder)
+
+
+def _evaluate(part: SegmentFrame, camera: Camera, exclude: int | None) -> RenderablePoints:
+    """The points that a segment contributes to a frame, as seen by ``camera``."""
+    (points,) = part.trained.renderer.evaluate(part.trained.frames.get(part.frame), part.frame, camera, exclude)
+    rows = part.kept(points.xyz.shape[0])
+    return RenderablePoints(points.xyz[rows], points.radius[rows], points.density[rows], points.colour[rows])

@@ -1,0 +1,71 @@
+"""Start of a segment from the trained networks of the previous segment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from fourd.errors import UserError
+from fourd.model.kplanes import KPlanes
+from fourd.model.point_model import PointModel
+from fourd.training.checkpoints import checkpoint_path, latest_checkpoint, load_checkpoint, save_checkpoint
+from fourd.training.run import Run, open_run
+from fourd.training.run_layout import CHECKPOINTS, points_folder
+
+PREFIX = "model."
+"""Prefix of the names of the model's tensors in checkpoints."""
+
+
+def write_warm_start(run: Run, previous: Path) -> None:
+    """Write a checkpoint at step 0 with the networks of the previous segment. Points and optimizer start untrained.
+
+    A row of a time plane belongs to one frame. In the frames that both segments share, the rows are copied. The rows of
+    later frames are copies of the previous segment's last row.
+
+    Args:
+        run: the segment, which has no checkpoint.
+        previous: folder of the trained previous segment.
+
+    Raises:
+        UserError: if the previous segment has no checkpoint.
+    """
+    found, _ = latest_checkpoint(previous / CHECKPOINTS)
+    if found is None:
+        raise UserError(f"{previous}: expected a trained segment to start from, got no checkpoint; train it first")
+    _, tensors, _ = load_checkpoint(found)
+    with open_run(previous) as opened:
+        shift = run.config.scene.first_frame - opened.config.scene.first_frame
+    model = run.new_model()
+    started = {f"{PREFIX}{name}": value for name, value in _shifted(model, tensors, shift).items()}
+    target = checkpoint_path(run.checkpoints, 0)
+    points = run.frame_store(None)
+    try:
+        points.save(points_folder(target))
+    finally:
+        points.close()
+    save_checkpoint(run.checkpoints, 0, started, {"seconds": 0.0, "psnr": 0.0})
+
+
+def _shifted(model: PointModel, tensors: Mapping[str, Tensor], shift: int) -> dict[str, Tensor]:
+    """The state of ``model`` from the tensors of a checkpoint whose frame ``shift`` is the first frame of ``model``."""
+    state = model.state_dict()
+    for name, value in state.items():
+        given = tensors[f"{PREFIX}{name}"]
+        if name in time_plane_names(model):
+            rows = (torch.arange(value.shape[0]) + shift).clamp(max=given.shape[0] - 1)
+            given = given[rows]
+        state[name] = given
+    return state
+
+
+def time_plane_names(model: PointModel) -> set[str]:
+    """Names of the planes in ``model.state_dict()`` that have one row per frame."""
+    return {
+        f"{name}.planes.{index}"
+        for name, module in model.named_modules()
+        if isinstance(module, KPlanes)
+        for index in module.time_plane_indices
+    }
