@@ -72,7 +72,7 @@ fourd_kernel(rasterize
 fourd_kernel(rays
   CPU cpu/bounds.cpp cpu/discs.cpp cpu/topology.cpp cpu/trace.cpp cpu/triangles.cpp
   DISPATCH cpu/disc_loops.cpp cpu/loops.cpp WIDEST avx2 EXACT
-  CUDA cuda/trace.cu
+  CUDA cuda/discs.cu cuda/trace.cu
   BINDING binding.cpp
   CUDA_BINDING cuda/binding.cpp)
 

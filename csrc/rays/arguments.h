@@ -8,6 +8,7 @@
 #include <optional>
 
 #include "binding/require.h"
+#include "rays/discs.h"
 #include "rays/rays.h"
 
 namespace fourd {
@@ -28,6 +29,9 @@ struct RayArguments {
     // Nodes and blocks are passed as rows of floats.
     using NodeRows = Array<const float, nanobind::shape<-1, sizeof(rays::Node) / sizeof(float)>>;
     using BlockRows = Array<const float, nanobind::shape<-1, sizeof(rays::Block) / sizeof(float)>>;
+    using DiscRows = Array<const float, nanobind::shape<-1, sizeof(rays::DiscBlock) / sizeof(float)>>;
+    using Vector = Array<const float, nanobind::shape<3>>;
+    using PictureOut = Array<float, nanobind::shape<-1, 4>>;
 
     static rays::Mesh mesh(const Positions& xyz, const Triangles& tri) {
         require(xyz.shape(0) <= 0x7fffffff && tri.shape(0) <= 0x7fffffff, "tri: expected at most 2^31 - 1 triangles");
@@ -37,6 +41,19 @@ struct RayArguments {
     static rays::TreeView tree(const NodeRows& nodes, const BlockRows& blocks, float magnitude) {
         return {reinterpret_cast<const rays::Node*>(nodes.data()), nodes.shape(0),
                 reinterpret_cast<const rays::Block*>(blocks.data()), blocks.shape(0), magnitude};
+    }
+
+    static rays::DiscTreeView discs(const NodeRows& nodes, const DiscRows& blocks, float magnitude) {
+        return {reinterpret_cast<const rays::Node*>(nodes.data()), nodes.shape(0),
+                reinterpret_cast<const rays::DiscBlock*>(blocks.data()), magnitude};
+    }
+
+    // The caller checks that there is a colour for each disc of the tree.
+    static rays::DiscPicture picture(std::size_t count, const Positions& colours, const std::optional<Vector>& facing,
+                                     int layers, const PictureOut& out) {
+        require(layers >= 1 && layers <= rays::kMaxDiscLayers, "layers: expected 1 to 64");
+        require(out.shape(0) == count, "out: expected one colour for each ray");
+        return {colours.data(), facing ? facing->data() : nullptr, layers, out.data()};
     }
 
     static rays::Rays rays_of(const Positions& origins, const Positions& directions, const Numbers& t_min,

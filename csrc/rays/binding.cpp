@@ -94,26 +94,29 @@ void trace_rays_backward(const Arguments::Positions& xyz, const Arguments::Trian
     rays::trace_backward(mesh, gradients);
 }
 
-rays::DiscTree build_discs(const Arguments::Positions& xyz, const Arguments::Numbers& radius,
-                           const Arguments::Numbers& density, int threads) {
+std::tuple<Rows, Rows, float> build_discs(const Arguments::Positions& xyz, const Arguments::Numbers& radius,
+                                          const Arguments::Numbers& density, int threads) {
     require(xyz.shape(0) <= 0x7fffffff, "xyz: expected at most 2^31 - 1 discs");
     require(radius.shape(0) == xyz.shape(0) && density.shape(0) == xyz.shape(0), "radius: expected one for each disc");
-    nb::gil_scoped_release release;
-    return rays::build_discs({xyz.data(), radius.data(), density.data(), xyz.shape(0)}, clamp_threads(threads));
+    rays::DiscTree tree;
+    {
+        nb::gil_scoped_release release;
+        tree = rays::build_discs({xyz.data(), radius.data(), density.data(), xyz.shape(0)}, clamp_threads(threads));
+    }
+    const float magnitude = tree.magnitude;
+    return {rows_of(std::move(tree.nodes)), rows_of(std::move(tree.blocks)), magnitude};
 }
 
-void composite_discs(const rays::DiscTree& tree, const Arguments::Positions& colours,
-                     const Arguments::Positions& origins, const Arguments::Positions& directions,
-                     const Arguments::Numbers& t_min, const Arguments::Numbers& t_max,
-                     const std::optional<Arguments::Array<const float, nb::shape<3>>>& facing, int layers, int threads,
-                     const std::string& simd, const Arguments::Array<float, nb::shape<-1, 4>>& out) {
+void composite_discs(const Arguments::NodeRows& nodes, const Arguments::DiscRows& blocks, float magnitude,
+                     const Arguments::Positions& colours, const Arguments::Positions& origins,
+                     const Arguments::Positions& directions, const Arguments::Numbers& t_min,
+                     const Arguments::Numbers& t_max, const std::optional<Arguments::Vector>& facing, int layers,
+                     int threads, const std::string& simd, const Arguments::PictureOut& out) {
     const rays::Rays query = Arguments::rays_of(origins, directions, t_min, t_max, std::nullopt, std::nullopt,
                                                 clamp_threads(threads), simd_named(simd.c_str()));
-    require(colours.shape(0) == tree.count, "colours: expected one for each disc");
-    require(layers >= 1 && layers <= rays::kMaxDiscLayers, "layers: expected 1 to 64");
-    require(out.shape(0) == query.count, "out: expected one colour for each ray");
+    const rays::DiscPicture picture = Arguments::picture(query.count, colours, facing, layers, out);
     nb::gil_scoped_release release;
-    rays::composite_discs(tree, query, {colours.data(), facing ? facing->data() : nullptr, layers, out.data()});
+    rays::composite_discs(Arguments::discs(nodes, blocks, magnitude), query, picture);
 }
 
 }  // namespace
@@ -134,11 +137,10 @@ void bind_rays(nb::module_& module) {
                nb::arg("directions"), nb::arg("t"), nb::arg("u"), nb::arg("v"), nb::arg("triangle"), nb::arg("to_t"),
                nb::arg("to_u"), nb::arg("to_v"), nb::arg("threads"), nb::arg("to_xyz"), nb::arg("to_origins"),
                nb::arg("to_directions"));
-    nb::class_<rays::DiscTree>(module, "DiscTree");
     module.def("build_discs", &build_discs, nb::arg("xyz"), nb::arg("radius"), nb::arg("density"), nb::arg("threads"));
-    module.def("composite_discs", &composite_discs, nb::arg("tree"), nb::arg("colours"), nb::arg("origins"),
-               nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"), nb::arg("facing").none(), nb::arg("layers"),
-               nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
+    module.def("composite_discs", &composite_discs, nb::arg("nodes"), nb::arg("blocks"), nb::arg("magnitude"),
+               nb::arg("colours"), nb::arg("origins"), nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"),
+               nb::arg("facing").none(), nb::arg("layers"), nb::arg("threads"), nb::arg("simd"), nb::arg("out"));
 }
 
 }  // namespace fourd

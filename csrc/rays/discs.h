@@ -29,8 +29,14 @@ struct alignas(64) DiscBlock {
 struct DiscTree {
     Buffer<Node> nodes;
     Buffer<DiscBlock> blocks;
-    float magnitude = 0.0f;
-    std::size_t count = 0;  // Number of discs, also of those that can not be hit.
+    float magnitude = 0.0f;  // The largest absolute coordinate of the boxes of all discs that can be hit.
+};
+
+struct DiscTreeView {
+    const Node* nodes;
+    std::size_t node_count;
+    const DiscBlock* blocks;
+    float magnitude;
 };
 
 // Builds a tree, which is the same for any number of threads. Discs are never hit if a number is not finite, or if
@@ -38,7 +44,7 @@ struct DiscTree {
 DiscTree build_discs(const Discs& discs, int threads);
 
 struct DiscPicture {
-    const float* colours;  // (DiscTree::count, 3).
+    const float* colours;  // (Discs::count, 3), of the discs that the tree was built for.
     const float* facing;   // (3,): normal of all discs. Null if each disc faces the ray.
     int layers;            // Number K of nearest discs that are composited, from 1 to kMaxDiscLayers.
     float* rgba;           // (Rays::count, 4): colour times alpha, and alpha.
@@ -46,6 +52,6 @@ struct DiscPicture {
 
 // Composites the K nearest discs of each ray front to back, in the order of (t, index). The alpha of a disc at the
 // distance d from its centre is density (1 - d^2 / radius^2). Rays::after_t and after_triangle are ignored.
-void composite_discs(const DiscTree& tree, const Rays& rays, const DiscPicture& picture);
+void composite_discs(const DiscTreeView& tree, const Rays& rays, const DiscPicture& picture);
 
 }  // namespace fourd::rays

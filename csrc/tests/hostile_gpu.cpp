@@ -14,6 +14,7 @@
 #include "play/cuda/draw.h"
 #include "points/cuda/render.h"
 #include "rasterize/cuda/rasterize.h"
+#include "rays/cuda/discs.h"
 #include "rays/cuda/trace.h"
 #include "soft_triangles/cuda/render.h"
 #include "sources/cuda/sample.h"
@@ -216,12 +217,15 @@ void run_soft_triangles(unsigned seed) {
 
 void run_rays(unsigned seed) {
     Random random(seed);
-    fourd::tests::RayInputs inputs(random, 100, seed % 2 ? 0.1f : 0.0f, "");
+    const float hostile = seed % 2 ? 0.1f : 0.0f;
+    fourd::tests::RayInputs inputs(random, 100, hostile, "");
     const fourd::rays::Tree tree = fourd::rays::build(inputs.mesh(), 1);
     fourd::rays::cuda::trace(inputs.view(tree), inputs.query, inputs.hits(), nullptr);
     fourd::rays::cuda::occluded(inputs.view(tree), inputs.query, inputs.flags.data(), nullptr);
     fourd::rays::cuda::trace_backward(inputs.mesh(), inputs.gradients(), nullptr);
     expect_finite(inputs.u, "barycentric weights", seed);
+    const auto composite = [](const auto&... arguments) { fourd::rays::cuda::composite_discs(arguments..., nullptr); };
+    expect_finite(inputs.composite_discs(random, hostile, composite), "picture of discs", seed);
 }
 
 void run_texture(unsigned seed) {

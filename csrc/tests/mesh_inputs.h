@@ -114,15 +114,22 @@ struct RayInputs {
     }
 
     // Composites discs at the vertices, with radii and densities that may be invalid. Returns the picture.
-    Floats composite_discs(Random& random, float hostile) const {
+    // `composite` is called with a tree, rays and a picture.
+    template <typename Composite>
+    Floats composite_discs(Random& random, float hostile, const Composite& composite) const {
         const std::size_t count = xyz.size() / 3;
         const Floats radius = random_floats(random, count, -0.1f, 1, hostile);
         const Floats density = random_floats(random, count, -0.1f, 2, hostile);
-        const Floats colours = random_floats(random, 3 * count, 0, 1, 0), facing = random_floats(random, 3, -1, 1, hostile);
+        const Floats colours = random_floats(random, 3 * count, 0, 1, 0);
+        const Floats facing = random_floats(random, 3, -1, 1, hostile);
         Floats rgba(4 * query.count);
-        const rays::DiscTree tree = rays::build_discs({xyz.data(), radius.data(), density.data(), count}, query.threads);
+        const rays::Discs discs = {xyz.data(), radius.data(), density.data(), count};
+        const rays::DiscTree tree = rays::build_discs(discs, query.threads);
         const float* const plane = random_int(random, 0, 1) == 1 ? facing.data() : nullptr;
-        rays::composite_discs(tree, query, {colours.data(), plane, random_int(random, 1, rays::kMaxDiscLayers), rgba.data()});
+        const int most = random_int(random, 1, rays::kMaxDiscLayers);
+        const rays::DiscPicture picture = {colours.data(), plane, most, rgba.data()};
+        composite(rays::DiscTreeView{tree.nodes.data(), tree.nodes.size(), tree.blocks.data(), tree.magnitude}, query,
+                  picture);
         return rgba;
     }
 

@@ -32,7 +32,7 @@ from fourd.progress import Track, untracked
 
 STATE_NAME = "meshes.json"
 ANIMATION_NAME = "animation.glb"
-VERSION = 1
+VERSION = 2
 BOUNDS_MARGIN = 0.03
 """Margin of the box around the hull of a frame, as a share of the box's longest side."""
 DEFAULT_FPS = 30.0

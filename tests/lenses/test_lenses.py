@@ -7,11 +7,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import torch
 
+from fourd.baking.gpu_player import GpuFrame
 from fourd.baking.rendering import render_frame
 from fourd.cli.main import main
+from fourd.lenses.gpu_picture import draw_through_lens_gpu
 from fourd.lenses.inserts import GlassBall, MirrorFloor
-from fourd.lenses.lens import Fisheye, Panorama, Pinhole, ThinLens
+from fourd.lenses.lens import Fisheye, Lens, Panorama, Pinhole, ThinLens
 from fourd.lenses.picture import draw_through_lens
 from tests.baking.scenes import manifest, random_frame, ring, write_scene
 
@@ -23,6 +26,19 @@ def test_a_pinhole_shows_the_picture_of_the_compositor() -> None:
         expected = render_frame(frame, camera, described, background=np.float32([0.2, 0.3, 0.4])).rgb
         found = draw_through_lens(frame, camera, described, Pinhole(), background=(0.2, 0.3, 0.4))
         assert np.abs(found - expected).mean() <= 1e-3
+
+
+@pytest.mark.parametrize("lens", [Pinhole(), Fisheye(150.0, 2), Panorama(2), ThinLens(0.3, 3.0, rays_per_pixel=3)])
+def test_a_gpu_draws_the_picture_of_the_cpu(lens: Lens, gpu: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a background, a filter, a near plane or means of rays that differ from those of the CPU."""
+    monkeypatch.delenv("FOURD_SIMD", raising=False)
+    frame, described = random_frame(1500, 6, seed=4), manifest(views=6)
+    camera = ring(3, size=32)[1]
+    expected = draw_through_lens(frame, camera, described, lens, background=(0.2, 0.3, 0.4))
+    held = GpuFrame.from_frame(frame, gpu)
+    found = draw_through_lens_gpu(held, camera, described, lens, background=(0.2, 0.3, 0.4)).cpu().numpy()
+    assert np.abs(found - expected).max() <= 1e-4
+    assert expected.std() > 0.02
 
 
 def test_fisheye_directions_have_their_angles() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,8 +13,10 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera, look_at
 from fourd.mesh.rendering import render_mesh, silhouette_iou
 from fourd.mesh.texturing.atlas import build_atlas, find_texels
+from fourd.mesh.texturing.blending import blend_views
 from fourd.mesh.texturing.inpainting import GREY, fill_between_charts, fill_vertices
 from fourd.mesh.texturing.texture import TexturedMesh, colour_mesh, texture_mesh
+from fourd.mesh.texturing.visibility import Occluder
 from fourd.mesh.views import MeshView, depth_image, mesh_views
 from tests.captures import ring_cameras
 
@@ -113,6 +117,38 @@ def test_hidden_parts_get_no_colours_of_the_part_in_front(views: list[MeshView])
     ball = rgb[: len(XYZ)]
     assert ball[:, 0].max() < 100
     assert (ball[:, 1] > 200).sum() > 300
+
+
+def test_a_part_close_behind_another_is_hidden() -> None:
+    """Catches a tolerance in pixels, with which a part that is one pixel behind another gets the colours of the part in
+    front."""
+    intrinsics = np.array([[90.0, 0, 48], [0, 90.0, 48], [0, 0, 1]])
+    camera = look_at(np.array([0.0, -3.0, 0]), np.zeros(3), Z, intrinsics, 96, 96)
+    front, back = (trimesh.creation.box((0.4, 0.01, 0.4)).subdivide().subdivide() for _ in range(2))
+    back.apply_translation([0.2, 0.04, 0])
+    both = trimesh.util.concatenate([front, back])
+    xyz, faces = np.asarray(both.vertices, np.float32), np.asarray(both.faces, np.int64)
+    normals = np.tile(np.float32([0, -1, 0]), (len(xyz), 1))
+    view = MeshView(camera, np.ones((96, 96, 3), np.float32), np.ones((96, 96), np.float32))
+    _, weight = blend_views(xyz, normals, [view], Occluder.of(xyz, faces))
+    behind = np.abs(xyz[:, 1] - 0.035) < 1e-3
+    hidden, shown = behind & (xyz[:, 0] < 0.19), behind & (xyz[:, 0] > 0.25)
+    assert hidden.sum() >= 10
+    assert not weight[hidden].any()
+    assert weight[shown].all()
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_visibility_does_not_depend_on_the_unit(scale: float, views: list[MeshView]) -> None:
+    """Catches distances in metres: a mesh in millimetres or kilometres must get the same colours."""
+    scaled = []
+    for view in views:
+        camera = view.camera
+        moved = replace(camera, translation=camera.translation * scale)
+        scaled.append(MeshView(moved, view.rgb, view.matte))
+    _, expected = colour_mesh(XYZ, FACES, views)
+    _, found = colour_mesh(XYZ * np.float32(scale), FACES, scaled)
+    assert np.abs(found.astype(int) - expected.astype(int)).max() <= 1
 
 
 def test_harmonic_fill_spreads_colours_over_the_surface() -> None:

@@ -7,7 +7,7 @@
 namespace fourd::rays::discs {
 
 struct Loops {
-    void (*composite)(const DiscTree& tree, const Rays& rays, const DiscPicture& picture, std::size_t begin,
+    void (*composite)(const DiscTreeView& tree, const Rays& rays, const DiscPicture& picture, std::size_t begin,
                       std::size_t end);
 };
 

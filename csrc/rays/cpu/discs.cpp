@@ -67,14 +67,14 @@ DiscTree build_discs(const Discs& discs, int threads) {
     std::size_t count;
     Buffer<Reference> references = references_of(discs, &count);
     Topology topology = build_topology(references.data(), count, team);
-    DiscTree out{std::move(topology.nodes), Buffer<DiscBlock>(topology.leaves.size()), 0.0f, discs.count};
+    DiscTree out{std::move(topology.nodes), Buffer<DiscBlock>(topology.leaves.size()), 0.0f};
     std::vector<LeafBox> boxes(topology.leaves.size());
     for (std::size_t i = 0; i < boxes.size(); ++i) boxes[i] = fill_block(discs, topology.leaves[i], &out.blocks[i]);
     out.magnitude = fill_bounds(out.nodes.data(), out.nodes.size(), boxes.data());
     return out;
 }
 
-void composite_discs(const DiscTree& tree, const Rays& rays, const DiscPicture& picture) {
+void composite_discs(const DiscTreeView& tree, const Rays& rays, const DiscPicture& picture) {
     const discs::Loops& loops = discs::select_loops(rays.simd);
     Team team(rays.threads);
     run_parts(team, rays.count, kRaysPerTask,

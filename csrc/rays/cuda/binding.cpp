@@ -3,6 +3,7 @@
 
 #include "binding/cuda_arrays.h"
 #include "rays/arguments.h"
+#include "rays/cuda/discs.h"
 #include "rays/cuda/trace.h"
 
 namespace nb = nanobind;
@@ -48,6 +49,17 @@ void trace_rays_backward(const Arguments::Positions& xyz, const Arguments::Trian
                                stream_of(stream));
 }
 
+void composite_discs(const Arguments::NodeRows& nodes, const Arguments::DiscRows& blocks, float magnitude,
+                     const Arguments::Positions& colours, const Arguments::Positions& origins,
+                     const Arguments::Positions& directions, const Arguments::Numbers& t_min,
+                     const Arguments::Numbers& t_max, const std::optional<Arguments::Vector>& facing, int layers,
+                     std::uintptr_t stream, const Arguments::PictureOut& out) {
+    const rays::Rays query =
+        Arguments::rays_of(origins, directions, t_min, t_max, std::nullopt, std::nullopt, 1, Simd::baseline);
+    rays::cuda::composite_discs(Arguments::discs(nodes, blocks, magnitude), query,
+                                Arguments::picture(query.count, colours, facing, layers, out), stream_of(stream));
+}
+
 }  // namespace
 
 void bind_rays(nb::module_& module) {
@@ -62,6 +74,9 @@ void bind_rays(nb::module_& module) {
                nb::arg("directions"), nb::arg("t"), nb::arg("u"), nb::arg("v"), nb::arg("triangle"), nb::arg("to_t"),
                nb::arg("to_u"), nb::arg("to_v"), nb::arg("stream"), nb::arg("to_xyz"), nb::arg("to_origins"),
                nb::arg("to_directions"));
+    module.def("composite_discs", &composite_discs, nb::arg("nodes"), nb::arg("blocks"), nb::arg("magnitude"),
+               nb::arg("colours"), nb::arg("origins"), nb::arg("directions"), nb::arg("t_min"), nb::arg("t_max"),
+               nb::arg("facing").none(), nb::arg("layers"), nb::arg("stream"), nb::arg("out"));
 }
 
 }  // namespace fourd::cuda

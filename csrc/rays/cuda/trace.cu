@@ -2,28 +2,16 @@
 
 #include "device/clear.h"
 #include "device/executor.h"
+#include "rays/cuda/traversal.h"
 #include "rays/hit_list.h"
 #include "rays/maths.h"
 
 namespace fourd::rays::cuda {
 namespace {
 
-FOURD_DEVICE static bool meets_box(const Ray& ray, const Node& node, int lane, float first, float last, float* entry) {
-    float enter = first, leave = last;
-    for (int axis = 0; axis < 3; ++axis) {
-        const float low = node.bounds[2 * axis][lane], high = node.bounds[2 * axis + 1][lane];
-        const float near = ray.inverse[axis] < 0.0f ? high : low, far = ray.inverse[axis] < 0.0f ? low : high;
-        const float from = near * ray.inverse[axis] - ray.enter[axis], to = far * ray.inverse[axis] - ray.leave[axis];
-        if (from > enter) enter = from;
-        if (to < leave) leave = to;
-    }
-    *entry = enter;
-    return enter <= leave;
-}
-
 // Calls visit(hit) for the hits of a block; a visit that returns true ends the traversal.
 template <typename Visit>
-FOURD_DEVICE static bool visit_block(const Ray& ray, const Block& block, Visit& visit) {
+FOURD_DEVICE static bool visit_block(const Ray& ray, const Block& block, const Visit& visit) {
     for (int lane = 0; lane < kWidth; ++lane) {
         Hit hit;
         hit.triangle = block.triangle[lane];
@@ -37,42 +25,6 @@ FOURD_DEVICE static bool visit_block(const Ray& ray, const Block& block, Visit& 
     return false;
 }
 
-struct Entry {
-    float t;
-    std::int32_t child;
-};
-
-template <typename Visit, typename Last>
-FOURD_DEVICE static void traverse(const TreeView& tree, const Ray& ray, Visit& visit, const Last& last) {
-    const float first = first_of(ray);
-    Entry stack[kMaxStack];
-    int size = 0;
-    stack[size++] = {first, 0};
-    while (size > 0) {
-        const Entry top = stack[--size];
-        if (top.t > last()) continue;
-        if (top.child < 0) {
-            if (visit_block(ray, tree.blocks[~top.child], visit)) return;
-            continue;
-        }
-        const Node& node = tree.nodes[top.child];
-        const int bottom = size;
-        for (int lane = 0; lane < kWidth; ++lane) {
-            float entry;
-            if (node.child[lane] == kNoChild || !meets_box(ray, node, lane, first, last(), &entry)) continue;
-            int at = size++;
-            for (; at > bottom && stack[at - 1].t < entry; --at) stack[at] = stack[at - 1];
-            stack[at] = {entry, node.child[lane]};
-        }
-    }
-}
-
-FOURD_DEVICE static bool prepare_ray(const TreeView& tree, const Rays& rays, std::size_t index, Ray* out) {
-    return tree.node_count > 0 &&
-           prepare(rays.origins + 3 * index, rays.directions + 3 * index, rays.t_min[index * rays.t_min_stride],
-                   rays.t_max[index * rays.t_max_stride], tree.magnitude, out);
-}
-
 struct Trace {
     TreeView tree;
     Rays rays;
@@ -81,15 +33,16 @@ struct Trace {
     FOURD_DEVICE void operator()(std::size_t index) const {
         HitList nearest(rays, hits, index);
         Ray ray;
-        if (!prepare_ray(tree, rays, index, &ray)) return;
-        const auto visit = [&nearest](const Hit& hit) {
+        if (!prepare_ray(tree.node_count, tree.magnitude, rays, index, &ray)) return;
+        const auto add = [&nearest](const Hit& hit) {
             nearest.add(hit);
             return false;
         };
+        const auto visit = [&ray, &add](const Block& block) { return visit_block(ray, block, add); };
         const auto last = [&nearest, &ray] {
             return last_of(ray, nearest.is_full() ? nearest.t[nearest.found - 1] : ray.t_max);
         };
-        traverse(tree, ray, visit, last);
+        traverse(tree.nodes, tree.blocks, ray, visit, last);
     }
 };
 
@@ -101,15 +54,16 @@ struct Occluded {
     FOURD_DEVICE void operator()(std::size_t index) const {
         Ray ray;
         out[index] = 0;
-        if (!prepare_ray(tree, rays, index, &ray)) return;
+        if (!prepare_ray(tree.node_count, tree.magnitude, rays, index, &ray)) return;
         std::uint8_t* const flag = out + index;
-        const auto visit = [flag](const Hit&) {
+        const auto mark = [flag](const Hit&) {
             *flag = 1;
             return true;
         };
+        const auto visit = [&ray, &mark](const Block& block) { return visit_block(ray, block, mark); };
         const float bound = last_of(ray, ray.t_max);
         const auto last = [bound] { return bound; };
-        traverse(tree, ray, visit, last);
+        traverse(tree.nodes, tree.blocks, ray, visit, last);
     }
 };
 

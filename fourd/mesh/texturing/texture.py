@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from fourd.mesh.surface.losses import vertex_normals
 from fourd.mesh.texturing.atlas import build_atlas, find_texels
-from fourd.mesh.texturing.blending import SourceView, blend_views
+from fourd.mesh.texturing.blending import blend_views
 from fourd.mesh.texturing.inpainting import fill_between_charts, fill_vertices
-from fourd.mesh.views import MeshView, depth_image
+from fourd.mesh.texturing.visibility import Occluder
+from fourd.mesh.views import MeshView
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +58,14 @@ def texture_mesh(
         raise ValueError("views: expected at least one view, got none")
     atlas = build_atlas(xyz, triangles, size)
     texels = find_texels(atlas, size)
-    normals, sources = _prepare(xyz, triangles, views)
+    normals, occluder = _normals(xyz, triangles), Occluder.of(xyz, triangles)
     corners = atlas.source[atlas.triangles]
-    rgb, weight = blend_views(texels.interpolate(xyz, corners), _unit(texels.interpolate(normals, corners)), sources)
+    at, facing = texels.interpolate(xyz, corners), _unit(texels.interpolate(normals, corners))
+    rgb, weight = blend_views(at, facing, views, occluder)
     unseen = weight <= 0
     if unseen.any():
-        rgb[unseen] = texels.interpolate(_vertex_colours(xyz, normals, triangles, sources), corners)[unseen]
+        of_vertices = _vertex_colours(xyz, normals, triangles, views, occluder)
+        rgb[unseen] = texels.interpolate(of_vertices, corners)[unseen]
     texture = np.zeros((size, size, 3), np.float32)
     texture[texels.covered] = rgb
     texture = fill_between_charts(texture, texels.covered)
@@ -94,27 +97,26 @@ def colour_mesh(
     """
     if not views:
         raise ValueError("views: expected at least one view, got none")
-    normals, sources = _prepare(xyz, triangles, views)
-    return normals, _to_bytes(_vertex_colours(xyz, normals, triangles, sources))
+    normals = _normals(xyz, triangles)
+    rgb = _vertex_colours(xyz, normals, triangles, views, Occluder.of(xyz, triangles))
+    return normals, _to_bytes(rgb)
 
 
-def _prepare(
-    xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
-) -> tuple[NDArray[np.float32], list[SourceView]]:
-    """Normals (N, 3) of the vertices, and the views together with depth images of the mesh."""
-    vertices, faces = torch.from_numpy(xyz), torch.from_numpy(np.asarray(triangles, np.int64))
-    sources = [SourceView(view, depth_image(vertices, faces, view.camera)) for view in views]
-    return vertex_normals(vertices, faces).numpy(), sources
+def _normals(xyz: NDArray[np.float32], triangles: NDArray[np.integer]) -> NDArray[np.float32]:
+    """Outward unit normals (N, 3) of the vertices."""
+    faces = torch.from_numpy(np.asarray(triangles, np.int64))
+    return np.asarray(vertex_normals(torch.from_numpy(xyz), faces).numpy(), np.float32)
 
 
 def _vertex_colours(
     xyz: NDArray[np.float32],
     normals: NDArray[np.float32],
     triangles: NDArray[np.integer],
-    sources: Sequence[SourceView],
+    views: Sequence[MeshView],
+    occluder: Occluder,
 ) -> NDArray[np.float32]:
     """Colours (N, 3) of the vertices in [0, 1], including vertices that no view sees."""
-    rgb, weight = blend_views(xyz, normals, sources)
+    rgb, weight = blend_views(xyz, normals, views, occluder)
     return fill_vertices(rgb, weight > 0, triangles)
 
 

@@ -13,7 +13,16 @@ MAX_LAYERS = 64
 
 
 class DiscTree:
-    """A tree of boxes over N discs. It does not change, and several threads may use it."""
+    """A tree of boxes over N discs. It does not change, and several threads may use it.
+
+    Attributes:
+        nodes, blocks: records of the tree as rows of float32, views of the structs in csrc/rays/discs.h.
+        magnitude: largest absolute coordinate of the discs, in world units.
+    """
+
+    nodes: Array
+    blocks: Array
+    magnitude: float
 
     def __init__(self, xyz: Array, radius: Array, density: Array, *, threads: int = 0) -> None:
         """Build the tree.
@@ -33,7 +42,10 @@ class DiscTree:
         _check("radius", radius, (self._count,))
         _check("density", density, (self._count,))
         arrays = [np.ascontiguousarray(array) for array in (xyz, radius, density)]
-        self._native = load_native().build_discs(*arrays, thread_count(threads))
+        self.nodes, self.blocks, self.magnitude = load_native().build_discs(*arrays, thread_count(threads))
+
+    def __len__(self) -> int:
+        return self._count
 
     def composite(
         self,
@@ -78,9 +90,8 @@ class DiscTree:
         limits = [np.atleast_1d(np.asarray(limit, np.float32)) for limit in (t_min, t_max)]
         arrays = [np.ascontiguousarray(array) for array in (colours, origins, directions)]
         plane = None if facing is None else np.ascontiguousarray(facing)
-        load_native().composite_discs(
-            self._native, *arrays, *limits, plane, layers, thread_count(threads), simd_name(), out
-        )
+        tree = (self.nodes, self.blocks, self.magnitude)
+        load_native().composite_discs(*tree, *arrays, *limits, plane, layers, thread_count(threads), simd_name(), out)
         return out
 
 

@@ -9,6 +9,7 @@ import torch
 from fourd.lenses.lens import Pinhole
 from fourd.ops.loading import load_native
 from fourd.ops.points.arrays import render_points_numpy
+from fourd.ops.rays.cuda import GpuDiscTree
 from fourd.ops.rays.discs import DiscTree
 from fourd.ops.rays.reference import composite_discs_reference
 from tests.baking.scenes import ring
@@ -62,6 +63,53 @@ def test_a_pinhole_shows_the_picture_of_the_compositor(rng: np.random.Generator)
     expected = np.concatenate([rgb, alpha[..., None]], 2).reshape(-1, 4)
     assert np.abs(found - expected).mean() <= 1e-4
     assert expected[:, 3].mean() > 0.05
+
+
+@pytest.mark.parametrize("simd", ["baseline", "avx2"])
+@pytest.mark.parametrize("is_facing", [True, False])
+def test_a_gpu_gives_the_colours_of_the_cpu(
+    is_facing: bool, simd: str, gpu: torch.device, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches hit tests that differ between the CPU's vectors and the GPU, and limits that are ignored."""
+    if not load_native().simd_available(simd):
+        pytest.skip(f"this machine does not run {simd}")
+    monkeypatch.setenv("FOURD_SIMD", simd)
+    for count, layers in ((0, 1), (5, 2), (3000, 12), (600, 64)):
+        xyz, radius, density, colours = discs(rng, count)
+        radius[: count // 10], density[count // 10 : count // 5] = np.nan, -1
+        origins = rng.uniform(-1.5, 1.5, (300, 3)).astype(np.float32)
+        directions = (rng.normal(0, 0.2, (300, 3)) - origins).astype(np.float32)
+        directions[:3] = [[0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 1]]
+        t_max = rng.uniform(0.5, 3, 300).astype(np.float32)
+        facing = np.array([0.3, -0.2, 0.9], np.float32) if is_facing else None
+        settings = {"t_min": 0.1, "layers": layers}
+        tree = DiscTree(xyz, radius, density)
+        expected = tree.composite(colours, origins, directions, facing=facing, t_max=t_max, **settings)
+        on_gpu = [torch.from_numpy(array).to(gpu) for array in (xyz, radius, density, colours, origins, directions)]
+        found = GpuDiscTree(*on_gpu[:3]).composite(
+            *on_gpu[3:],
+            facing=None if facing is None else torch.from_numpy(facing).to(gpu),
+            t_max=torch.from_numpy(t_max).to(gpu),
+            **settings,
+        )
+        np.testing.assert_array_equal(found.cpu().numpy(), expected)
+        assert count < 100 or expected[:, 3].max() > 0.3
+
+
+def test_wrong_tensors_are_named(gpu: torch.device) -> None:
+    """Catches shapes that the kernel of the GPU would read past."""
+    xyz, ones = torch.zeros(3, 3, device=gpu), torch.ones(3, device=gpu)
+    with pytest.raises(ValueError, match="radius: expected"):
+        GpuDiscTree(xyz, ones[:2], ones)
+    tree = GpuDiscTree(xyz, ones, ones)
+    with pytest.raises(ValueError, match="colours: expected"):
+        tree.composite(xyz[:2], xyz, xyz)
+    with pytest.raises(ValueError, match="directions: expected"):
+        tree.composite(xyz, xyz, xyz[:2])
+    with pytest.raises(ValueError, match="t_max: expected"):
+        tree.composite(xyz, xyz, xyz, t_max=ones[:2])
+    with pytest.raises(ValueError, match="layers: expected 1 to 64, got 0"):
+        tree.composite(xyz, xyz, xyz, layers=0)
 
 
 def test_limits_hide_discs(rng: np.random.Generator) -> None:

@@ -1,0 +1,73 @@
+"""Which surface points a camera sees, by rays from the surface to the camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.raster.rays import Bvh, occluded
+
+Floats = NDArray[np.float32]
+
+OFFSET_EDGES = 0.5
+"""Distance between the surface and the start of a ray, along the normal, in units of the mesh's mean edge length. Small
+dents around a point therefore do not hide the point."""
+
+CORNERS_PX = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5))
+"""Positions in the image of the four rays of a point, relative to the point, in pixels: the corners of a pixel. A
+bilinear sample reads neighbouring pixels, which must not show a part in front of the point."""
+
+
+@dataclass(frozen=True, eq=False)
+class Occluder:
+    """A mesh that hides points from cameras.
+
+    Attributes:
+        bvh: tree over the triangles.
+        offset: distance between the surface and the start of a ray, in world units.
+    """
+
+    bvh: Bvh
+    offset: float
+
+    @staticmethod
+    def of(xyz: Floats, triangles: NDArray[np.integer]) -> Occluder:
+        """Prepare a mesh with vertices (N, 3) and vertex indices (M, 3). M may be 0."""
+        edges = xyz[triangles[:, 1]] - xyz[triangles[:, 0]]
+        mean = float(np.linalg.norm(edges, axis=1).mean()) if len(edges) else 0.0
+        indices = torch.from_numpy(np.ascontiguousarray(triangles, np.int32))
+        return Occluder(Bvh.build(torch.from_numpy(np.ascontiguousarray(xyz)), indices), OFFSET_EDGES * mean)
+
+    def hides(self, xyz: Floats, normals: Floats, camera: Camera) -> NDArray[np.bool_]:
+        """Return (P,) bool: whether the mesh hides points, or the surface half a pixel beside them, from a camera.
+
+        Rays start in the tangent plane of the point, which is moved outwards by the offset.
+
+        Args:
+            xyz: (P, 3) points on the mesh, in front of the camera.
+            normals: (P, 3) outward unit normals, which point towards the camera.
+            camera: pinhole camera.
+        """
+        centre, axes = camera.centre.astype(np.float32), camera.rotation.astype(np.float32)
+        lifted = xyz + np.float32(self.offset) * normals
+        depth = (lifted - centre) @ axes[2]
+        hidden = np.zeros(len(xyz), np.bool_)
+        for column, row in CORNERS_PX:
+            tried = np.flatnonzero(~hidden)
+            start, normal = lifted[tried], normals[tried]
+            right, down = column / camera.intrinsics[0, 0], row / camera.intrinsics[1, 1]
+            beside = start + depth[tried, None] * (np.float32(right) * axes[0] + np.float32(down) * axes[1])
+            towards = beside - centre
+            height = (towards * normal).sum(axis=1)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                t = ((start - centre) * normal).sum(axis=1) / height
+            # Near the contour, the ray and the tangent plane meet far away, or not at all.
+            t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
+            origins = centre + t[:, None] * towards
+            rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)
+            hidden[tried] = occluded(self.bvh, *rays, t_max=1.0).numpy()
+        return hidden
