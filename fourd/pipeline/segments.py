@@ -22,6 +22,7 @@ from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, run_train, star
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.checkpoints import latest_checkpoint
 from fourd.training.config import SegmentConfig, TrainConfig
+from fourd.training.distributed.process_group import ALONE
 from fourd.training.run import Run, RunConfig, open_run, remove_leftovers
 from fourd.training.run_layout import (
     CHECKPOINTS,
@@ -119,6 +120,17 @@ def run_divide(files: DivideFiles, config: TrainConfig, context: Context) -> Non
 def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> None:
     """Start the run of a segment, or resume it from its newest checkpoint. Nothing is done if the budget of a finished
     segment is unchanged."""
+    group = context.group or ALONE
+    if group.is_first:
+        _prepare_segment(files, config)
+    group.barrier()
+    with open_run(files.segment) as run:
+        capture = run.config.capture
+    run_train(TrainFiles(capture, files.segment, files.lpips_weights), config, context)
+
+
+def _prepare_segment(files: SegmentFiles, config: TrainConfig) -> None:
+    """Start the run of a segment, unless it exists."""
     remove_leftovers(files.segment)
     if not (files.segment / CONFIG_NAME).exists():
         with open_run(files.run) as whole:
@@ -126,8 +138,6 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
     with open_run(files.segment) as run:
         if files.previous is not None and latest_checkpoint(run.checkpoints)[0] is None:
             write_warm_start(run, files.previous)
-        capture = run.config.capture
-    run_train(TrainFiles(capture, files.segment, files.lpips_weights), config, context)
 
 
 def _start_segment(whole: Run, folder: Path, config: TrainConfig) -> None:

@@ -17,6 +17,8 @@ from fourd.progress import Log, Terminal, Track, Tracker, console_log
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from fourd.training.distributed.process_group import ProcessGroup
+
 Files = TypeVar("Files", bound="DataclassInstance")
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
@@ -29,15 +31,18 @@ class NoSettings:
 @dataclass(frozen=True)
 class Context:
     """Runtime context of a stage: a console, and the number of processes. The context does not affect the results of a
-    stage.
+    stage, except that the order in which views are trained depends on the number of ranks.
 
     Attributes:
         console: console on which progress and log lines are printed.
         workers: number of processes that the work may use.
+        group: the ranks that train together, all of which execute the stages that train. Only rank 0 executes the other
+            stages. If None, this process works alone.
     """
 
     console: Console = field(default_factory=lambda: Terminal(quiet=True))
     workers: int = 1
+    group: ProcessGroup | None = None
 
     @property
     def track(self) -> Track:

@@ -31,11 +31,13 @@ from fourd.training.checkpoints import (
     unpack_optimizer,
 )
 from fourd.training.config import TrainConfig
+from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.evaluation.scores import score_view
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.memory import HeapTrimmer, retain_freed_memory
-from fourd.training.metrics_log import MetricsLog
+from fourd.training.metrics_log import MetricsLog, NoLog
+from fourd.training.points.frame_store import file_name
 from fourd.training.run import Run, drop_stale_points
 from fourd.training.run_layout import VALIDATION, points_folder
 from fourd.training.scenes.build import build_scene
@@ -61,7 +63,9 @@ class TrainSummary:
 class Trainer:
     """Trains a run until its budget is spent, starting from its newest checkpoint if there is one."""
 
-    def __init__(self, run: Run, lpips: LPIPS | None, console: Console, budget: TrainConfig) -> None:
+    def __init__(
+        self, run: Run, lpips: LPIPS | None, console: Console, budget: TrainConfig, group: ProcessGroup = ALONE
+    ) -> None:
         """Load the run's newest checkpoint, if there is one.
 
         Args:
@@ -70,12 +74,14 @@ class Trainer:
             console: console that shows the progress of training.
             budget: the run's config with max_steps and max_seconds of this call. In a resumed run, these limits may be
                 larger than the limits in config.yaml.
+            group: the ranks that train the run together.
         """
         if budget.max_steps is None and budget.max_seconds is None:
             raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a limit")
         self.run = run
         self.config = budget
         self.console = console
+        self.group = group
         model = run.new_model()
         found, note = latest_checkpoint(run.checkpoints)
         if note:
@@ -84,14 +90,17 @@ class Trainer:
         background = run.background(saved)
         self.scene = build_scene(budget, model, run.view_store(), background)
         self.refinement = run.new_refinement()
-        self.stepper = Stepper(self.scene, budget, lpips, self.refinement)
-        self.sampler = StepSampler(budget, run.capture.cameras, run.training, run.capture.frame_count, run.focus)
+        self.stepper = Stepper(self.scene, budget, lpips, self.refinement, group)
+        cameras, frames = run.capture.cameras, run.capture.frame_count
+        self.sampler = StepSampler(budget, cameras, run.training, frames, run.focus, group)
         self.done = 0
         self.seconds = 0.0
         self.psnr = 0.0
         if found is not None:
             self._restore(found)
-        drop_stale_points(run.checkpoints)
+        group.broadcast_parameters(self.stepper.dense_parameters)
+        if group.is_first:
+            drop_stale_points(run.checkpoints)
         self.frames = run.frame_store(saved)
         self.renderer = ModelRenderer(self.scene, run.training, run.focus, run.config.train.pixel_filter)
         self._saved_step = self.done if saved is not None else -1
@@ -103,7 +112,7 @@ class Trainer:
         ends the training at once, without a new checkpoint.
         """
         retain_freed_memory()
-        log = MetricsLog(self.run.folder, resume_step=self.done)
+        log = MetricsLog(self.run.folder, resume_step=self.done) if self.group.is_first else NoLog()
         try:
             with self._progress() as progress, DeferredInterrupt() as interrupt:
                 task = progress.add_task("train", total=1.0, note="")
@@ -114,14 +123,14 @@ class Trainer:
         self._checkpoint()
         return TrainSummary(self.done, self.seconds, self.psnr)
 
-    def _loop(self, log: MetricsLog, show: Callable[[str], None], interrupt: DeferredInterrupt) -> None:
+    def _loop(self, log: MetricsLog | NoLog, show: Callable[[str], None], interrupt: DeferredInterrupt) -> None:
         trimmer = HeapTrimmer(self.scene.resident_bytes)
         last_save, last_validation = self.seconds, self.seconds
         while self._spent() < 1.0:
             started = time.monotonic()
             self._step(log)
             trimmer.after_step()
-            self.seconds += time.monotonic() - started
+            self.seconds += self.group.longest(time.monotonic() - started)
             show(f"step {self.done}  {self.psnr:.2f} dB")
             if self._is_checkpoint_due(self.seconds - last_save):
                 trimmer.trim()
@@ -129,22 +138,24 @@ class Trainer:
                 last_save = self.seconds
             if self.seconds - last_validation >= self.config.validation_seconds:
                 trimmer.trim()
-                self._validate(log)
+                if self.group.is_first:
+                    self._validate(log)
                 last_validation = self.seconds
-            if interrupt.is_pending:
+            if self.group.any(interrupt.is_pending):
                 self._checkpoint()
                 raise KeyboardInterrupt
 
-    def _step(self, log: MetricsLog) -> None:
+    def _step(self, log: MetricsLog | NoLog) -> None:
         sample = self.sampler.sample(self.done)
         factor = rate_factor(self.config.rates, self.done, self._spent())
         points = self.frames.get(sample.frame)
         frame_time = self.run.capture.time(sample.frame)
-        result = self.stepper.step(points, frame_time, sample, factor, self.done)
+        update = self.done // self.group.size
+        result = self.stepper.step(points, frame_time, sample, factor, update)
         self.scene.densify(points, sample, self._spent())
         self.psnr = result.psnr if self.done == 0 else PSNR_SMOOTHING * self.psnr + (1 - PSNR_SMOOTHING) * result.psnr
-        self.done += 1
-        if self.done % LOG_INTERVAL == 0:
+        self.done += self.group.size
+        if self._passed(LOG_INTERVAL):
             log.scalars(
                 self.done,
                 {
@@ -156,12 +167,13 @@ class Trainer:
                 },
             )
 
-    def _validate(self, log: MetricsLog) -> None:
-        """Log the mean PSNR of the held-out views at the middle frame, inside the bounding boxes of the mattes.
+    def _validate(self, log: MetricsLog | NoLog) -> None:
+        """Log the mean PSNR of the held-out views at the middle frame, inside the bounding boxes of the mattes. If
+        another rank owns this frame, an earlier frame is used.
 
         Training views are used if no view is held out.
         """
-        frame = self.run.capture.frame_count // 2
+        frame = self.group.first_ranks_frame(self.run.capture.frame_count // 2)
         points = self.frames.get(frame)
         values = []
         pair = np.zeros((1, 1, 3), np.uint8)
@@ -179,11 +191,19 @@ class Trainer:
 
     def _checkpoint(self) -> None:
         """Save the points first and the model's file last. The presence of the model's file marks the checkpoint as
-        complete."""
+        complete. Each rank saves the points of its frames, and rank 0 saves the rest."""
         if self.done == self._saved_step:
             return
         target = checkpoint_path(self.run.checkpoints, self.done)
         self._save_points(points_folder(target))
+        if self.group.is_first:
+            self._save_models()
+        self.group.barrier()
+        self.scene.clear_caches()
+        self._saved_step = self.done
+
+    def _save_models(self) -> None:
+        """Save the models, the optimizer and the state."""
         models = self.scene.models.items()
         tensors = {f"{prefix}.{name}": value for prefix, model in models for name, value in model.state_dict().items()}
         if self.refinement is not None:
@@ -194,16 +214,16 @@ class Trainer:
         drop_stale_points(self.run.checkpoints)
         if self.refinement is not None:
             write_corrected(self.run.folder, self.run.capture, self.refinement.rig())
-        self.scene.clear_caches()
-        self._saved_step = self.done
 
     def _save_points(self, folder: Path) -> None:
+        is_first, count = self.group.is_first, self.run.capture.frame_count
         # In a damaged checkpoint of the same step, a file can be a pipe or a folder, which no file may replace.
-        if any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
+        if is_first and any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
             shutil.rmtree(folder)
+        self.group.barrier()
         try:
-            self.frames.save(folder)
-            for name, cloud in self.scene.static_clouds.items():
+            self.frames.save(folder, self.group.own_frames(count))
+            for name, cloud in self.scene.static_clouds.items() if is_first else ():
                 with atomic_path(folder / f"{name}.safetensors") as temporary:
                     save_file(cloud.tensors(), temporary)
         except (OSError, SafetensorError) as error:
@@ -212,6 +232,14 @@ class Trainer:
                 f"{folder}: expected free disk space for a checkpoint, got '{error}'; "
                 f"the previous checkpoint is intact: free some space and add --resume"
             ) from error
+        self.group.barrier()
+        for frame in range(count) if is_first else ():
+            file = folder / file_name(frame)
+            if not file.exists():
+                raise UserError(
+                    f"{file}: expected the points from rank {frame % self.group.size}, got no such file; put the run "
+                    "on storage that the machines of all ranks share"
+                )
 
     def _restore(self, found: Path) -> None:
         """Load the models, the optimizer and the state from the checkpoint ``found``."""
@@ -230,8 +258,12 @@ class Trainer:
 
     def _is_checkpoint_due(self, seconds: float) -> bool:
         if self.config.checkpoint_steps is not None:
-            return self.done % self.config.checkpoint_steps == 0
+            return self._passed(self.config.checkpoint_steps)
         return seconds >= self.config.checkpoint_seconds
+
+    def _passed(self, interval: int) -> bool:
+        """Whether the last step of the group, or the last of its steps, reached a multiple of ``interval``."""
+        return self.done // interval > (self.done - self.group.size) // interval
 
     def _progress(self) -> Progress:
         return Progress(

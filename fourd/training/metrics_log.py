@@ -20,6 +20,19 @@ METRICS_NAME = "metrics.jsonl"
 FLUSH_SECONDS = 10
 
 
+class NoLog:
+    """A log that writes nothing, with the methods of :class:`MetricsLog`."""
+
+    def scalars(self, step: int, values: Mapping[str, float]) -> None:
+        """Do nothing."""
+
+    def image(self, step: int, name: str, picture: NDArray[np.uint8]) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
 class MetricsLog:
     """A context manager that appends to ``metrics.jsonl`` and to TensorBoard events in a run folder."""
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera, fading_weights, nearest_views
 from fourd.training.config import RateConfig, TrainConfig
+from fourd.training.distributed.process_group import ALONE, ProcessGroup
 
 
 @dataclass(frozen=True)
@@ -43,11 +44,18 @@ class StepSampler:
     """
 
     def __init__(
-        self, config: TrainConfig, cameras: tuple[Camera, ...], training: list[int], frames: int, focus: np.ndarray
+        self,
+        config: TrainConfig,
+        cameras: tuple[Camera, ...],
+        training: list[int],
+        frames: int,
+        focus: np.ndarray,
+        group: ProcessGroup = ALONE,
     ) -> None:
         self._config = config
         self._training = training
-        self._frames = frames
+        self._frames = group.own_frames(frames)
+        self._group = group
         self._min_layers = config.least_layers if config.scene == "object" else config.background.least_layers
         self._cameras = cameras
         self._focus = focus
@@ -56,17 +64,20 @@ class StepSampler:
         }
 
     def sample(self, step: int) -> StepSample:
-        """The sample of a step.
+        """The sample that this rank takes at a step. With W ranks, W successive steps are taken at once, one by each
+        rank, and ``step`` is the first of them.
 
-        In F * V successive steps that start at a multiple of F * V, every view of every frame is sampled exactly once.
-        F is the number of frames, and V is the number of training views.
+        In F * V successive steps of a rank that start at a multiple of F * V, every view of every frame is sampled
+        exactly once. F is the number of frames that the rank owns, and V is the number of training views.
         """
-        views = len(self._training)
-        epoch, place = divmod(step, self._frames * views)
-        order = np.random.default_rng([self._config.seed, 1, epoch]).permutation(self._frames * views)
-        frame, view = divmod(int(order[place]), views)
-        target = self._training[view]
-        rng = np.random.default_rng([self._config.seed, 2, step])
+        views, group = len(self._training), self._group
+        count = len(self._frames) * views
+        epoch, place = divmod(step // group.size, count)
+        stream = () if group.size == 1 else (group.rank, group.size)
+        order = np.random.default_rng([self._config.seed, 1, epoch, *stream]).permutation(count)
+        row, view = divmod(int(order[place]), views)
+        frame, target = self._frames[row], self._training[view]
+        rng = np.random.default_rng([self._config.seed, 2, step + group.rank])
         pool = self._pools[target]
         count = min(self._config.model.neighbours, len(pool))
         drawn = sorted(rng.choice(len(pool), size=count, replace=False).tolist())

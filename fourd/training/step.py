@@ -13,6 +13,7 @@ from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.training.cameras.refinement import Refinement
 from fourd.training.config import TrainConfig
+from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.losses.term import RenderedStep, weighted_values
 from fourd.training.points.densification import accumulate_gradient_magnitudes
@@ -47,10 +48,12 @@ class Stepper:
         config: TrainConfig,
         lpips: LPIPS | None = None,
         refinement: Refinement | None = None,
+        group: ProcessGroup = ALONE,
     ) -> None:
         self.scene = scene
         self.config = config
         self.refinement = refinement
+        self.group = group
         self.terms = scene.loss_terms(lpips, refinement)
         named = [pair for model in scene.models.values() for pair in model.named_parameters()]
         planes = [parameter for name, parameter in named if "planes" in name]
@@ -74,7 +77,8 @@ class Stepper:
             time: time of the frame, in [0, 1].
             sample: the frame and views to render.
             rate_factor: factor on all learning rates, from the schedule.
-            number: number of the step, which is used by schedules and in error messages.
+            number: number of the update, which is used by schedules and in error messages. With W ranks, an update
+                makes W steps.
 
         Raises:
             UserError: a loss term is not finite. Models and points are unchanged if this error is raised.
@@ -100,6 +104,11 @@ class Stepper:
             error = float((shown.clamp(0, 1) - truth).square().mean())
         psnr = -10 * math.log10(max(error, 1e-10))
         return StepResult({name: float(value.detach()) for name, value in terms.items()}, psnr)
+
+    @property
+    def dense_parameters(self) -> list[Tensor]:
+        """The parameters that all ranks share: the networks, the planes, and the corrections of cameras."""
+        return [parameter for group in self.optimizer.param_groups for parameter in group["params"]]
 
     def update_cameras(self) -> None:
         """Apply the current camera corrections to the cameras of views and plates."""
@@ -128,8 +137,9 @@ class Stepper:
 
     def _update(self, evaluated: Sequence[OptimizedPoints], terms: dict[str, Tensor], rate_factor: float) -> None:
         torch.stack(list(terms.values())).sum().backward()
+        self.group.average_gradients(self.dense_parameters)
         for group in self.optimizer.param_groups:
-            group["lr"] = group["base"] * rate_factor
+            group["lr"] = group["base"] * rate_factor * self.group.rate_factor
         self.optimizer.step()
         # If gradients were kept until the next step, they would fragment the heap.
         self.optimizer.zero_grad(set_to_none=True)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from fourd import __version__
 from fourd.cli.options import CapturePath, Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
@@ -16,10 +18,11 @@ from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.train import TrainFiles
+from fourd.pipeline.stages.train import TrainFiles, require_divisible
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
 from fourd.training.config import TrainConfig
+from fourd.training.distributed.process_group import ProcessGroup, join_process_group
 from fourd.training.losses.lpips import load_lpips
 from fourd.training.run import open_run, remove_leftovers
 
@@ -27,7 +30,8 @@ from fourd.training.run import open_run, remove_leftovers
 @dataclass(frozen=True)
 class Arguments:
     """Before training, the command adjusts the cameras, carves the initial points and seeds the background, as the
-    options require. Use --resume to continue interrupted training."""
+    options require. Use --resume to continue interrupted training. To train with several processes, write: torchrun
+    --nproc-per-node 2 -m fourd train CAPTURE -o RUN."""
 
     capture: CapturePath
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""
@@ -42,25 +46,33 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Run the stages that training needs, then train."""
-    with locked_folder(arguments.out):
-        remove_leftovers(arguments.out)
-        _run_stages(arguments)
+    # Rank 0 prepares the run. The other ranks only train it.
+    with join_process_group() as group, locked_folder(arguments.out) if group.is_first else nullcontext():
+        if group.is_first:
+            remove_leftovers(arguments.out)
+        _run_stages(arguments, group)
 
 
-def _run_stages(arguments: Arguments) -> None:
+def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
-    console = Terminal()
+    console = Terminal(quiet=not group.is_first)
     options = arguments.training
-    context = Context(console, worker_count(arguments.workers))
+    context = Context(console, worker_count(arguments.workers), group)
     # Loading the LPIPS weights here reports invalid weights before any stage runs.
     load_lpips(options.lpips_weights)
-    stages: tuple[AnyStage, ...]
+    files = TrainFiles(arguments.capture, arguments.out, options.lpips_weights)
     if arguments.resume:
         config = _resumed_config(options, open_run(arguments.out).config.train)
-        stages = stages_to_resume(TrainFiles(arguments.capture, arguments.out, options.lpips_weights), config)
     else:
         config = options.train_config()
-        require_new_run(arguments.out)
+        if group.is_first:
+            require_new_run(arguments.out)
+    group.require_same("config", f"fourd {__version__}\n{to_yaml(config)}")
+    require_divisible(config, group)
+    stages: tuple[AnyStage, ...]
+    if arguments.resume or not group.is_first:
+        stages = stages_to_resume(files, config)
+    else:
         request = RunRequest(
             arguments.capture,
             arguments.out,

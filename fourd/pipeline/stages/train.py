@@ -13,6 +13,7 @@ from fourd.formats.ply import read_ply
 from fourd.pipeline.stage import Context, Leftovers, Stage
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
+from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.loop import Trainer
 from fourd.training.losses.lpips import load_lpips
 from fourd.training.points.spacing import mean_spacing
@@ -48,16 +49,37 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
 
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
     """Start the run, or resume the run from its newest checkpoint. For a resumed run, only the budget may change."""
-    lpips = load_lpips(files.lpips_weights)
-    opened = open_run(files.run) if (files.run / CONFIG_NAME).exists() else start_run(files.capture, files.run, config)
+    lpips, group = load_lpips(files.lpips_weights), context.group or ALONE
+    if group.is_first and not (files.run / CONFIG_NAME).exists():
+        start_run(files.capture, files.run, config).capture.close()
+    group.barrier()
     if lpips is None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
-    with opened as run:
+    with open_run(files.run) as run:
+        require_frames(run.capture.frame_count, group)
         budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
-        trainer = Trainer(run, lpips, context.console, budget)
+        trainer = Trainer(run, lpips, context.console, budget, group)
         with closing(trainer.frames):
             summary = trainer.train()
     context.log(f"{files.run}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
+
+
+def require_divisible(config: TrainConfig, group: ProcessGroup) -> None:
+    """Refuse a scene that several ranks cannot train together. All ranks call this function."""
+    if group.size > 1 and config.scene == "full":
+        group.refuse(
+            f"torchrun: expected --scene object with several ranks, got --scene full and {group.size} ranks; start "
+            "fourd train without torchrun"
+        )
+
+
+def require_frames(frames: int, group: ProcessGroup) -> None:
+    """Refuse a run in which a rank would own no frame. All ranks call this function."""
+    if group.size > frames:
+        group.refuse(
+            f"torchrun: expected at most one rank per frame, got {group.size} ranks and {frames} frames; set "
+            f"--nproc-per-node to {frames} or less"
+        )
 
 
 def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:

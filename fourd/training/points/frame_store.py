@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from cachetools import LRUCache
@@ -54,10 +54,10 @@ class FrameStore:
             self._cache[frame] = self._load(frame).copy_outside_heap()
         return self._cache[frame]
 
-    def save(self, folder: Path) -> None:
-        """Write the points of every frame to ``folder``, one frame at a time."""
-        for frame in range(self.frames):
-            with atomic_path(folder / _file_name(frame)) as temporary:
+    def save(self, folder: Path, frames: Iterable[int] | None = None) -> None:
+        """Write the points of the given frames, or of every frame, to ``folder``, one frame at a time."""
+        for frame in range(self.frames) if frames is None else frames:
+            with atomic_path(folder / file_name(frame)) as temporary:
                 self._write(frame, temporary)
         self._saved = folder
 
@@ -89,10 +89,10 @@ class FrameStore:
     def _newest_file(self, frame: int) -> Path | None:
         """The newest file with the frame's points, or None if the frame was never written."""
         folder = self._scratch.folder if frame in self._spilled else self._saved
-        return None if folder is None else folder / _file_name(frame)
+        return None if folder is None else folder / file_name(frame)
 
     def _spill(self, frame: int, points: FramePoints) -> None:
-        file = self._scratch.folder / _file_name(frame)
+        file = self._scratch.folder / file_name(frame)
         try:
             save_file(points.tensors(), file)
         except (OSError, SafetensorError) as error:
@@ -131,5 +131,6 @@ class _SpillingCache(LRUCache[int, FramePoints]):
         return frame, points
 
 
-def _file_name(frame: int) -> str:
+def file_name(frame: int) -> str:
+    """Name of the file with the points of a frame."""
     return f"{frame:06d}.safetensors"

@@ -1,0 +1,213 @@
+"""The process group that trains one model. torchrun calls each process of the group a rank."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import NoReturn
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+from fourd.errors import UserError
+
+BACKEND = "gloo"
+JOIN_SECONDS = 120.0
+"""Maximum time in seconds until the address of rank 0 answers."""
+MAX_REASON = 200
+"""Maximum number of characters of torch's message in an error message."""
+WAIT = timedelta(days=7)
+"""Maximum time for which a rank waits for the other ranks. Rank 0 carves while the other ranks wait. torchrun ends all
+ranks if one of them fails."""
+
+RATE_EXPONENT = 0.5
+"""Exponent of the number of ranks in the learning rates of dense parameters."""
+
+
+@dataclass(frozen=True)
+class ProcessGroup:
+    """The ranks that train one model together. A process that torchrun did not start is a group of one rank, which
+    communicates nothing.
+
+    Each rank takes one step at a time, with a view of one of its own frames. All ranks have the same dense parameters,
+    which are the networks, the planes and the corrections of cameras: their gradients are averaged over the ranks
+    before each update. The points of a frame are stored and updated only by the rank that owns the frame, so points
+    and their gradients are never sent.
+
+    torch's DistributedDataParallel averages gradients in the backward pass of one module that is called once per step.
+    A step calls several methods of the model, and some parameters have a gradient only in some steps. The gradients are
+    therefore averaged after the backward pass, in one message.
+
+    Attributes:
+        rank: number of this rank, from 0.
+        size: number of ranks.
+    """
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def is_first(self) -> bool:
+        """Whether this rank writes logs and checkpoints."""
+        return self.rank == 0
+
+    def own_frames(self, frames: int) -> range:
+        """The indices of the frames that this rank owns, out of ``frames`` frames."""
+        return range(self.rank, frames, self.size)
+
+    def first_ranks_frame(self, frame: int) -> int:
+        """The last frame up to ``frame`` that rank 0 owns."""
+        return frame - frame % self.size
+
+    @property
+    def rate_factor(self) -> float:
+        """Factor on the learning rates of dense parameters. With W ranks, these parameters have only one update for W
+        views."""
+        return self.size**RATE_EXPONENT
+
+    @torch.no_grad()
+    def average_gradients(self, parameters: Iterable[Tensor]) -> None:
+        """Replace each gradient by its mean over all ranks. A missing gradient counts as zero. A parameter without
+        gradient on any rank keeps none, so that its optimizer state does not change.
+
+        All ranks must pass the same parameters in the same order. The parameters have the same dtype.
+        """
+        if self.size == 1:
+            return
+        listed = list(parameters)
+        parts = [torch.zeros_like(each) if each.grad is None else each.grad for each in listed]
+        has_gradient = torch.tensor([each.grad is not None for each in listed]).to(parts[0])
+        sums = torch.cat([*(part.flatten() for part in parts), has_gradient])
+        with self._all_ranks():
+            dist.all_reduce(sums)
+        *means, counts = sums.split([*(part.numel() for part in parts), len(listed)])
+        for each, mean, count in zip(listed, means, counts.tolist(), strict=True):
+            each.grad = (mean / self.size).view_as(each) if count > 0 else None
+
+    @torch.no_grad()
+    def broadcast_parameters(self, parameters: Iterable[Tensor]) -> None:
+        """Replace the parameters of all ranks by those of rank 0."""
+        for each in parameters if self.size > 1 else ():
+            with self._all_ranks():
+                dist.broadcast(each.data, 0)
+
+    def longest(self, seconds: float) -> float:
+        """The longest of the times of all ranks."""
+        return self._maximum(seconds)
+
+    def any(self, is_true: bool) -> bool:
+        """Whether the argument is true on at least one rank."""
+        return self._maximum(float(is_true)) > 0
+
+    def barrier(self) -> None:
+        """Wait until all ranks have called this method."""
+        if self.size > 1:
+            with self._all_ranks():
+                dist.barrier()
+
+    def require_same(self, what: str, text: str) -> None:
+        """End all ranks if one of them passes another text than rank 0. The message names this rank and the first line
+        that differs. All ranks call this method."""
+        if self.size == 1:
+            return
+        digest = torch.frombuffer(bytearray(hashlib.sha256(text.encode()).digest()), dtype=torch.uint8)
+        digests = [torch.zeros_like(digest) for _ in range(self.size)]
+        with self._all_ranks():
+            dist.all_gather(digests, digest)
+        others = [rank for rank, each in enumerate(digests) if not torch.equal(each, digests[0])]
+        if not others:
+            return
+        other = others[0]
+        got, host = self._broadcast_text(text, other), self._broadcast_text(platform.node(), other)
+        lines = zip([*text.splitlines(), ""], [*got.splitlines(), ""], strict=False)
+        wanted, found = next((pair for pair in lines if pair[0] != pair[1]), ("more lines", "fewer lines"))
+        self.refuse(
+            f"rank {other} on {host}: expected the {what} of rank 0 ('{wanted.strip()}'), got '{found.strip()}'; start "
+            "all ranks with the same command, the same files and the same version of fourd"
+        )
+
+    def refuse(self, message: str) -> NoReturn:
+        """End all ranks with a message that only rank 0 prints. All ranks call this method.
+
+        Raises UserError on rank 0, and SystemExit on the other ranks.
+        """
+        if self.is_first:
+            raise UserError(message)
+        raise SystemExit(2)
+
+    @contextmanager
+    def _all_ranks(self) -> Iterator[None]:
+        """Raise UserError if another rank ends while the ranks communicate in the ``with`` block."""
+        try:
+            yield
+        except RuntimeError as error:
+            raise UserError(
+                f"expected an answer from all {self.size} ranks, got '{_one_line(error)}'; see the message of the rank "
+                "that ended first, then continue with --resume"
+            ) from error
+
+    def _maximum(self, value: float) -> float:
+        if self.size == 1:
+            return value
+        result = torch.tensor([value], dtype=torch.float64)
+        with self._all_ranks():
+            dist.all_reduce(result, op=dist.ReduceOp.MAX)
+        return float(result)
+
+    def _broadcast_text(self, text: str, source: int) -> str:
+        """Return the text of the rank ``source``."""
+        content = torch.frombuffer(bytearray(text.encode() or b" "), dtype=torch.uint8)
+        length = torch.tensor([len(content)])
+        with self._all_ranks():
+            dist.broadcast(length, source)
+            if self.rank != source:
+                content = torch.zeros(int(length), dtype=torch.uint8)
+            dist.broadcast(content, source)
+        return bytes(content.numpy()).decode()
+
+
+ALONE = ProcessGroup()
+"""The group of a process that trains alone."""
+
+
+@contextmanager
+def join_process_group() -> Iterator[ProcessGroup]:
+    """Join the ranks that torchrun has started, for the duration of the ``with`` block.
+
+    torchrun describes the ranks in the environment variables RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. Without
+    these variables, the group has one rank.
+
+    Raises:
+        UserError: if the address of rank 0 does not answer. On ranks other than 0, the message of each UserError of the
+            block names the rank and its machine.
+    """
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield ALONE
+        return
+    address = f"{os.environ.get('MASTER_ADDR')}:{os.environ.get('MASTER_PORT')}"
+    try:
+        store, rank, size = next(iter(dist.rendezvous("env://", timeout=timedelta(seconds=JOIN_SECONDS))))
+        dist.init_process_group(BACKEND, store=store, rank=rank, world_size=size, timeout=WAIT)
+    except (dist.DistError, ValueError, RuntimeError) as error:
+        raise UserError(
+            f"{address}: expected rank 0 at this address, got no connection ({_one_line(error)}); start all ranks "
+            "with torchrun, with the same --rdzv-endpoint, and open this port"
+        ) from error
+    try:
+        yield ProcessGroup(rank, size)
+    except UserError as error:
+        if rank == 0:
+            raise
+        raise UserError(f"rank {rank} on {platform.node()}: {error}") from error
+    finally:
+        dist.destroy_process_group()
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:MAX_REASON]
