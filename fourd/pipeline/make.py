@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 
 from fourd.capture.frame_rate import set_rate
@@ -12,6 +13,7 @@ from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
 from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import has_masks, stages_to_capture
+from fourd.pipeline.cluster import Cluster
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
 from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Runner
@@ -44,6 +46,7 @@ def make_scene(
     lpips_weights: Path | None = None,
     imports: ImportOptions | None = None,
     accept_mattes: bool = False,
+    cluster: Cluster | None = None,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
@@ -65,6 +68,7 @@ def make_scene(
         imports: options of the import. If the options contain a frame rate, the rate is stored in ``source`` even if
             ``source`` needs no import. If None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
+        cluster: the cluster on which the stages run. If None, the stages run in this process.
 
     Raises:
         UserError: if the input is invalid, or if the folder for intermediate results exists but was not created by
@@ -72,42 +76,37 @@ def make_scene(
     """
     work = _work_folder(out)
     with locked_folder(work):
-        _run_graph(source, out, train, mattes, context, points_from, lpips_weights, imports, accept_mattes)
+        runner = Runner(context, work / RECORD)
+        if cluster is not None:
+            runner = Runner(context, work / RECORD, cluster.execute, is_parallel=True)
+        request = RunRequest(source, work / RUN, train, points_from, lpips_weights, accept_mattes=accept_mattes)
+        _run_graph(request, out, mattes, imports or ImportOptions(), context, runner)
 
 
 def _run_graph(
-    source: Path,
-    out: Path,
-    train: TrainConfig,
-    mattes: MatteSettings,
-    context: Context,
-    points_from: Path | None,
-    lpips_weights: Path | None,
-    imports: ImportOptions | None,
-    accept_mattes: bool,
+    source: RunRequest, out: Path, mattes: MatteSettings, options: ImportOptions, context: Context, runner: Runner
 ) -> None:
-    """Run the stages of :func:`make_scene` in the locked folder for intermediate results."""
-    work = _work_folder(out)
-    options = imports or ImportOptions()
-    to_capture = stages_to_capture(source, work / CAPTURE, options)
+    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run,
+    with the source in the place of the capture."""
+    work, given, train = _work_folder(out), source.capture, source.train
+    to_capture = stages_to_capture(given, work / CAPTURE, options)
     work.mkdir(parents=True, exist_ok=True)
     remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
-    context.log(describe_plan(source, train, context.workers, points_from is not None))
-    runner = Runner(context, work / RECORD)
+    context.log(describe_plan(given, train, context.workers, source.points_from is not None))
     if options.fps is not None and not to_capture:
-        set_rate(source, options.fps)
+        set_rate(given, options.fps)
     runner.run(to_capture)
     # The other stages depend on the contents of the imported capture, so the import runs first.
-    capture = work / CAPTURE if to_capture else source
+    capture = work / CAPTURE if to_capture else given
     runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
     capture = repaired_capture(capture, work / REPAIRED)
-    is_still = points_from is None and stands_still(capture, train)
+    is_still = source.points_from is None and stands_still(capture, train)
     if is_still:
         train = still_config(train, capture, context.log)
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
-    request = RunRequest(capture, work / RUN, train, points_from, lpips_weights, is_still, accept_mattes)
+    request = replace(source, capture=capture, train=train, still=is_still)
     # A capture with masks may be on a read-only disk, so its folder .fourd/ is locked only if mattes are made.
     with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
         runner.run(stages_to_scene(request, mattes, out))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,16 @@ from fourd.limits import read_json
 from fourd.pipeline.stage import Context, Stage
 
 AnyStage = Stage[Any, Any]
-Execute = Callable[[AnyStage, Context], None]
+Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
+"""Function that runs the work of stages that do not depend on each other. Each stage is yielded when its outputs are
+written."""
 
 
-def run_here(stage: AnyStage, context: Context) -> None:
-    """Execute the work of a stage in this process."""
-    stage.run(context)
+def run_here(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
+    """Run the work of the stages in this process, one after another."""
+    for stage in stages:
+        stage.run(context)
+        yield stage
 
 
 class Runner:
@@ -29,33 +33,40 @@ class Runner:
     stages themselves then detect and keep finished files.
     """
 
-    def __init__(self, context: Context, record: Path | None = None, execute: Execute = run_here) -> None:
+    def __init__(
+        self, context: Context, record: Path | None = None, execute: Execute = run_here, *, is_parallel: bool = False
+    ) -> None:
         """Create a runner.
 
         Args:
             context: console, and number of processes for the stages' work.
             record: JSON file with the key of each started and each finished stage. The runner writes this file
                 atomically after each change.
-            execute: function that runs the work of one stage. The function must return after the outputs were written.
-                To execute stages in other processes or on a cluster, pass another function.
+            execute: function that runs the work of stages. To run stages in other processes or on a cluster, pass
+                another function.
+            is_parallel: whether ``execute`` runs several stages at the same time.
         """
         self._context = context
         self._record = record
         self._execute = execute
+        self._is_parallel = is_parallel
         self._known = _read_record(record)
         self._keys: dict[str, str] = {}
 
     def run(self, stages: Sequence[AnyStage]) -> None:
         """Run ``stages`` in the given order. Each stage must come after the stages that it depends on."""
-        for stage in stages:
-            self._run_stage(stage)
+        for group in _split(stages) if self._is_parallel else [[stage] for stage in stages]:
+            due = [stage for stage in group if self._start(stage)]
+            for stage in self._execute(due, self._context) if due else ():
+                self._write({stage.name: self._keys[stage.name]})
+                self._report(f"{stage.name}: finished{_result(stage)}")
 
-    def _run_stage(self, stage: AnyStage) -> None:
+    def _start(self, stage: AnyStage) -> bool:
+        """Whether the work of the stage must run. If so, the files of an older key are removed."""
         key = self._keys[stage.name] = stage.key(self._keys)
-        result = f" ({stage.outputs[0]})" if stage.outputs else ""
         if self._known.get(stage.name) == key and stage.is_finished():
-            self._report(f"{stage.name}: up to date{result}")
-            return
+            self._report(f"{stage.name}: up to date{_result(stage)}")
+            return False
         if self._record is not None and self._known.get(_started(stage)) != key:
             # The keys are deleted before the files are removed. If the removal of the files is interrupted, no key then
             # matches the remaining files.
@@ -64,9 +75,7 @@ class Runner:
                 leftovers.remove()
         self._write({stage.name: None, _started(stage): key})
         self._report(f"{stage.name}: running")
-        self._execute(stage, self._context)
-        self._write({stage.name: key})
-        self._report(f"{stage.name}: finished{result}")
+        return True
 
     def _write(self, changes: Mapping[str, str | None]) -> None:
         """Change entries of the record file. An entry whose new value is None is removed."""
@@ -79,6 +88,23 @@ class Runner:
     def _report(self, line: str) -> None:
         if self._record is not None:
             self._context.console.print(line, soft_wrap=True, markup=False)
+
+
+def _split(stages: Sequence[AnyStage]) -> list[list[AnyStage]]:
+    """Split stages into groups, in order. The stages of a group can run at the same time."""
+    groups: list[list[AnyStage]] = []
+    for stage in stages:
+        before = groups[-1] if groups else []
+        names = {other.name for other in before}
+        if before and stage.is_parallel and before[0].is_parallel and names.isdisjoint(stage.after):
+            before.append(stage)
+        else:
+            groups.append([stage])
+    return groups
+
+
+def _result(stage: AnyStage) -> str:
+    return f" ({stage.outputs[0]})" if stage.outputs else ""
 
 
 def _started(stage: AnyStage) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import shutil
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from fourd.files import atomic_path
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context, Leftovers, Stage
 from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, run_train, start_run
+from fourd.processes import locked_folder
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.checkpoints import latest_checkpoint
 from fourd.training.config import SegmentConfig, TrainConfig
@@ -100,6 +102,7 @@ def _train_stage(
         outputs=(folder / CHECKPOINTS,),
         leftovers=(Leftovers(folder),),
         after=(DIVIDE, *(() if previous is None else (f"train {previous.name}",))),
+        is_parallel=True,
     )
 
 
@@ -121,12 +124,14 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
     """Start the run of a segment, or resume it from its newest checkpoint. Nothing is done if the budget of a finished
     segment is unchanged."""
     group = context.group or ALONE
-    if group.is_first:
-        _prepare_segment(files, config)
-    group.barrier()
-    with open_run(files.segment) as run:
-        capture = run.config.capture
-    run_train(TrainFiles(capture, files.segment, files.lpips_weights), config, context)
+    # On a cluster, a task that is believed to be lost may still run while it is retried.
+    with locked_folder(files.segment) if group.is_first else nullcontext():
+        if group.is_first:
+            _prepare_segment(files, config)
+        group.barrier()
+        with open_run(files.segment) as run:
+            capture = run.config.capture
+        run_train(TrainFiles(capture, files.segment, files.lpips_weights), config, context)
 
 
 def _prepare_segment(files: SegmentFiles, config: TrainConfig) -> None:

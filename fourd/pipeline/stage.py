@@ -123,6 +123,8 @@ class Stage(Generic[Files, Settings]):
         leftovers: files to remove before ``work`` starts with a new key.
         after: names of stages that must finish before this stage. The keys of these stages are part of this stage's
             key.
+        is_parallel: whether the stage may run at the same time as its neighbours in the graph that are also parallel,
+            unless ``after`` names them.
     """
 
     name: str
@@ -133,6 +135,7 @@ class Stage(Generic[Files, Settings]):
     outputs: tuple[Path, ...] = ()
     leftovers: tuple[Leftovers, ...] = ()
     after: tuple[str, ...] = ()
+    is_parallel: bool = False
 
     def key(self, keys: Mapping[str, str]) -> str:
         """A hash of everything on which the result of the stage depends.

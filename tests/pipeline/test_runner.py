@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,13 +18,17 @@ class Counter:
 
     def __init__(self, stop: str | None = None) -> None:
         self.names: list[str] = []
+        self.groups: list[list[str]] = []
         self.stop = stop
 
-    def __call__(self, stage: AnyStage, context: Context) -> None:
-        if stage.name == self.stop:
-            raise KeyboardInterrupt
-        self.names.append(stage.name)
-        stage.run(context)
+    def __call__(self, stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
+        self.groups.append([stage.name for stage in stages])
+        for stage in stages:
+            if stage.name == self.stop:
+                raise KeyboardInterrupt
+            self.names.append(stage.name)
+            stage.run(context)
+            yield stage
 
 
 def run(stages: list[AnyStage], record: Path, stop: str | None = None) -> list[str]:
@@ -97,3 +103,16 @@ def test_without_a_record_every_stage_is_executed_and_nothing_is_removed(tmp_pat
         assert counter.names == ["a", "b", "c"]
         (tmp_path / "b" / "partial").write_text("")
     assert (tmp_path / "b" / "partial").exists()
+
+
+def test_parallel_stages_are_executed_together(tmp_path: Path) -> None:
+    """Catches stages that run before the stages that they need, and a cluster that gets one stage at a time."""
+    first, second, third = chain(tmp_path)
+    last = copy_stage(tmp_path / "source", tmp_path / "d")
+    stages = [replace(each, is_parallel=True) for each in (third, first, second)] + [last]
+    counter = Counter()
+    Runner(Context(), tmp_path / "record", counter, is_parallel=True).run(stages)
+    assert counter.groups == [["c", "a"], ["b"], ["d"]]
+    alone = Counter()
+    Runner(Context(), tmp_path / "other", alone).run(stages)
+    assert alone.groups == [["c"], ["a"], ["b"], ["d"]]

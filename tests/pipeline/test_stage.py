@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import shutil
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -53,10 +54,12 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def run_in_process(stage: AnyStage, context: Context) -> None:
-    """Execute a stage in a new process, as a runner for several processes would."""
+def run_in_process(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
+    """Execute stages in a new process, as a runner for several processes would."""
     with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        pool.submit(stage.run).result()
+        for stage in stages:
+            pool.submit(stage.run).result()
+            yield stage
 
 
 def test_every_stage_of_the_graph_pickles(ball_capture: Path, tmp_path: Path) -> None:

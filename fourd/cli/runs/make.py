@@ -3,6 +3,7 @@ training and baking."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,12 +15,18 @@ from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.importing.importer import ImportOptions
+from fourd.pipeline.cluster import join_cluster
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
 from fourd.progress import Terminal
 from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
+RAY_HELP = (
+    "Run the stages as tasks of a Ray cluster, and the segments of --segment at the same time. auto: the cluster that "
+    "runs on this machine, or a new one. All nodes need the same paths on shared storage. Needs "
+    "`pip install 'fourd[cluster]'`."
+)
 SOURCE_HELP = (
     "A capture, or any input of fourd import, such as a folder of videos or a session with a calibration folder. To "
     "set time offsets or the scale, run fourd import first."
@@ -43,6 +50,9 @@ class Arguments:
     calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     fps: FramesPerSecond = None
     workers: Workers = None
+    ray: Annotated[str | None, option("{auto,HOST:PORT}", "none; all stages run in this process", RAY_HELP)] = None
+    ray_cores: int = 1
+    """With --ray: number of cores of each segment. Other stages use all cores of one node."""
 
 
 def run(arguments: Arguments) -> None:
@@ -55,17 +65,19 @@ def run(arguments: Arguments) -> None:
     # Loading the LPIPS weights here reports invalid weights before any stage runs.
     load_lpips(options.lpips_weights)
     given = None if arguments.calibration is None else str(arguments.calibration.resolve())
-    make_scene(
-        arguments.capture,
-        arguments.out,
-        config,
-        arguments.mattes.settings(config.seed),
-        Context(console, worker_count(arguments.workers)),
-        points_from=options.points_from,
-        lpips_weights=options.lpips_weights,
-        imports=ImportOptions(calibration=given, fps=arguments.fps),
-        accept_mattes=options.accept_mattes,
-    )
+    with nullcontext() if arguments.ray is None else join_cluster(arguments.ray, arguments.ray_cores) as cluster:
+        make_scene(
+            arguments.capture,
+            arguments.out,
+            config,
+            arguments.mattes.settings(config.seed),
+            Context(console, worker_count(arguments.workers)),
+            points_from=options.points_from,
+            lpips_weights=options.lpips_weights,
+            imports=ImportOptions(calibration=given, fps=arguments.fps),
+            accept_mattes=options.accept_mattes,
+            cluster=cluster,
+        )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True
     )

@@ -1,0 +1,172 @@
+"""Stages as tasks of a Ray cluster. The nodes exchange results only through files on storage that all of them share."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+
+from fourd import __version__
+from fourd.errors import UserError
+from fourd.pipeline.runner import AnyStage
+from fourd.pipeline.stage import Context
+
+RETRIES = 3
+"""Number of times that a stage starts again after its worker or its node was lost. The stage then resumes."""
+MAX_REASON = 200
+"""Maximum number of characters of Ray's message in an error message."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A stage and everything that a node needs to run it.
+
+    Attributes:
+        stage: the stage.
+        cores: number of cores, which is the number of threads and of processes.
+        folder: folder to which relative paths of the stage refer.
+        version: the version of fourd that created the stage.
+    """
+
+    stage: AnyStage
+    cores: int
+    folder: Path
+    version: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The end of a job: name of the node, printed lines, and the message of a UserError or None."""
+
+    node: str
+    lines: tuple[str, ...] = ()
+    error: str | None = None
+
+
+def run_job(job: Job) -> Outcome:
+    """Run a job in a process of its own, which has done no other work."""
+    node = platform.node()
+    if job.version != __version__:
+        return Outcome(
+            node, error=f"expected fourd {job.version}, got {__version__}; install the same version on all nodes"
+        )
+    # torch reads the number of threads when it is imported, which is later.
+    for name in ("OMP_NUM_THREADS", "FOURD_THREADS"):
+        os.environ[name] = str(job.cores)
+    text = io.StringIO()
+    try:
+        os.chdir(job.folder)
+    except OSError:
+        got = "no such folder; mount the storage of the capture and the scene at the same path on all nodes"
+        return Outcome(node, error=f"{job.folder}: expected the working folder of fourd make, got {got}")
+    try:
+        job.stage.run(Context(Console(file=text, width=1000), job.cores))
+    except UserError as error:
+        return Outcome(node, tuple(text.getvalue().splitlines()), str(error))
+    return Outcome(node, tuple(text.getvalue().splitlines()))
+
+
+class Cluster:
+    """A Ray cluster to which this process is connected. :meth:`execute` runs stages on its nodes."""
+
+    def __init__(self, ray: Any, segment_cores: int) -> None:
+        """Use the cluster to which the module ``ray`` is connected.
+
+        Args:
+            ray: the module ray, after ``ray.init``.
+            segment_cores: number of cores of each stage that runs beside others. Other stages use all cores of a node.
+
+        Raises:
+            UserError: if no node has ``segment_cores`` cores.
+        """
+        self._ray = ray
+        self._segment_cores = segment_cores
+        self._node_cores = max(int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"])
+        if not 1 <= segment_cores <= self._node_cores:
+            raise UserError(f"--ray-cores: expected 1 to {self._node_cores}, the cores of a node, got {segment_cores}")
+
+    def execute(self, stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
+        """Run stages that do not depend on each other. Each stage is yielded as soon as it is finished.
+
+        Raises:
+            UserError: after all stages have ended, if one of them failed. The message names the stage and its node.
+        """
+        pending = {self._start(stage): stage for stage in stages}
+        failures: list[str] = []
+        while pending:
+            (reference, *_), _ = self._ray.wait(list(pending), num_returns=1)
+            stage = pending.pop(reference)
+            outcome = self._result(stage, reference)
+            for line in outcome.lines:
+                context.log(line)
+            if outcome.error is not None:
+                failures.append(f"{stage.name} on node {outcome.node}: {outcome.error}")
+                continue
+            yield stage
+        if failures:
+            more = f" (and {len(failures) - 1} more stages failed)" if len(failures) > 1 else ""
+            raise UserError(failures[0] + more)
+
+    def _start(self, stage: AnyStage) -> Any:
+        cores = self._segment_cores if stage.is_parallel else self._node_cores
+        # With max_calls=1, each stage has a new process: its number of threads is its own, and no memory stays behind.
+        task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=1)(run_job)
+        return task.options(name=stage.name).remote(Job(stage, cores, Path.cwd(), __version__))
+
+    def _result(self, stage: AnyStage, reference: Any) -> Outcome:
+        try:
+            return self._ray.get(reference)
+        except self._ray.exceptions.RayTaskError as error:
+            if isinstance(error.cause, ModuleNotFoundError):
+                return Outcome("of the task", error=f"expected fourd {__version__}, got '{error.cause}'; install it")
+            raise error.cause from error
+        except self._ray.exceptions.RayError as error:
+            reason = " ".join(str(error).split())[:MAX_REASON]
+            return Outcome(
+                "of the task",
+                error=f"expected a worker that finishes, got '{reason}' after {RETRIES} retries; check the memory of "
+                "the nodes, and run the command again to resume",
+            )
+
+
+@contextmanager
+def join_cluster(address: str, segment_cores: int) -> Iterator[Cluster]:
+    """Connect to a Ray cluster for the duration of the ``with`` block.
+
+    Args:
+        address: HOST:PORT of a running cluster, or "auto" for the cluster that runs on this machine. If none runs,
+            a cluster of this machine is started, and ends with the block.
+        segment_cores: see :class:`Cluster`.
+
+    Raises:
+        UserError: if ray is not installed, or the address does not answer.
+    """
+    try:
+        import ray
+    except ModuleNotFoundError as error:
+        raise UserError("--ray: expected the package ray, got none; pip install 'fourd[cluster]'") from error
+    try:
+        ray.init(
+            address=None if address == "auto" else address,
+            log_to_driver=False,
+            logging_level=logging.ERROR,
+            include_dashboard=False if address == "auto" else None,
+        )
+    except (ConnectionError, RuntimeError, ValueError, OSError) as error:
+        reason = " ".join(str(error).split())[:MAX_REASON]
+        raise UserError(
+            f"--ray: expected a Ray cluster at {address}, got '{reason}'; start one with ray start --head, or use "
+            "--ray auto"
+        ) from error
+    try:
+        yield Cluster(ray, segment_cores)
+    finally:
+        ray.shutdown()

@@ -1,0 +1,124 @@
+"""Tests of stages on a Ray cluster. The tests that start a cluster need the package ray, and are skipped without it."""
+
+from __future__ import annotations
+
+import importlib.util
+import io
+import json
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from fourd import __version__
+from fourd.baking import open_scene
+from fourd.cli.main import main
+from fourd.errors import UserError
+from fourd.matting.sequence import MatteSettings
+from fourd.pipeline.cluster import Cluster, Job, join_cluster, run_job
+from fourd.pipeline.make import make_scene
+from fourd.pipeline.runner import AnyStage
+from fourd.pipeline.stage import Context, NoSettings, Stage
+from fourd.training.config import SegmentConfig
+from tests.captures import write_ball_capture
+from tests.pipeline.test_stage import copy_stage
+from tests.training.small import SMALL, with_steps
+
+HAS_RAY = importlib.util.find_spec("ray") is not None
+needs_ray = pytest.mark.skipif(not HAS_RAY, reason="needs ray (pip install 'fourd[cluster]')")
+
+
+@dataclass(frozen=True)
+class CounterFiles:
+    count: Path
+
+
+def fail(files: CounterFiles, settings: NoSettings, context: Context) -> None:
+    raise UserError(f"{files.count}: expected something else")
+
+
+def die_once(files: CounterFiles, settings: NoSettings, context: Context) -> None:
+    """Kill this process in the first call, and finish the work in the second."""
+    if not files.count.exists():
+        files.count.write_text("1")
+        os.kill(os.getpid(), signal.SIGKILL)
+    files.count.write_text("2")
+    context.log(f"cores {context.workers}, threads {os.environ['OMP_NUM_THREADS']}")
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    with join_cluster("auto", 1) as joined:
+        yield joined
+
+
+def test_a_job_checks_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a node with another version of fourd, and a node that does not see the shared storage."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setenv("FOURD_THREADS", "1")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "source").write_text("text")
+    stage = copy_stage(tmp_path / "source", tmp_path / "a")
+    job = Job(stage, 1, tmp_path, __version__)
+    older = run_job(replace(job, version="0.0.1"))
+    assert older.error == f"expected fourd 0.0.1, got {__version__}; install the same version on all nodes"
+    elsewhere = run_job(replace(job, folder=tmp_path / "missing"))
+    expected = (
+        f"{tmp_path / 'missing'}: expected the working folder of fourd make, got no such folder; mount the storage"
+    )
+    assert (elsewhere.error or "").startswith(expected)
+    assert not (tmp_path / "a").exists()
+    assert run_job(job).error is None
+    assert (tmp_path / "a" / "copy").read_text() == "text"
+    failed = run_job(replace(job, stage=Stage("fail", fail, CounterFiles(tmp_path / "x"), NoSettings())))
+    assert failed.error == f"{tmp_path / 'x'}: expected something else"
+
+
+@pytest.mark.skipif(HAS_RAY, reason="ray is installed here")
+def test_a_missing_package_is_named(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Catches a traceback if the extra is not installed."""
+    assert main(["make", str(ball_capture), "-o", str(tmp_path / "scene.4dv"), "--ray", "auto"]) == 2
+    line = capsys.readouterr().err
+    assert line == "fourd make: --ray: expected the package ray, got none; pip install 'fourd[cluster]'\n"
+
+
+@needs_ray
+def test_a_killed_worker_is_replaced_and_failures_wait_for_the_others(cluster: Cluster, tmp_path: Path) -> None:
+    """Catches a lost worker that ends the command, a failed stage that stops the others, and a message that does not
+    name the node."""
+    stages: list[AnyStage] = [
+        Stage("bad", fail, CounterFiles(tmp_path / "bad"), NoSettings(), is_parallel=True),
+        Stage("killed", die_once, CounterFiles(tmp_path / "count"), NoSettings(), is_parallel=True),
+    ]
+    text, finished = io.StringIO(), []
+    with pytest.raises(UserError, match=r"bad on node .*: .*bad: expected something else$"):
+        finished.extend(stage.name for stage in cluster.execute(stages, Context(Console(file=text))))
+    assert finished == ["killed"]
+    assert (tmp_path / "count").read_text() == "2"
+    assert text.getvalue() == "cores 1, threads 1\n"
+
+
+@needs_ray
+def test_segments_are_trained_on_a_cluster(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches stages that need the memory of the driver, and relative paths that a worker reads from another folder."""
+    write_ball_capture(tmp_path / "capture", frames=12)
+    monkeypatch.chdir(tmp_path)
+    config = replace(with_steps(SMALL, 3), segments=SegmentConfig(frames=6, overlap=2))
+    make_scene(Path("capture"), Path("scene.4dv"), config, MatteSettings(), Context(), cluster=cluster)
+    with open_scene(tmp_path / "scene.4dv") as scene:
+        assert scene.manifest.frame_numbers == tuple(range(12))
+    record = json.loads((tmp_path / "scene.work" / "stages.json").read_text())
+    assert {"train 000", "train 001", "train 002", "bake"} <= record.keys()
+
+
+@needs_ray
+@pytest.mark.slow
+def test_an_address_that_nobody_answers_is_refused() -> None:
+    """Catches a traceback of Ray, and a command that waits forever."""
+    message = r"--ray: expected a Ray cluster at 127.0.0.1:1, got"
+    with pytest.raises(UserError, match=message), join_cluster("127.0.0.1:1", 1):
+        pass
