@@ -7,6 +7,7 @@ evaluated and played like any run, and on any machine that has the capture.
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 from collections.abc import Sequence
@@ -132,6 +133,8 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
         with open_run(files.segment) as run:
             capture = run.config.capture
         run_train(TrainFiles(capture, files.segment, files.lpips_weights), config, context)
+    # The trainer contains reference cycles, so its memory would stay while the next segments are trained.
+    gc.collect()
 
 
 def _prepare_segment(files: SegmentFiles, config: TrainConfig) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
+import weakref
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +19,7 @@ from fourd.baking import SceneReader, open_scene
 from fourd.cli.main import main
 from fourd.errors import UserError
 from fourd.matting.sequence import MatteSettings
+from fourd.model import PointModel
 from fourd.pipeline.graph import RunRequest, stages_to_run
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.runner import Runner
@@ -133,12 +135,15 @@ def test_the_scene_shows_the_segments_that_own_a_frame(trained: Path, tmp_path: 
 
 def test_at_most_two_segments_are_open(trained: Path) -> None:
     """Catches memory that grows with the number of segments."""
+    models = set[weakref.ref[PointModel]]()
     with closing(open_trained(trained)) as run:
         assert isinstance(run, SegmentedRun)
         for frame in range(12):
-            parts = run.at(frame)
-            assert len(parts) == (2 if frame in (3, 4, 6, 7) else 1)
-            assert len(run._open) == len(parts)
+            owners = [weakref.ref(part.trained.model) for part in run.at(frame)]
+            assert len(owners) == (2 if frame in (3, 4, 6, 7) else 1)
+            models.update(owners)
+            assert sum(1 for model in models if model() is not None) == len(owners)
+    assert len(models) == 3
 
 
 def test_a_run_with_segments_has_no_model_of_its_own(trained: Path, tmp_path: Path) -> None:

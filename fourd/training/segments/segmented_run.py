@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -99,8 +100,12 @@ class SegmentedRun:
         self.run.capture.close()
 
     def _close_all_except(self, kept: set[int]) -> None:
-        for index in [index for index in self._open if index not in kept]:
+        closed = [index for index in self._open if index not in kept]
+        for index in closed:
             self._open.pop(index).close()
+        if closed:
+            # A segment contains reference cycles, so its memory would stay until Python's next full collection.
+            gc.collect()
 
 
 def open_trained(folder: Path) -> TrainedRun | SegmentedRun:
