@@ -61,7 +61,7 @@ void draw_surface(play::Player& player, const Arguments::Xyz& xyz, const Argumen
     nb::gil_scoped_release release;
     player.draw_surface(
         frame, settings, shading,
-        {{albedo.data(), {0.0f, 0.0f, 0.0f}}, nullptr, inverse_depth.data(), normal.data(), persistence});
+        {{albedo.data(), {0.0f, 0.0f, 0.0f}}, inverse_depth.data(), normal.data(), persistence});
 }
 
 using Indices = nb::ndarray<std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;

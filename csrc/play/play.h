@@ -26,10 +26,9 @@ class Player {
     void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
               const points::Canvas& canvas);
 
-    // Draws the same colours as draw(), and the visible surface. frame.normals must not be null. surface.normals is
-    // ignored.
+    // Draws the same colours as draw(), and the visible surface. frame.normals must not be null.
     void draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-                      points::Surface surface);
+                      const points::Surface& surface);
 
   private:
     // Projects and shades the points of the frame.
@@ -41,7 +40,7 @@ class Player {
 
     points::Workspace workspace_;
     Sizes sizes_;
-    Buffer<float> colour_, normals_;
+    Buffer<float> colour_, surface_features_;
 };
 
 // Sorts points by depth, for renderers that need a depth order.

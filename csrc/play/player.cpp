@@ -49,17 +49,18 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
 }
 
 void Player::draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-                          points::Surface surface) {
+                          const points::Surface& surface) {
     Team team(settings.threads);
-    const points::Cloud cloud = prepare(frame, settings, shading, team);
-    normals_.require(3 * cloud.count);
+    points::Cloud cloud = prepare(frame, settings, shading, team);
+    surface_features_.require(points::kSurfaceFeatures * cloud.count);
     const points::Loops& loops = points::select_loops(settings.simd);
     run_parts(team, cloud.count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         for_visible(begin, end, [&](std::size_t first, std::size_t last) {
-            loops.turn_normals(settings.camera, frame.normals, first, last, normals_.data());
+            loops.join_normals(settings.camera, cloud.features, frame.normals, first, last, surface_features_.data());
         });
     });
-    surface.normals = normals_.data();
+    cloud.features = surface_features_.data();
+    cloud.channels = points::kSurfaceFeatures;
     workspace_.draw_tiles(team,
                           [&](int index) { loops.draw_surface(workspace_.tile(cloud, settings, index), surface); });
 }
@@ -67,9 +68,9 @@ void Player::draw_surface(const Frame& frame, const points::Settings& settings, 
 // The points of a frame are in spatial order, so invisible points form long spans, which the function skips.
 template <typename Work>
 void Player::for_visible(std::size_t begin, std::size_t end, const Work& work) const {
-    constexpr std::size_t kStretch = 64;
-    for (std::size_t first = begin; first < end; first += kStretch) {
-        const std::size_t last = std::min(end, first + kStretch);
+    constexpr std::size_t kRange = points::kJoinedPoints;
+    for (std::size_t first = begin; first < end; first += kRange) {
+        const std::size_t last = std::min(end, first + kRange);
         std::size_t tiles = 0;
         for (std::size_t i = first; i < last; ++i) tiles += points::tile_count(workspace_.bins.tile_range(i));
         if (tiles > 0) work(first, last);

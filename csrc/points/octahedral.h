@@ -23,13 +23,12 @@ FOURD_INLINE void from_octahedral(const std::uint8_t* bytes, float* normal) {
     for (int axis = 0; axis < 3; ++axis) normal[axis] = scale * folded[axis];
 }
 
-// Decodes the octahedral normals of points [begin, end), and rotates the normals from world axes to camera axes.
-// `octahedral` (count, 2) and `out` (count, 3) are indexed by point.
-FOURD_INLINE void turn_octahedral(const Pinhole& camera, const std::uint8_t* octahedral, std::size_t begin,
-                                  std::size_t end, float* out) {
+// Decodes the octahedral normals (count, 2), and rotates them from world axes to camera axes, into `out` (count, 3).
+FOURD_INLINE void turn_octahedral(const Pinhole& camera, const std::uint8_t* octahedral, std::size_t count,
+                                  float* out) {
     float r[9];
     for (int i = 0; i < 9; ++i) r[i] = camera.rotation[i];
-    for (std::size_t i = begin; i < end; ++i) {
+    for (std::size_t i = 0; i < count; ++i) {
         float n[3];
         from_octahedral(octahedral + 2 * i, n);
         out[3 * i] = r[0] * n[0] + r[1] * n[1] + r[2] * n[2];

@@ -42,7 +42,6 @@ struct Canvas {
 // An 8-bit image with the visible surface of each pixel.
 struct Surface {
     Canvas canvas;         // Draw with a black background for colours that are multiplied by alpha.
-    const float* normals;  // (count, 3): unit normals of the points in the frame of the camera.
     float* inverse_depth;  // (height, width): coverage / mean depth, with coverage = clamp(3 alpha - 1/2, 0, 1).
     std::uint8_t* normal;  // (height, width, 4): unit normal n as bytes 127 n + 128, then 255 * coverage. Without
                            // points, the normal is 0.

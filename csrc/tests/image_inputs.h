@@ -50,7 +50,7 @@ inline void draw_surfaces(Random& random, play::Player& player, play::Frame fram
     frame.normals = octahedral.data();
     for (const float persistence : {0.0f, 0.9f}) {
         player.draw_surface(frame, settings, shading,
-                            {{rgba.data(), {0, 0, 0}}, nullptr, depths.data(), normal.data(), persistence});
+                            {{rgba.data(), {0, 0, 0}}, depths.data(), normal.data(), persistence});
     }
 }
 

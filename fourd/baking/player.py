@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import make_shading
 from fourd.cameras import Camera
+from fourd.ops.aligned import zeros_aligned
 from fourd.ops.pixel_filter.op import filter_pixels
 from fourd.ops.play.op import PointPlayer
 
@@ -78,5 +79,5 @@ class Player:
     def _unfiltered_image(self, camera: Camera) -> NDArray[np.uint8]:
         shape = (camera.height, camera.width, 4)
         if self._unfiltered is None or self._unfiltered.shape != shape:
-            self._unfiltered = np.empty(shape, np.uint8)
+            self._unfiltered = zeros_aligned(shape, np.uint8)
         return self._unfiltered

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
 
+import numpy as np
 import tyro
 
 from fourd.baking import BakedFrame, SceneManifest, open_scene
@@ -29,6 +30,7 @@ from fourd.baking.styled.normals import add_normals
 from fourd.baking.styled.player import StyledPlayer
 from fourd.benchmarks.workloads import make_baked_frame, make_camera
 from fourd.cameras import Camera
+from fourd.ops.aligned import zeros_aligned
 from fourd.stylize import PRESETS, load_style
 from fourd.viewer.navigation.paths import fit_camera
 
@@ -69,19 +71,23 @@ class Times:
 
 
 def main(arguments: Arguments) -> int:
+    threads = arguments.threads
     frame, manifest, camera = _subject(arguments)
     frame = frame if frame.normals is not None else add_normals(frame, manifest)
     plain_player = Player()
+    picture = zeros_aligned((camera.height, camera.width, 4), np.uint8)
     plain, times = Times(), dict[str, Times]()
     styles = {name: (load_style(name), StyledPlayer()) for name in arguments.styles}
     for index in range(arguments.rounds + 1):
         if index < 2:  # the times of the first round, which fills caches, are dropped
             plain, times = Times(), {name: Times() for name in styles}
-        plain.measure(lambda: plain_player.draw(frame, camera, manifest, threads=arguments.threads))
+        plain.measure(lambda: plain_player.draw(frame, camera, manifest, threads=threads, out=picture))
         for name, (style, player) in styles.items():
-            times[name].measure(lambda s=style, p=player: p.draw(frame, camera, manifest, s, threads=arguments.threads))
+            times[name].measure(
+                lambda s=style, p=player: p.draw(frame, camera, manifest, s, threads=threads, out=picture)
+            )
             times[name].stylizer.append(1e3 * player.style_seconds)
-    print(f"{frame.point_count:,} points, {camera.width} x {camera.height}, {arguments.threads} threads")
+    print(f"{frame.point_count:,} points, {camera.width} x {camera.height}, {threads} threads")
     print(f"without a style: {median(plain.elapsed):.1f} ms, {median(plain.cpu):.1f} ms of CPU time\n")
     print("| style | added ms | ratio to playing without a style | stylizer ms | added ms of CPU time |")
     print("|---|---|---|---|---|")

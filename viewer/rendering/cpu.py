@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from fourd.baking.player import Player
 from fourd.baking.styled.player import StyledPlayer
+from fourd.ops.aligned import zeros_aligned
 from fourd.viewer.display import RenderRequest
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ class CPURenderer:
         """The rendered image, (H, W, 4) uint8. The next call of :meth:`render` overwrites the image."""
         shape = (request.camera.height, request.camera.width, 4)
         if self._pixels is None or self._pixels.shape != shape:
-            self._pixels = np.empty(shape, np.uint8)
+            self._pixels = zeros_aligned(shape, np.uint8)
         frame, camera, manifest, settings = request.frame, request.camera, request.manifest, request.settings
         layers, background = settings.layers, settings.background
         if settings.style is None:

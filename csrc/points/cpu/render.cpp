@@ -110,7 +110,7 @@ void render_backward(const Cloud& cloud, const Settings& settings, Workspace& wo
     const std::size_t width = 5 + cloud.channels;
     workspace.sums.require(workspace.slots.assign(workspace.bins, cloud.count) * width);
     workspace.scratch_by_worker.resize(team.size());
-    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+    tiles::run_tiles(team, 0, workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(cloud, settings, index);
         Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
         workspace.slots.of_tile(workspace.bins, index, scratch.slots);
@@ -134,7 +134,7 @@ void visibility(const Cloud& cloud, const Settings& settings, Workspace& workspa
     workspace.fill(cloud, settings, team);
     workspace.sums.require(workspace.slots.assign(workspace.bins, cloud.count));
     workspace.scratch_by_worker.resize(team.size());
-    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+    tiles::run_tiles(team, 0, workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(cloud, settings, index);
         Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
         workspace.slots.of_tile(workspace.bins, index, scratch.slots);

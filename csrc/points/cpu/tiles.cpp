@@ -150,6 +150,6 @@ void tile_visibility(const Tile& tile, const std::size_t* slots, float* weights)
 
 }  // namespace
 
-const Loops loops = {project_run, render_tile, draw_tile, turn_normals, draw_tile_surface, render_tile_backward, tile_visibility};
+const Loops loops = {project_run, render_tile, draw_tile, join_normals, draw_tile_surface, render_tile_backward, tile_visibility};
 
 }  // namespace fourd::points::FOURD_SIMD

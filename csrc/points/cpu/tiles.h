@@ -34,6 +34,11 @@ struct Visits {
 
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
+// The features of a point for draw_surface are its colour and its normal. They are adjacent in memory, because tiles
+// read the features of scattered points.
+constexpr int kSurfaceFeatures = 6;
+constexpr std::size_t kJoinedPoints = 64;
+
 struct Loops {
     // Projects points [begin, end) into splats and tile_ranges, which are both indexed by point. Lists the visible
     // points in items and returns their number.
@@ -45,11 +50,13 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // Decodes the octahedral normals (points/octahedral.h) of points [begin, end) in the axes of the camera.
-    void (*turn_normals)(const Pinhole& camera, const std::uint8_t* octahedral, std::size_t begin, std::size_t end,
-                         float* out);
+    // Joins the colours and the normals of points [begin, end), of which there are at most kJoinedPoints. `colours`
+    // (count, 3), `octahedral` (count, 2) and `out` (count, kSurfaceFeatures) are indexed by point. The normals are
+    // decoded (points/octahedral.h) and rotated to the axes of the camera.
+    void (*join_normals)(const Pinhole& camera, const float* colours, const std::uint8_t* octahedral, std::size_t begin,
+                         std::size_t end, float* out);
 
-    // Renders three channels and the visible surface.
+    // Renders the colours and the visible surface. The features of the tile are those of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);
 
     // `sums` has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.

@@ -6,6 +6,7 @@
 
 #include "common/fingerprint.h"
 #include "points/cpu/bins.h"
+#include "tiles/run_tiles.h"
 
 namespace fourd::points {
 
@@ -49,8 +50,7 @@ bool Workspace::draw_tiles(Team& team, const Draw& draw) {
     int bands = 0;
     for (int top = 0; top < bins.rows(); ++bands) {
         const int bottom = bins.fill_band(top, kMaxEntries, team);
-        const int first = top * bins.columns();
-        team.run((bottom - top) * bins.columns(), [&](int index, int) { draw(first + index); });
+        tiles::run_tiles(team, top * bins.columns(), bottom * bins.columns(), [&](int index, int) { draw(index); });
         top = bottom;
     }
     return bands == 1;

@@ -8,6 +8,7 @@
 #include "meshes/tile_slots.h"
 #include "rasterize/cpu/bins.h"
 #include "rasterize/cpu/loops.h"
+#include "tiles/run_tiles.h"
 
 namespace fourd::rasterize {
 namespace {
@@ -50,7 +51,7 @@ void rasterize(const Query& query, const float* previous, float* rast, float* ra
     const int group = Bins::group_size(query);
     for (int first = 0; first < query.images; first += group) {
         bins.fill(query, first, std::min(query.images, first + group), team);
-        team.run(bins.tiles(), [&](int index, int worker) {
+        tiles::run_tiles(team, 0, bins.tiles(), [&](int index, int worker) {
             const std::size_t image = static_cast<std::size_t>(first + index / bins.tiles_per_image());
             const Place place(index % bins.tiles_per_image(), bins.columns());
             const Tile tile{make_screen(query.width, query.height),

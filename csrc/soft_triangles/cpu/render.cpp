@@ -3,6 +3,7 @@
 
 #include "soft_triangles/cpu/workspace.h"
 #include "tiles/corner_sums.h"
+#include "tiles/run_tiles.h"
 
 namespace fourd::soft_triangles {
 namespace {
@@ -80,7 +81,7 @@ void render(const Mesh& mesh, const Settings& settings, Workspace& workspace, co
     const Loops& loops = select_loops(settings.simd);
     Team team(settings.threads);
     workspace.fill(mesh, settings, team);
-    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+    tiles::run_tiles(team, 0, workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(mesh, settings, index);
         loops.render(tile, workspace.scratch_by_worker[worker].visits(tile), out);
     });
@@ -94,7 +95,7 @@ void render_backward(const Mesh& mesh, const Settings& settings, Workspace& work
     const std::size_t width = kShapeSums + static_cast<std::size_t>(mesh.channels);
     workspace.sums.require(workspace.slots.assign(workspace.bins, mesh.count) * width);
     workspace.corners.require(9 * mesh.count);
-    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+    tiles::run_tiles(team, 0, workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(mesh, settings, index);
         Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
         workspace.slots.of_tile(workspace.bins, index, scratch.slots);

@@ -3,6 +3,7 @@
 
 #include "splat_triangles/cpu/workspace.h"
 #include "tiles/corner_sums.h"
+#include "tiles/run_tiles.h"
 
 namespace fourd::splat_triangles {
 namespace {
@@ -92,7 +93,7 @@ void render(const Mesh& mesh, const Settings& settings, Workspace& workspace, co
     workspace.fill(mesh, settings, team);
     workspace.sums.require(workspace.slots.assign(workspace.bins, mesh.count));
     workspace.scratch_by_worker.resize(team.size());
-    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+    tiles::run_tiles(team, 0, workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(mesh, settings, index);
         Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
         workspace.slots.of_tile(workspace.bins, index, scratch.slots);
@@ -119,7 +120,7 @@ void render_backward(const Mesh& mesh, const Settings& settings, Workspace& work
     workspace.sums.require(workspace.slots.assign(workspace.bins, mesh.count) * width);
     workspace.corners.require(9 * mesh.count);
     workspace.scratch_by_worker.resize(team.size());
-    team.run(workspace.bins.tiles(), [&](int index, int worker) {
+    tiles::run_tiles(team, 0, workspace.bins.tiles(), [&](int index, int worker) {
         const Tile tile = workspace.tile(mesh, settings, index);
         Workspace::Scratch& scratch = workspace.scratch_by_worker[worker];
         workspace.slots.of_tile(workspace.bins, index, scratch.slots);

@@ -12,6 +12,7 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.baking.shade import make_shading
 from fourd.baking.styled.normals import FrameNormals
 from fourd.cameras import Camera
+from fourd.ops.aligned import zeros_aligned
 from fourd.ops.play.op import PointPlayer
 from fourd.ops.stylize.op import stylize_surface
 from fourd.ops.stylize.parameters import Surface
@@ -67,7 +68,7 @@ class StyledPlayer:
         """
         size = (camera.height, camera.width)
         if self._last is None or self._last.surface.size != size:
-            self._last = _Picture(Surface.empty(*size), np.zeros(size, np.uint32))
+            self._last = _Picture(Surface.empty(*size), zeros_aligned(size, np.uint32))
         last = self._last
         rests = last.camera is not None and is_same_camera(last.camera, camera)
         if not rests:

@@ -30,6 +30,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from fourd.ops.aligned import zeros_aligned
+
 TONES = 256
 """Number of columns of a shade table."""
 MAX_ROWS = 64
@@ -68,9 +70,9 @@ class Surface:
     @classmethod
     def empty(cls, height: int, width: int) -> Surface:
         """Make a picture without surfaces."""
-        normal = np.full((height, width, 4), 128, np.uint8)
-        normal[..., 3] = 0
-        return cls(np.zeros((height, width, 4), np.uint8), np.zeros((height, width), np.float32), normal)
+        albedo, normal = zeros_aligned((height, width, 4), np.uint8), zeros_aligned((height, width, 4), np.uint8)
+        normal[..., :3] = 128
+        return cls(albedo, zeros_aligned((height, width), np.float32), normal)
 
     @property
     def size(self) -> tuple[int, int]:
