@@ -9,6 +9,7 @@ import pytest
 from fourd.cli.main import main
 from fourd.cli.training_options import TrainingOptions
 from fourd.errors import UserError
+from fourd.pipeline.graph import RunRequest
 from fourd.training.config import TrainConfig
 
 
@@ -139,3 +140,19 @@ def test_segments_that_cannot_be_trained_are_refused(
     line = capsys.readouterr().err
     assert line.startswith(f"fourd train: {message}")
     assert line.count("\n") == 1
+
+
+def test_accepted_mattes_do_not_make_a_still_scene(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches --accept-mattes that trains a scene without foreground."""
+    requests: list[RunRequest] = []
+
+    def record(request: RunRequest) -> tuple[()]:
+        requests.append(request)
+        return ()
+
+    monkeypatch.setattr("fourd.cli.runs.train.stages_to_run", record)
+    words = ["train", str(ball_capture), "-o", str(tmp_path / "run"), "--max-steps", "1", "--accept-mattes"]
+    assert main(words) == 0
+    assert (requests[0].accept_mattes, requests[0].still) == (True, False)
