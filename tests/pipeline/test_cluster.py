@@ -103,6 +103,7 @@ def test_a_killed_worker_is_replaced_and_failures_wait_for_the_others(cluster: C
 
 
 @needs_ray
+@pytest.mark.slow
 def test_segments_are_trained_on_a_cluster(cluster: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches stages that need the memory of the driver, and relative paths that a worker reads from another folder."""
     write_ball_capture(tmp_path / "capture", frames=12)
