@@ -17,6 +17,8 @@ from fourd.limits import read_json
 
 RECORD = DERIVED / "import.json"
 VERSION = 1
+MAX_NUMBER = 1e12
+"""Upper limit of the numbers in a record. Offsets in frames and scales are far below."""
 
 
 @dataclass(frozen=True)
@@ -62,9 +64,24 @@ def read_record(out: Path) -> ImportRecord | None:
         content = read_json(path)
         if content.pop("version") != VERSION:
             raise ValueError
-        return ImportRecord(**content | {"warnings": tuple(content["warnings"])})
+        record = ImportRecord(**content | {"warnings": tuple(content["warnings"])})
+        _check_types(record)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise UserError(f"{path}: expected the record of an import, got other content; name another folder") from error
+    return record
+
+
+def _check_types(record: ImportRecord) -> None:
+    """Raise TypeError if a field of a record from a file does not have its type."""
+    texts = (record.source, record.format, record.calibration, record.files, *record.warnings)
+    numbers = (record.options.get("reduce", 1), *record.offsets.values())
+    matches = all(isinstance(text, str) for text in texts) and all(_is_number(number) for number in numbers)
+    if not (matches and isinstance(record.unpacked, bool) and isinstance(record.done, bool)):
+        raise TypeError("expected the record of an import")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < MAX_NUMBER
 
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:

@@ -8,6 +8,7 @@ import hashlib
 import json
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,39 @@ KEPT = 2
 """Number of checkpoints that are kept on disk."""
 DIGEST_BYTES = 16
 MAX_SHOWN_MISMATCHES = 3
+MAX_STATE = 1e30
+"""Upper limit of the numbers in :class:`SavedProgress`."""
+
+
+@dataclass(frozen=True)
+class SavedProgress:
+    """The numbers that a checkpoint stores beside the tensors.
+
+    Attributes:
+        seconds: training time, 0 or more.
+        psnr: smoothed PSNR of the training steps in dB.
+    """
+
+    seconds: float
+    psnr: float
+
+    def to_json(self) -> dict[str, float]:
+        """The state for :func:`save_checkpoint`."""
+        return {"seconds": self.seconds, "psnr": self.psnr}
+
+    @classmethod
+    def from_json(cls, state: object, source: Path | str) -> SavedProgress:
+        """The inverse of :meth:`to_json`. Raises UserError for other states. The message names ``source``."""
+        values = [state.get(name) if isinstance(state, dict) else None for name in ("seconds", "psnr")]
+        seconds, psnr = (
+            value if isinstance(value, int | float) and abs(value) < MAX_STATE else None for value in values
+        )
+        if seconds is None or psnr is None or seconds < 0:
+            raise UserError(
+                f"{source}: expected training time and PSNR as numbers, got other content; "
+                "delete the file to resume from the previous checkpoint"
+            )
+        return cls(float(seconds), float(psnr))
 
 
 def checkpoint_path(folder: Path, step: int) -> Path:

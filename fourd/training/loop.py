@@ -22,6 +22,7 @@ from fourd.formats.picture import write_picture
 from fourd.processes import DeferredInterrupt
 from fourd.training.cameras.calibration import write_corrected
 from fourd.training.checkpoints import (
+    SavedProgress,
     checkpoint_path,
     latest_checkpoint,
     load_checkpoint,
@@ -209,7 +210,7 @@ class Trainer:
         if self.refinement is not None:
             tensors.update({f"refinement.{name}": value for name, value in self.refinement.state_dict().items()})
         tensors.update(pack_optimizer(self.stepper.optimizer, "optimizer."))
-        state = {"seconds": self.seconds, "psnr": self.psnr}
+        state = SavedProgress(self.seconds, self.psnr).to_json()
         save_checkpoint(self.run.checkpoints, self.done, tensors, state)
         drop_stale_points(self.run.checkpoints)
         if self.refinement is not None:
@@ -250,8 +251,8 @@ class Trainer:
             restore(self.refinement, tensors, "refinement.", found)
             self.stepper.update_cameras()
         unpack_optimizer(self.stepper.optimizer, tensors, "optimizer.", found)
-        self.seconds = float(state["seconds"])
-        self.psnr = float(state["psnr"])
+        progress = SavedProgress.from_json(state, found)
+        self.seconds, self.psnr = progress.seconds, progress.psnr
 
     def _spent(self) -> float:
         return budget_spent(self.config, self.done, self.seconds)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -125,9 +126,22 @@ def mean_score(scores: Sequence[MeshScore]) -> MeanScore:
 
 
 def read_scores(folder: Path) -> MeanScore:
-    """Read the mean scores that :func:`run_mesh` wrote into the folder of the meshes."""
-    content = read_json(folder / SCORES_NAME)
-    return MeanScore(**content["mean"])
+    """Read the mean scores that :func:`run_mesh` wrote into the folder of the meshes.
+
+    Raises UserError if the file is missing or has other content.
+    """
+    path = folder / SCORES_NAME
+    try:
+        mean = read_json(path)["mean"]
+        return MeanScore(_number(mean["iou"]), None if mean["psnr"] is None else _number(mean["psnr"]))
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: expected the scores of meshes, got other content; delete the file") from error
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise TypeError("expected a number")
+    return float(value)
 
 
 def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Capture, list[int]]:

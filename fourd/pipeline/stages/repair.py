@@ -52,8 +52,18 @@ def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, NoSettings
 
 
 def repaired_capture(capture: Path, repaired: Path) -> Path:
-    """The corrected capture if :func:`run_repair` wrote one, otherwise ``capture``."""
-    is_changed = read_json(repaired / RESULT)["changed"]
+    """The corrected capture if :func:`run_repair` wrote one, otherwise ``capture``.
+
+    Raises UserError if the file with the result is missing or has other content.
+    """
+    path = repaired / RESULT
+    try:
+        content = read_json(path)
+    except (OSError, ValueError):
+        content = None
+    is_changed = content.get("changed") if isinstance(content, dict) else None
+    if not isinstance(is_changed, bool):
+        raise UserError(f"{path}: expected the result of a repair, got other content; delete the file")
     return repaired if is_changed else capture
 
 
