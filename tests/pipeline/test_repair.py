@@ -21,7 +21,7 @@ def test_a_wrong_calibration_is_corrected_in_a_linked_capture(tmp_path: Path, rn
     """Catches a correction that changes the user's files, and a correction without figures."""
     true = room_cameras(4, 320, 240)
     names = list("abcd")
-    wrong = perturb_cameras(dict(zip(names, true, strict=True)), 1.5, 0.04, rng)
+    wrong = perturb_cameras(dict(zip(names, true, strict=True)), 1.0, 0.02, rng)
     source = write_room(tmp_path / "source", names, true, list(wrong.values()))
     before = (source / "extri.yml").read_text()
     text = io.StringIO()
