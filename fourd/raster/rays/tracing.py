@@ -13,6 +13,7 @@ from fourd.ops.rays.reference import trace_rays_reference
 from fourd.raster.rays.bvh import Bvh
 
 MAX_LAYERS = 1024
+MAX_RAYS = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -155,13 +156,16 @@ def _check_rays(
         raise ValueError(f"threads: expected 0 (for the default) or more, got {threads}")
     dtypes = (torch.float32, torch.float64) if backend == "reference" else (torch.float32,)
     check_tensor("origins", origins, ("R", 3), dtypes=dtypes)
+    if len(origins) > MAX_RAYS:
+        raise ValueError(f"origins: expected at most {MAX_RAYS} rays, got {len(origins)}; trace them in several calls")
     check_tensor("directions", directions, ("R", 3), like=("origins", origins))
     if origins.device != bvh.xyz.device:
         raise ValueError(f"origins: expected device {bvh.xyz.device}, that of the tree, got {origins.device}")
     if len(directions) != len(origins):
         raise ValueError(f"directions: expected {len(origins)} rays, as in origins, got {len(directions)}")
     low, high = (_limit(name, value, origins) for name, value in (("t_min", t_min), ("t_max", t_max)))
-    if len(low) == 1 and len(high) == 1 and not bool(low[0] <= high[0]):
+    of_all_rays = not isinstance(t_min, Tensor) and not isinstance(t_max, Tensor)
+    if of_all_rays and not bool(low[0] <= high[0]):
         raise ValueError(f"t_min: expected at most t_max, got {float(low[0])} and {float(high[0])}")
     return low, high
 

@@ -262,6 +262,10 @@ def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
         bvh.refit(xyz[:3])
     with pytest.raises(ValueError, match=r"t_min: expected at most t_max, got 2.0 and 1.0"):
         trace(bvh, xyz, *rays, t_min=2.0, t_max=1.0)
+    one_ray = rays[0][:1], rays[1][:1]
+    assert not trace(bvh, xyz, *one_ray, t_min=torch.full((1,), 2.0), t_max=torch.ones(1)).is_hit.any()
+    with pytest.raises(ValueError, match=r"origins: expected at most 2147483647 rays, got 2147483648; trace them in"):
+        trace(bvh, xyz, *(torch.zeros(1, 3).expand(2**31, 3) for _ in range(2)))
     with pytest.raises(ValueError, match=r"t_max: expected a number, got NaN"):
         trace(bvh, xyz, *rays, t_max=float("nan"))
     with pytest.raises(ValueError, match=r"layers: expected 1 to 1024, got 0"):
