@@ -21,8 +21,8 @@ Values = Literal["any", "finite", "nonnegative", "unit"]
 infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
-"""How the background's array is appended to the array of the dynamic points: "concatenate" leaves the background's
-array unchanged, "cast_shadow" multiplies it by the shadow."""
+"""How the background's array is appended to the array of the dynamic points: "concatenate" appends the background's
+array unchanged, "cast_shadow" appends its product with the frame's shadow factors."""
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,8 @@ GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
 tested."""
 
 MAX_BAKED_WEIGHT = 1024.0
-"""Maximum blend weight of each point after scaling of the blend weights. The weights are scaled so that small weights
-do not underflow in fp16."""
+"""The blend weights of each point are scaled so that the largest one has this value. Without scaling, small weights
+would underflow in fp16."""
 
 
 def bake_run(
@@ -97,7 +97,8 @@ def require_bakeable(run: Run) -> None:
 
 
 def select_baked_views(run: Run) -> list[int]:
-    """Return the cameras whose colours are baked: the training views, or no cameras if the appearance is SH only."""
+    """Return the cameras whose colours are baked: the training views, or no cameras if the run stores colours only as
+    spherical harmonics."""
     return run.training if run.config.train.model.appearance != "sh" else []
 
 

@@ -96,8 +96,8 @@ class ColourFit:
 def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
     """Return the cameras for which the colours of a scene are evaluated.
 
-    These cameras are the source views and cameras between them. If the scene has no source views, they are all cameras
-    of the scene. For a scene without cameras, viewpoints on a sphere around the scene are used.
+    These cameras are the source views and cameras between them. For a scene without source views, all cameras of the
+    scene are returned. For a scene without cameras, cameras on a sphere around the scene are returned.
     """
     cameras = manifest.source_cameras or manifest.cameras
     if cameras:
@@ -108,7 +108,7 @@ def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
 def between(cameras: Sequence[Camera], focus: NDArray[np.float64]) -> list[Camera]:
     """Return cameras halfway between each camera and its nearest cameras, without duplicates.
 
-    The new cameras look at ``focus``. Each has the intrinsics of one of the two cameras between which it lies.
+    The new cameras look at ``focus``. Each new camera has the intrinsics of one of its two neighbours.
     """
     pairs = set()
     for index, camera in enumerate(cameras):

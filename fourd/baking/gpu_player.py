@@ -67,8 +67,8 @@ class GpuPlayer:
         background: tuple[float, float, float] = (0.0, 0.0, 0.0),
         out: Tensor | None = None,
     ) -> Tensor:
-        """Draw the same image as :meth:`fourd.baking.player.Player.draw`. Each byte differs from that image by at most
-        1.
+        """Draw the same image as :meth:`fourd.baking.player.Player.draw`. Each byte differs from the corresponding byte
+        of that image by at most 1.
 
         The work is queued on torch's current CUDA stream. The call returns before the image is complete.
 

@@ -89,17 +89,17 @@ def read_vertices(path: Path) -> NDArray[Any]:
     """Read the vertices of a PLY file as a structured array (N,), one field for each property.
 
     Raises:
-        UserError: as :func:`read_ply`, but coordinates may be NaN or infinite.
+        UserError: for the errors of :func:`read_ply`, except for coordinates that are not finite.
     """
     header, body = _read(path, -1)
     return _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)
 
 
 def read_faces(path: Path) -> NDArray[np.int32]:
-    """Read the faces of a PLY file, which must be triangles and must follow the vertices, as vertex indices (T, 3).
+    """Read the triangles of a PLY file as vertex indices (T, 3). The faces must directly follow the vertices.
 
     Raises:
-        UserError: if the file is not a valid PLY file, or has other faces.
+        UserError: if the file is not a valid PLY file, or has faces that are not triangles.
     """
     header, body = _read(path, -1)
     if header.faces is None:

@@ -110,8 +110,8 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
 
 
 def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
-    """The files of the frames. If ``out`` has the suffix of the format, the only file is ``out``. Otherwise, these are
-    files in the folder ``out``, or in ``out/frames`` for USD.
+    """The files of the frames. If ``out`` has the suffix of the format, the only file is ``out``. Otherwise, the files
+    are in the folder ``out``, or in ``out/frames`` for USD.
 
     Each name ends in the frame's number in the capture, so that other programs recognize the sequence.
     """

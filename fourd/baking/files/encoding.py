@@ -35,8 +35,8 @@ class CloudEncoding:
         radius_steps: number of codes per factor of 2 in the radius.
         density_levels: code that stands for the density 1, at most 255.
         sh_basis: (K, 48) float32, orthonormal basis vectors as rows. The spherical-harmonics coefficients of a point
-            are ``sh_mean`` plus the sum of the rows, where each row is multiplied by a factor of the point. The 48
-            numbers of a row are 16 coefficients for red, then 16 for green, then 16 for blue.
+            are ``sh_mean`` plus a weighted sum of the rows. The scene stores the weights of this sum, called factors,
+            for each point. The 48 numbers of a row are 16 coefficients for red, then 16 for green, then 16 for blue.
         sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
         weight_steps: number of codes per factor of 2 in the blend weight. The code 1 stands for the largest weight of

@@ -18,17 +18,18 @@ SAMPLES = 3
 """Samples per pixel along each axis."""
 _MAP_COLUMNS = 1024
 _NEAR_SHARE = 1e-4
-"""Smallest distance between near plane and camera, as a share of the distance of the farthest vertex."""
+"""Minimum depth of the near plane, as a share of the depth of the far plane."""
 
 
 @dataclass(frozen=True, eq=False)
 class GeometryBuffer:
-    """Sums over the samples of each pixel. Samples without a triangle contribute 0.
+    """Sums of colours, depths and normals over the samples of each pixel. Samples without a triangle contribute 0.
 
     Attributes:
-        rgb: (H, W, 3) float32 colours in [0, 1].
-        depth: (H, W) float32 camera depths in world units.
-        normal: (H, W, 3) float32 unit normals in the camera's frame. They point to the side that the camera sees.
+        rgb: (H, W, 3) float32, sums of colours in [0, 1].
+        depth: (H, W) float32, sums of camera depths in world units.
+        normal: (H, W, 3) float32, sums of unit normals in the camera's frame. The normals point to the side that the
+            camera sees.
         hits: (H, W) float32 number of samples with a triangle.
         samples: number of samples per pixel.
     """
@@ -86,8 +87,8 @@ def draw_mesh(mesh: Mesh, camera: Camera, *, samples: int = SAMPLES, threads: in
 
 
 def _box(xyz: NDArray[np.float32], camera: Camera) -> tuple[int, int, int, int]:
-    """Left, top, width and height in pixels of a part of the image outside of which nothing is visible. The part is the
-    whole image if the mesh extends behind the camera, and at least one pixel."""
+    """Left, top, width and height in pixels of a box that contains the mesh in the image. The box has at least one
+    pixel. If the mesh extends behind the camera, the box is the whole image."""
     pixels, depth = camera.project(xyz)
     if depth.min() <= 0:
         return 0, 0, camera.width, camera.height
@@ -120,7 +121,8 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Clip coordinates (V, 4). All points in front of the camera are between the near plane and the far plane."""
+    """Clip coordinates (V, 4). All vertices in front of the camera are nearer than the far plane. Vertices are nearer
+    than the near plane only if their depth is below ``_NEAR_SHARE`` times the depth of the far plane."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]

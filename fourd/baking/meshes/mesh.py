@@ -18,7 +18,7 @@ class Mesh:
     Attributes:
         xyz: (V, 3) float32 vertices in world units, all finite.
         triangles: (T, 3) int32 vertex indices.
-        normals: (V, 3) float32 unit normals, or None for the means of the adjacent triangles' normals.
+        normals: (V, 3) float32 unit normals. If None is given, the mean normals of the adjacent triangles are used.
         rgb: (V, 3) uint8 sRGB colours, or None.
         uv: (V, 2) float32 positions in the texture, from 0 to 1 with v downwards, or None.
         texture: (S, S', 3) uint8 sRGB texture, or None. It replaces ``rgb``.

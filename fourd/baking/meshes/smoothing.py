@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from fourd.baking.meshes.mesh import Mesh
 
 ROUNDS = 8
-"""How often each normal is replaced by the mean of the normals around it. Eight rounds over the neighbours in a mesh
-average over about the same part of a surface as the three rounds of :mod:`fourd.stylize.normals`."""
+"""How often each normal is replaced by the mean of the normals around it. Eight rounds over adjacent vertices average
+over about the same surface area as the three rounds of :mod:`fourd.stylize.normals` over nearest points."""
 
 
 def smooth_normals(mesh: Mesh, rounds: int = ROUNDS) -> Mesh:

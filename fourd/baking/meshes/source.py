@@ -12,7 +12,8 @@ from fourd.errors import UserError
 from fourd.formats.ply import read_header
 
 ANIMATION_NAME = "animation.glb"
-"""File of `fourd mesh` with all frames, which the folder also has as single files."""
+"""Name of the file in which `fourd mesh` writes all frames as an animation. The folder also contains one file for each
+frame."""
 
 
 def is_mesh(path: Path) -> bool:

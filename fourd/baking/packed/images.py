@@ -36,10 +36,11 @@ MAX_SIDE = 1 << 14
 """Largest width and height of an image in texels."""
 _NEAR, _HALF = np.float32(1e-6), np.float32(0.5)
 _FRAME_BYTES_PER_TEXEL = 2
-"""No image has more bytes per texel. VP9 frames without loss have fewer."""
+"""Maximum size of a stored image in bytes per texel. Even lossless VP9 frames are smaller."""
 _SMALLEST_FRAME = 1024
 _KEY_FRAME = b"\x82", b"\x83"
-"""First byte of a key frame that is shown, of profile 0, with or without error resilience (VP9 specification, 6.2)."""
+"""The two valid first bytes of a key frame of profile 0 that is shown: without and with error resilience (VP9
+specification, 6.2)."""
 _SYNC_CODE = b"\x49\x83\x42"
 _RGB_SPACE = 7
 
@@ -87,7 +88,7 @@ def project(xyz: NDArray[np.float32], camera: Camera, scale: float) -> tuple[Flo
     The centre of texel (i, j) is at (i + 1/2, j + 1/2).
     """
     matrix, offset = camera.intrinsics @ camera.rotation, camera.intrinsics @ camera.translation
-    # Products of float32 matrices are several times faster, and their errors are below 1/1000 texel.
+    # Float32 products are several times faster than float64 products, and their errors are below 1/1000 texel.
     with np.errstate(all="ignore"):  # Positions in damaged files can be infinite.
         local = xyz @ matrix.T.astype(np.float32) + offset.astype(np.float32)
         factor = np.float32(scale) / np.maximum(local[:, 2], _NEAR)
@@ -160,8 +161,8 @@ def bilinear(planes: Sequence[NDArray[Any]], x: Floats, y: Floats) -> list[Float
 
 
 def _frame_size(frame: bytes) -> tuple[int, int]:
-    """Return the width and the height that a VP9 frame declares. Raises StreamError if it is not a key frame that is
-    shown, of profile 0, alone in its packet."""
+    """Return the width and the height that a VP9 frame declares. The frame must be the only frame of its packet. It
+    must be a key frame of profile 0 that is shown. Otherwise StreamError is raised."""
     if frame[:1] not in _KEY_FRAME or frame[1:4] != _SYNC_CODE or len(frame) < 10:
         raise StreamError(f"expected a key frame of VP9, got other content ({frame[:4].hex() or 'nothing'})")
     if _is_superframe(frame):

@@ -45,7 +45,8 @@ _MAX_LEVEL = 127
 
 @dataclass(frozen=True)
 class ColourRounding:
-    """How the writer rounds colours beyond the step of the encoding. Readers do not need these numbers.
+    """How the writer rounds colours in addition to the ``colour_step`` of the encoding. Readers do not need these
+    numbers.
 
     Attributes:
         mean_step: mean colours are rounded to multiples of this number, in units of 1/255.
@@ -240,7 +241,7 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
 def _sample_view(
     member: bytes, xyz: NDArray[np.float32], mean: NDArray[np.uint8], camera: Camera, scale: float
 ) -> NDArray[np.uint8]:
-    """Return the content of a view's member as with a colour step of 1: the image is replaced by colours of points.
+    """Return the content of a view's member with colours of points in place of the image. The colour step is 1.
 
     ``mean`` has the mean colours as planes (3, N).
     """

@@ -57,8 +57,8 @@ def merge_samples(samples: Iterable[CloudSamples]) -> CloudSamples:
 
 
 def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
-    """Sample the points of one frame at equal distances in their order. ``frames`` is the total number of frames that
-    are sampled."""
+    """Sample the points of one frame at equally spaced indices. ``frames`` is the total number of frames that are
+    sampled."""
     if frame.point_count == 0:
         nothing = np.zeros(0, np.float32)
         return CloudSamples(

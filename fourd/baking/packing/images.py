@@ -41,7 +41,8 @@ the gaps between points."""
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02
-"""Weight of the difference 0, relative to that of a point in every texel."""
+"""Number that is added to the sum of the points' weights in each texel. It pulls texels with small weights to the
+difference 0."""
 _FROM_YCC = np.array([[1, 0, RED_FROM_CR], [1, GREEN_FROM_CB, GREEN_FROM_CR], [1, BLUE_FROM_CB, 0]], np.float64)
 _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 """Matrix from red, green and blue to Y, Cb and Cr."""
@@ -50,8 +51,9 @@ _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 def choose_scale(cloud: BakedFrame, manifest: SceneManifest, precision: Precision) -> float | None:
     """Return the scale of the images for a typical cloud, or None if the tier has no images.
 
-    With this scale, the radius of the median point that a view sees is ``precision.texels_per_radius`` texels, in the
-    view with the largest points. The images have at most the resolution of the cameras.
+    For each view, the median radius in pixels of the points that the view sees is computed. With the returned scale,
+    the largest of these medians is ``precision.texels_per_radius`` texels. The images have at most the resolution of
+    the cameras.
     """
     if precision.crf is None or manifest.view_count == 0:
         return None

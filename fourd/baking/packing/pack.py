@@ -35,7 +35,8 @@ class PackReport:
         parts: mean compressed size per frame, in bytes, of each kind of member, such as "points" or "views".
             "background" is the total size of the background, which is stored once.
         streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera.
-            The player fetches all members except the views, of which it fetches only ``neighbours``.
+            The player fetches the members of ``neighbours`` source views, and all members that do not belong to a
+            source view.
         colour_psnr: PSNR in dB of the colours in the source views against those of the source scene. None if the tier
             does not store these colours as images.
     """
@@ -132,6 +133,8 @@ class _Packer:
         self.colours = ColourErrors()
         sampled = (sample_cloud(self._read(index), len(frames)) for index in frames)
         dynamic = merge_samples(track(sampled, len(frames), "sample"))
+        # All background points are kept, because the background also covers directions that no view of the capture
+        # shows.
         background = reader.read_background() if has_background else None
         self.background = None if background is None else self._prepare(background)
         first = next((index for index in frames if reader.manifest.points[index]), frames[0])
@@ -166,9 +169,9 @@ class _Packer:
         return replace(report, colour_psnr=self.colours.psnr if has_images else None)
 
     def _read(self, index: int, *, for_file: bool = False) -> BakedFrame:
-        """Read the points of a frame that some viewer sees, prepared for the tier. Samples have no normals.
+        """Read the dynamic points of a frame that are visible in at least one view, converted for the tier.
 
-        Points of the background are kept, because the shell shows directions that no view of the capture shows.
+        Unless ``for_file`` is true, the points have no normals.
         """
         cloud = self.reader.read_dynamic(index)
         visible = _select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility))

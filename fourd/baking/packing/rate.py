@@ -47,20 +47,21 @@ class Choice:
 
 
 LIGHT_FROM = 3
-"""Index of the finest level of "light" that is used for a connection. For larger rates, "stream" has levels of a
-similar size and quality."""
+"""Index of the finest level of "light" that is used for a connection. The finer levels of "light" are not used, because
+levels of "stream" have a similar size and quality."""
 CANDIDATES: tuple[tuple[Tier, int], ...] = (
     *(("full", level) for level in range(len(LEVELS["full"]))),
     *(("stream", level) for level in range(len(LEVELS["stream"]))),
     *(("light", level) for level in range(LIGHT_FROM, len(LEVELS["light"]))),
 )
-"""Tiers and levels from best to smallest."""
+"""Tiers and levels, from the best quality to the smallest size."""
 
 
 def choose_tier(
     source: Path, max_mbps: float, name: Path, track: Track = untracked, *, for_web: bool = False
 ) -> Choice:
-    """Return the best level whose frames, as fetched for one viewer, fit ``max_mbps`` megabits per second.
+    """Return the best level that a connection of ``max_mbps`` megabits per second can play without pauses for one
+    viewer.
 
     Args:
         source: a `.4dv` of any version.

@@ -1,4 +1,4 @@
-"""Finds the points of a cloud that some viewer sees."""
+"""Finds the points of a cloud that are visible in at least one view."""
 
 from __future__ import annotations
 

@@ -55,7 +55,8 @@ def read_splat_ply(path: Path) -> SplatCloud:
     """Read a cloud. Splats with invalid values are left out, see :func:`fourd.baking.splats.cloud.make_valid_cloud`.
 
     Raises:
-        UserError: if the file is missing or truncated, or lacks a property of splats. The message names the file.
+        UserError: if the file is missing or truncated, or lacks a property that splats need. The message names the
+            file.
     """
     rows = read_vertices(path)
     names = set(rows.dtype.names or ())

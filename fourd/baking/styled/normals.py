@@ -17,7 +17,8 @@ _SAMPLES = 4096
 
 
 def add_normals(frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
-    """Return ``frame`` with estimated normals. The manifest supplies the source cameras, which see the outside."""
+    """Return ``frame`` with estimated normals. The source cameras in the manifest determine which side of a surface is
+    outside."""
     return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest))
 
 

@@ -23,7 +23,7 @@ from fourd.stylize.view import view_style
 
 @dataclass(eq=False)
 class _Picture:
-    """What is kept from one picture to the next."""
+    """Data that is kept from one picture for the next picture."""
 
     surface: Surface
     lines: NDArray[np.uint32]
@@ -33,10 +33,10 @@ class _Picture:
 class StyledPlayer:
     """Draws baked frames in a style. Only one thread may use an instance.
 
-    While the camera rests, depth and normals are averaged over successive pictures, lines fade in, and a line stays
-    until it is clearly below its threshold. The noise of the points then does not move the lines. Surfaces that move
-    are not averaged, because their depth or normal differs from that of the previous picture. The first picture in a
-    style has all its lines at full strength.
+    While the camera rests, depths and normals are averaged over successive pictures, lines fade in, and a line
+    disappears only when it is clearly below its threshold. This reduces flickering of lines due to the noise of the
+    points. Where a surface moves, its depth or normal differs from that of the previous picture, and no average is
+    computed. The first picture in a style has all its lines at full strength.
 
     Attributes:
         style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.
@@ -137,7 +137,7 @@ class StyledPlayer:
 
 
 def is_same_camera(first: Camera, second: Camera) -> bool:
-    """Whether two cameras of one image size show a scene from the same pose with the same intrinsics."""
+    """Whether two cameras have the same pose and the same intrinsics. Image sizes are not compared."""
     return first is second or (
         np.array_equal(first.intrinsics, second.intrinsics)
         and np.array_equal(first.rotation, second.rotation)
