@@ -1,9 +1,10 @@
 """Normals of the points of a scene, and their storage in two bytes.
 
 A normal is the direction in which the neighbours of a point spread least (principal component analysis, Hoppe et al.
-1992). It points to the side from which the capture's cameras see the point, and is turned until it faces all these
-cameras: on thin parts, such as the legs of an animal, the neighbours lie on all sides and do not determine the normal.
-Normals are then averaged over the neighbours, because the noise of the positions would show as speckle in a drawing.
+1992). A normal points to the side from which the capture's cameras see the point. On thin parts, such as the legs of an
+animal, the neighbours lie on all sides and do not determine the normal. Therefore, each normal is rotated until it
+faces all cameras that see the point. Normals are then averaged over the neighbours, because the noise of the positions
+would show as speckle in a drawing.
 """
 
 from __future__ import annotations
@@ -15,22 +16,25 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 NEIGHBOURS = 24
-"""Neighbours of a point whose positions determine its normal."""
+"""Number of nearest points whose positions determine the normal of a point."""
 SMOOTHING_ROUNDS = 3
 """How often each normal is replaced by the mean of the normals around it."""
 VOTING_ROUNDS = 4
-"""How often a normal that contradicts most of its nearest points is reversed."""
+"""Number of rounds of voting. In each round, a normal is reversed if most normals of its nearest points point to the
+opposite side."""
 VOTERS = 8
-"""Nearest points that vote on the sign of a normal. More points would include those on the other side of thin parts."""
+"""Number of nearest points whose normals vote on the sign of a normal. A larger number would include points on the
+other side of thin parts."""
 LEAST_COSINE = 0.1
-"""Least cosine between a normal and the direction to a camera that sees the point."""
+"""Minimum cosine between a normal and the direction to a camera that sees the point."""
 TURNING_ROUNDS = 2
-"""How often each normal is turned to each camera that sees the point."""
+"""Number of rounds in which each normal is rotated towards each camera that sees the point."""
 _SEES = 0.3
-"""A camera sees a point if its weight exceeds this share of the largest weight of the point. Smaller weights are often
-those of cameras that see the point through a gap."""
+"""A camera sees a point if the camera's weight exceeds this share of the largest weight of the point. Smaller weights
+often belong to cameras that see the point through a gap between other points."""
 _COARSE = 12
-"""Side of the coarse grid that orients points that no camera sees, in cells per longest side of the scene."""
+"""Number of cells of a coarse grid along the longest side of the scene. The grid determines the outer side of surfaces
+that no camera sees."""
 
 Points = NDArray[np.floating]
 Normals = NDArray[np.float32]
@@ -41,7 +45,7 @@ class Visibility:
     """Which cameras see which points.
 
     Attributes:
-        weights: (N, V) weights from 0, such as blend weights. 0 where a camera does not see a point.
+        weights: (N, V) weights, such as blend weights, 0 or more. A weight is 0 if the camera does not see the point.
         centres: (V, 3) centres of the cameras.
     """
 
@@ -54,7 +58,7 @@ class Visibility:
         return rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), np.float32(1e-12))
 
     def mean_directions(self, xyz: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(N, 3) directions to the cameras, weighted and summed. 0 where no camera sees the point."""
+        """(N, 3) weighted sums of the unit directions to the cameras. The sum is 0 for points that no camera sees."""
         total = np.zeros((len(xyz), 3), np.float32)
         for view in range(len(self.centres)):
             total += self.weights[:, view, None].astype(np.float32) * self.rays(xyz, view)
@@ -88,7 +92,7 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
         votes = np.einsum("nki,ni->n", normals[near[:, :VOTERS]], normals)
         normals[votes < 0] *= -1
     for _ in range(SMOOTHING_ROUNDS):
-        # A neighbour on the other side of a thin part has the opposite normal, and does not count.
+        # A neighbour on the other side of a thin part has the opposite normal, and is ignored.
         around = normals[near]
         agrees = np.einsum("nki,ni->nk", around, normals) > 0
         normals = _unit(np.einsum("nki,nk->ni", around, agrees.astype(np.float32)), normals)
@@ -106,7 +110,7 @@ def encode_octahedral(normals: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def decode_octahedral(stored: NDArray[np.uint8]) -> Normals:
-    """The unit normals (N, 3) of :func:`encode_octahedral`."""
+    """The unit normals (N, 3) that :func:`encode_octahedral` stored."""
     plane = (stored.astype(np.float32) - 128) / 127
     z = 1 - np.abs(plane).sum(1, keepdims=True)
     plane = plane - np.where(plane > 0, 1, -1) * np.maximum(-z, 0)
@@ -122,7 +126,7 @@ def _least_spread(positions: NDArray[np.float32], near: NDArray[np.intp]) -> Nor
 
 
 def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Visibility) -> Normals:
-    """Turn each normal towards the cameras that see its point, but only until the cosine is LEAST_COSINE."""
+    """Rotate each normal towards the cameras that see its point, but only until its cosine is LEAST_COSINE."""
     least = _SEES * np.asarray(seen.weights, np.float32).max(1, initial=0)
     for _ in range(TURNING_ROUNDS):
         turned = normals
@@ -135,7 +139,8 @@ def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Vis
 
 
 def _away_from_centres(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Direction from the mean of the points in the 3 x 3 x 3 coarse cells around each point to the point."""
+    """Directions (N, 3) to the points from the mean positions around them. The mean position around a point is taken
+    over the 3 x 3 x 3 coarse cells around the point."""
     lower = positions.min(0)
     side = max(float((positions.max(0) - lower).max()) / _COARSE, 1e-12)
     cells = np.minimum(((positions - lower) / side).astype(int), _COARSE - 1) + 1

@@ -40,11 +40,12 @@ class Ramp:
     """The colours of toon and X-Toon shading.
 
     Attributes:
-        stops: lists of a tone in [0, 1], where a colour begins, and the red, green and blue of that colour in [0, 1].
-            The first stop has the tone 0.
-        softness: width of the change between two colours, in tones, 0 to 1.
-        map: a PNG instead of stops. Columns are tones. toon: 1 row. xtoon: 1 to 64 rows, the first for the detail 0.
-        gain: factor on the colours.
+        stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and the red, green and blue of that
+            colour. The first stop has the tone 0.
+        softness: width of the transition between two colours, in tones, 0 to 1.
+        map: path of a PNG that replaces ``stops``. Its columns are tones, its rows are details. The first row is for
+            the detail 0. Toon shading has 1 row, X-Toon shading has 1 to 64 rows.
+        gain: factor by which the colours are multiplied.
     """
 
     stops: tuple[Stop, ...] = ((0.0, 0.42, 0.42, 0.52), (0.45, 0.72, 0.7, 0.74), (0.72, 1.0, 1.0, 1.0))
@@ -71,8 +72,8 @@ class DetailAxis:
             distance ``far - near`` from it. facing: N.V to the power ``power``, 0 at silhouettes.
         near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
         power: exponent of N.V.
-        fade: share of ``fade_colour`` in the stops' colours at the last row. Not used with a map.
-        fade_colour: colour of the last row.
+        fade: share of ``fade_colour`` in the colours of the last row. A map is not faded.
+        fade_colour: colour that is mixed into the last row.
     """
 
     by: Detail = "facing"
@@ -110,8 +111,8 @@ class Angle:
     """Darkening of surfaces at grazing angles.
 
     Attributes:
-        threshold: the colour begins where N.V is below this number. 0 for none.
-        softness: half of the width of the change, in N.V.
+        threshold: surfaces darken where N.V is below this number. 0 disables the darkening.
+        softness: half of the width of the transition, in units of N.V.
         strength: largest share of ``colour``.
         colour: red, green and blue.
     """
@@ -138,7 +139,7 @@ class LineSettings:
         normal: change of the cosine between normals at which a line begins, above 0.
         thickness: distance between the taps in pixels of a picture with 1080 rows, 0.25 to 8. Lines are about twice as
             wide.
-        opacity: strongest line, 0 to 1.
+        opacity: opacity of the strongest lines, 0 to 1.
         colour: red, green and blue.
     """
 
@@ -163,7 +164,7 @@ class Hatching:
 
     Attributes:
         width: largest share of ink in a layer of lines, 0 for no hatching.
-        spacing: distance of the lines in pixels of a picture with 1080 rows.
+        spacing: distance between the lines in pixels of a picture with 1080 rows.
         levels: brightness below which the first and the second layer begin.
         colour: red, green and blue of the ink.
     """
@@ -186,11 +187,12 @@ class Style:
 
     Attributes:
         shading: how a colour depends on the light.
-        albedo: share of the captured colours. The rest is white, or ``base`` without shading.
-        base: colour of surfaces whose albedo is not used, for shading none.
+        albedo: share of the captured colours in the surface colours, 0 to 1. The remaining share is white, or ``base``
+            if the shading is none.
+        base: colour with the share ``1 - albedo`` in the surface colours if the shading is none.
         paper: colour behind the scene, or None for the background colour of the picture.
         persistence: weight of the previous depth, normals and fainter lines while the camera rests, from 0 to 0.95.
-        hysteresis: share by which the thresholds of lines are lower where the previous picture has a line.
+        hysteresis: share by which the thresholds of lines are reduced where the previous picture has a line.
     """
 
     shading: ShadingKind = "none"

@@ -17,7 +17,7 @@ from fourd.viewer.panel.viewpoint import VIEWPOINT
 from fourd.viewer.state import ViewerState
 
 SECTIONS: tuple[Section, ...] = (SCENE, PLAYBACK, VIEWPOINT, DISPLAY, STYLE, OUTPUT, RENDERER, HELP)
-"""From top to bottom."""
+"""The sections of the panel, from top to bottom."""
 
 _LABEL_WIDTH = 110.0
 

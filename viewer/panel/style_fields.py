@@ -45,7 +45,7 @@ def _draw_light(style: Style) -> Style:
     largest = max(1.0, *(abs(value) for value in light.direction))
     shown = [value / largest for value in light.direction]
     changed, values = imgui.slider_float3("direction", shown, -1, 1, "%.2f", imgui.SliderFlags_.always_clamp)
-    # Without a direction, there would be no light. The last direction stays while the sliders pass through 0.
+    # A direction of length 0 is not valid. If all sliders are at 0, the last valid direction is kept.
     direction = _triple(values) if changed and any(values) else light.direction
     return replace(style, light=Light(direction, _combo("axes", light.frame, _FRAMES)))
 
@@ -157,7 +157,7 @@ GROUPS: tuple[Group, ...] = (
     Group("Grazing angles", _draw_angle),
     Group("Paper", _draw_paper),
 )
-"""From top to bottom."""
+"""The groups of widgets, from top to bottom."""
 
 
 def edit_style(style: Style, report: Callable[[str], None]) -> Style:
@@ -182,7 +182,7 @@ def edit_style(style: Style, report: Callable[[str], None]) -> Style:
 def _slider(
     label: str, value: float, least: float, most: float, shown: str = "%.2f", is_logarithmic: bool = False
 ) -> float:
-    # A number that is typed after Ctrl + click is limited, too.
+    # Numbers that are typed after Ctrl + click are also clamped.
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if is_logarithmic else 0)
     changed, found = imgui.slider_float(label, value, least, most, shown, flags)
     return min(max(float(found), least), most) if changed else value

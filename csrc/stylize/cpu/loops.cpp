@@ -98,7 +98,7 @@ inline float wave(float position) {
     return size_of(2.0f * part - 1.0f);
 }
 
-// The share of a pixel that two layers of hatching cover with ink. The darker the picture, the wider the lines.
+// The share of a pixel that two layers of hatching cover with ink. The lines become wider as `light` decreases.
 inline float hatching(const Numbers& n, float x, float y, float light) {
     float ink = 0.0f;
     for (int layer = 0; layer < 2; ++layer) {
