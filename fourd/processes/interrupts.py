@@ -8,7 +8,8 @@ from types import FrameType, TracebackType
 
 
 class DeferredInterrupt:
-    """A context manager in which the first Ctrl-C only sets :attr:`is_pending`. The second raises KeyboardInterrupt.
+    """A context manager in which the first Ctrl-C only sets :attr:`is_pending`. The second Ctrl-C raises
+    KeyboardInterrupt.
 
     Signals are only deferred in the main thread, because Python handles signals only there. A process that ignores
     Ctrl-C, or handles it in another way, is not changed.

@@ -1,4 +1,5 @@
-"""Parsers of other libraries in a child process, where a crash, a hang or a lack of memory is an error message.
+"""Runs parsers of other libraries in a child process, so that a crash, a hang or a lack of memory leads to an error
+message.
 
 The child process runs :mod:`fourd.processes.worker`. Requests and replies are JSON, followed by plain bytes. A reply
 never contains pickled objects, because a damaged file may have changed the memory of the child process.
@@ -23,7 +24,7 @@ from fourd.limits import printable
 from fourd.processes.worker import CRASHED, MAX_REPLY_BYTES, read_message, write_message
 
 SECONDS = 8.0
-"""Processor time in seconds that a call may use, without the time for the size of the file."""
+"""Processor time in seconds that a call may use for an empty file."""
 SECONDS_PER_MB = 10.0
 """Additional processor time in seconds for each MiB of the file. Decoding of one keyframe interval of a strongly
 compressed video needs a few seconds for each MiB."""
@@ -35,8 +36,8 @@ directory."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that are set to 1, because the buffers of idle threads count as used memory."""
 WAIT_FACTOR = 20.0
-"""The child process is ended if a call takes this number of times its processor time. Other programs may use the
-processor, and disks may be slow."""
+"""The child process is ended if a call takes longer than this factor times its limit of processor time. The factor is
+large because other programs may use the processor, and disks may be slow."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Locks on folders.
 
-Two commands that change the same run, capture or work folder would delete each other's files.
+Without a lock, two commands that change the same run, capture or work folder could delete each other's files.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def _lock(folder: Path) -> int:
 
 
 def _describe_holder(descriptor: int) -> str:
-    """Describe the process that holds the lock. /proc/locks, which Linux has, names it."""
+    """Describe the process that holds the lock. On Linux, /proc/locks contains the number of this process."""
     try:
         inode = os.fstat(descriptor).st_ino
         lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]
