@@ -1,5 +1,5 @@
-// Compositing of discs along rays. A disc faces each ray, or all discs are parallel to a plane. A pinhole camera whose
-// discs are parallel to its image plane shows what the compositor of points shows (points/points.h).
+// Compositing of discs along rays. A disc faces each ray, or all discs are parallel to a plane. With discs parallel to
+// the image plane of a pinhole camera, the result along its rays is that of the compositor of points (points/points.h).
 #pragma once
 
 #include <cstddef>

@@ -3,7 +3,7 @@
 //
 // A triangle is hit if the watertight test of Woop, Benthin and Wald (2013, Watertight Ray/Triangle Intersection)
 // accepts it, and if the ray meets the padded box of the triangle. The t of a hit is clamped to the box. All operations
-// are monotonic also after rounding. If a box contains another box, the interval of t in the outer box therefore
+// are monotonic even with rounding. If a box contains another box, the interval of t in the outer box therefore
 // contains the interval in the inner box exactly, and a tree of boxes loses no hit.
 #pragma once
 
@@ -22,8 +22,8 @@ constexpr float kMinDirection = 1e-18f;
 // Padding of boxes, as a multiple of the largest absolute coordinate of the ray's origin and the mesh. The rounding
 // errors of the test are at most a quarter of the padding.
 constexpr float kPadding = 0x1p-21f;
-// Smallest absolute coordinate of a scaled direction (Ray) in box tests. Coordinates below this number are replaced by
-// it, so that products with the reciprocal stay finite.
+// Smallest absolute coordinate of a scaled direction (Ray) in box tests. Smaller coordinates are replaced by this
+// number, so that products with their reciprocals stay finite.
 constexpr float kMinShare = 1e-18f;
 constexpr float kTiny = 1.17549435e-38f;  // The smallest normal number.
 constexpr float kMaxFloat = 3.402823466e38f;
@@ -95,7 +95,8 @@ FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, 
     return true;
 }
 
-// The interval of t' that contains the interval [t_min, t] of t. Added numbers cover the rounding of tiny t.
+// The ends of an interval of t' that contains t_min to t. The interval is slightly enlarged, because the products of
+// tiny t are rounded.
 FOURD_HD FOURD_INLINE float first_of(const Ray& ray) {
     return ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
 }

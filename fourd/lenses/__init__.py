@@ -1,3 +1,2 @@
-"""Images of 4D scenes through lenses that a rasterizer does not have, by tracing rays: fisheye lenses, panoramas and
-depth of field, with mirrors and glass balls in the scene. Only ``gpu_picture`` needs
-torch."""
+"""Ray-traced images of 4D scenes through lenses that a rasterizer cannot draw: fisheye lenses, panoramas and depth of
+field. The scene can contain mirrors and glass balls. Only ``gpu_picture`` needs torch."""

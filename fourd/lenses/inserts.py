@@ -10,12 +10,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 _GAP = 1e-4
-"""Distance of a new ray's origin from the surface, as a share of the size of the insert."""
+"""Distance of a new ray's origin from the surface, as a share of the radius of the insert."""
 
 
 @dataclass(frozen=True)
 class Branch:
-    """Rays that leave an insert: origins and directions (R, 3), and the share (R,) of their light that arrives."""
+    """Rays that continue from an insert: origins and directions (R, 3). ``share`` (R,) is the factor by which a ray's
+    light is multiplied in the light of the ray that met the insert."""
 
     origins: Array
     directions: Array
@@ -30,7 +31,8 @@ class MirrorFloor:
         centre: (3,) position in world units.
         normal: (3,) unit vector that points away from the mirror's reflecting side.
         radius: radius in world units, above 0.
-        reflectivity: share of the light that is reflected, from 0 to 1. The colour of the floor has the other share.
+        reflectivity: share of the light that is reflected, from 0 to 1. The remaining share has the colour of the
+            floor.
         colour: RGB colour of the floor, in [0, 1].
     """
 
@@ -41,7 +43,7 @@ class MirrorFloor:
     colour: tuple[float, float, float] = (0.12, 0.12, 0.13)
 
     def hits(self, origins: Array, directions: Array) -> Array:
-        """Return t (R,) at which rays meet the mirror from its reflecting side, infinite where they do not."""
+        """Return t (R,) at which rays meet the mirror from its reflecting side; infinity for rays that miss it."""
         away = directions @ self.normal
         height = (origins - self.centre) @ self.normal
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -72,7 +74,7 @@ class GlassBall:
     refractive_index: float = 1.5
 
     def hits(self, origins: Array, directions: Array) -> Array:
-        """Return t (R,) at which rays from outside meet the ball, infinite where they do not."""
+        """Return t (R,) at which rays from outside meet the ball; infinity for rays that miss it."""
         offset = origins - self.centre
         a, b = (directions**2).sum(1), (offset * directions).sum(1)
         discriminant = b * b - a * ((offset**2).sum(1) - self.radius**2)
@@ -80,8 +82,8 @@ class GlassBall:
         return np.where((discriminant > 0) & (t > 0), t, np.inf)
 
     def leave(self, points: Array, directions: Array) -> tuple[list[Branch], Array]:
-        """Return the reflected rays, and the rays that were refracted at both sides. Light that is reflected inside the
-        ball is added to the light that leaves it."""
+        """Return the reflected rays, and the rays that were refracted when they entered and left the ball. Reflections
+        inside the ball are not traced: their light is counted as refracted light."""
         length = np.linalg.norm(directions, axis=1, keepdims=True)
         unit = directions / length
         normal = (points - self.centre) / self.radius
@@ -89,7 +91,7 @@ class GlassBall:
         least = ((self.refractive_index - 1) / (self.refractive_index + 1)) ** 2
         reflectance = (least + (1 - least) * (1 - cosine) ** 5)[:, 0]
         reflected = unit + 2 * cosine * normal
-        # In a ball, the ray meets the other side at the same angle, so that it always leaves there.
+        # The ray meets the opposite side of the ball at the same angle, so there is no total internal reflection.
         ratio = 1 / self.refractive_index
         inside = ratio * unit + (ratio * cosine - np.sqrt(1 - ratio**2 * (1 - cosine**2))) * normal
         chord = -2 * self.radius * (inside * normal).sum(1, keepdims=True)

@@ -1,4 +1,4 @@
-"""Lenses: which rays an image consists of."""
+"""Lenses. A lens determines the rays of an image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class RayBundle:
 
     Attributes:
         origins: (R, 3) world positions.
-        directions: (R, 3) world directions. t along a direction is measured in its length.
+        directions: (R, 3) world directions, of any length. A point on a ray is ``origin + t * direction``.
         facing: (3,) normal of the discs that the rays hit, or None if each disc faces the ray.
         pixels: (R,) index of the pixel of each ray, row by row.
         width, height: size of the image in pixels. A pixel without a ray is black.
@@ -52,8 +52,8 @@ class Fisheye:
     its ray and the viewing direction.
 
     Attributes:
-        fov_deg: angle of the circle that touches the longer sides of the image, in degrees, above 0 and at most 360.
-            Pixels outside this circle stay black.
+        fov_deg: field of view in degrees, above 0 and at most 360. This is the angle across the largest circle that
+            fits in the image. Pixels outside this circle stay black.
         samples: rays in each pixel along rows and along columns.
     """
 
@@ -102,13 +102,13 @@ class Panorama:
 
 @dataclass(frozen=True)
 class ThinLens:
-    """A lens with an aperture: points in the plane at the focus distance are sharp, and others are blurred.
+    """A lens with an aperture: points in the plane at the focus distance are sharp, and other points are blurred.
 
     Attributes:
         aperture: diameter of the lens in world units, at least 0.
         focus: depth of the sharp plane in world units, above 0.
-        rays_per_pixel: number of rays, spread over the lens and the pixel, from 1.
-        seed: seed of the positions, which are the same for every image of a video.
+        rays_per_pixel: number of rays per pixel, at least 1. The rays are spread over the lens and over the pixel.
+        seed: seed of the random positions of the rays. All images of a video have the same positions.
     """
 
     aperture: float

@@ -19,16 +19,16 @@ from fourd.ops.rays.discs import DiscTree
 Array = NDArray[np.float64]
 
 MAX_BOUNCES = 3
-"""Number of inserts that a ray meets at most. Later light is the background."""
+"""Maximum number of inserts that a ray meets. If a ray would meet another insert, it shows the background instead."""
 RAYS_PER_CHUNK = 1 << 18
 """Number of rays that are traced at once, which limits memory."""
 MIN_SHARE = 1 / 512
-"""Rays whose share of a pixel's light is smaller are not traced."""
+"""A ray is not traced if its share of the light of the previous ray is at most this number."""
 
 
 @dataclass(frozen=True)
 class _Traced:
-    """What rays meet: the points of a frame, and inserts."""
+    """The objects that rays can hit: the points of a frame, and inserts."""
 
     tree: DiscTree
     colours: NDArray[np.float32]
@@ -85,12 +85,13 @@ def draw_through_lens(
     """Draw a frame through a lens, as RGB (H, W, 3) float32 in [0, 1].
 
     Points are discs with the alpha that the compositor gives them. For a :class:`~fourd.lenses.lens.Pinhole` and a
-    :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image plane, and for other lenses they face the ray.
-    The colours of points are those seen from the camera's position, also in mirrors and glass.
+    :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image plane, and for other lenses each disc faces
+    the ray. The colours of points are those seen from the camera's position, also in mirrors and glass.
 
     Args:
         frame: a frame whose values are all finite.
-        camera: a pinhole camera without lens distortion. It gives position, axes and image size.
+        camera: a pinhole camera without lens distortion. The camera determines the position, the axes and the image
+            size.
         lens: the lens. Images with one ray in each pixel are filtered by the scene's pixel filter.
         inserts: mirrors and glass balls in the scene.
         layers: maximum number K of points that are composited for each ray; None for the scene's value.

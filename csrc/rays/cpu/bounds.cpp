@@ -30,7 +30,7 @@ double area_of(const float (&bounds)[6]) {
 
 float fill_bounds(Node* nodes, std::size_t node_count, const LeafBox* leaves) {
     std::vector<LeafBox> boxes(node_count);
-    // Children have larger indices than their node.
+    // The indices of children are larger than the index of their parent, so children come first in this loop.
     for (std::size_t i = node_count; i-- > 0;) {
         Node& node = nodes[i];
         for (int lane = 0; lane < kWidth; ++lane) {

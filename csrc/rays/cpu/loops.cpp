@@ -17,8 +17,8 @@ namespace {
 #include "rays/cpu/lanes.inc"
 #include "rays/cpu/traversal.inc"
 
-// Bits of the triangles that intersect() may accept: those with a corner, and with weights of one sign. Weights equal
-// to 0 count as both signs.
+// Bits of the lanes with triangles that intersect() may accept. The three weights of such a triangle have one sign,
+// where a weight of 0 counts as either sign.
 FOURD_INLINE unsigned triangles_near(const WideRay& ray, const Block& block) {
     const int axes[3] = {ray.ray.x, ray.ray.y, ray.ray.z};
     Lanes x[3], y[3];

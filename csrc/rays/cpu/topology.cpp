@@ -1,6 +1,7 @@
-// Builds the tree from the top down. A range of primitives is split where the surface area heuristic of Wald (2007, On
-// fast Construction of SAH-based Bounding Volume Hierarchies) over 16 bins for each axis is least. A node splits its
-// range until it has eight children. The top of the tree is built on one thread, and the subtrees below on all threads.
+// Builds the tree from the top down. The centres of a range of primitives are sorted into 16 bins along each axis. The
+// range is split between the two bins with the lowest cost by the surface area heuristic (Wald 2007, On fast
+// Construction of SAH-based Bounding Volume Hierarchies). A node splits its range until it has eight children. The top
+// of the tree is built on one thread, and the subtrees below on all threads.
 #include "rays/cpu/topology.h"
 
 #include <algorithm>
@@ -75,7 +76,8 @@ struct Plane {
     int axis, bin;
 };
 
-// The expected number of blocks of a box with `count` primitives, times its area.
+// The cost of a box by the surface area heuristic: the number of blocks for `count` primitives, times half of the
+// surface area.
 inline float cost_of(const Box& box, std::size_t count) {
     return area_of(box) * static_cast<float>((count + kWidth - 1) / kWidth);
 }
@@ -117,7 +119,7 @@ Plane best_plane(const Reference* references, const Range& range, const Binning&
     return best;
 }
 
-// Splits a range in two ranges with at least one triangle each.
+// Splits a range into two ranges with at least one primitive each.
 void split(Reference* references, const Range& range, bool in_halves, Range* left, Range* right) {
     const Binning binning(range.centres);
     const Plane plane = in_halves ? Plane{-1, 0} : best_plane(references, range, binning);

@@ -10,7 +10,7 @@
 
 namespace fourd::rays {
 
-// The fourth coordinate is unused. With four, compilers use vectors.
+// The fourth coordinate is unused. With four coordinates, compilers use vector instructions.
 struct Box {
     float low[4], high[4];
 };
@@ -31,7 +31,7 @@ struct alignas(16) Reference {
     std::int32_t index;
 };
 
-// The indices of up to kWidth primitives, and -1.
+// The indices of up to kWidth primitives. Unused elements are -1.
 struct Leaf {
     std::int32_t index[kWidth];
 };
@@ -51,7 +51,7 @@ struct LeafBox {
 
 constexpr LeafBox kEmptyLeafBox = {{kInfinity, -kInfinity, kInfinity, -kInfinity, kInfinity, -kInfinity}};
 
-// Writes the bounds of all nodes from those of the leaves. Returns the largest absolute coordinate.
+// Computes the bounds of all nodes from the bounds of the leaves. Returns the largest absolute coordinate.
 float fill_bounds(Node* nodes, std::size_t node_count, const LeafBox* leaves);
 
 }  // namespace fourd::rays

@@ -65,11 +65,12 @@ class DiscTree:
 
         Args:
             colours: (N, 3) float32 colours of the discs.
-            origins, directions: (R, 3) float32. t is measured in multiples of the direction. A ray with a direction of
-                zero, or with a number that is not finite, hits nothing.
+            origins, directions: (R, 3) float32. A point on a ray is ``origin + t * direction``. A ray with a direction
+                of zero, or with a number that is not finite, hits nothing.
             facing: (3,) float32 normal of all discs, for example the viewing direction of a pinhole camera. With None,
                 each disc faces the ray.
-            t_min, t_max: hits have t in [t_min, t_max]. ``t_max`` is a number, or one for each ray (R,) float32.
+            t_min, t_max: hits have t in [t_min, t_max]. ``t_max`` is one number, or an array (R,) float32 with one
+                number for each ray.
             layers: number K, from 1 to 64.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
 

@@ -29,7 +29,8 @@ def build_tree(xyz: Tensor, tri: Tensor, threads: int) -> tuple[Tensor, Tensor, 
 
 
 def refit_tree(xyz: Tensor, tri: Tensor, nodes: Tensor, blocks: Tensor, threads: int) -> tuple[Tensor, Tensor, float]:
-    """Return copies of ``nodes`` and ``blocks`` whose triangles have the positions ``xyz``, and the magnitude."""
+    """Return copies of ``nodes`` and ``blocks`` whose triangles have the positions ``xyz``, and the largest absolute
+    coordinate."""
     moved_nodes, moved_blocks = nodes.cpu().clone(), blocks.cpu().clone()
     magnitude = load_native().refit_rays(
         as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads), moved_nodes.numpy(), moved_blocks.numpy()
@@ -60,7 +61,8 @@ def trace_rays(
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Find the ``layers`` nearest hits of each ray. Return t, u, v and triangle, each (R, layers).
 
-    ``t_min`` and ``t_max`` have one element, or one for each ray. ``xyz`` and ``tri`` are used only by the gradient.
+    ``t_min`` and ``t_max`` have one element for all rays, or one element for each ray. ``xyz`` and ``tri`` are used
+    only by the gradient.
     """
     hits = _empty_hits(origins, layers)
     tensors = (nodes, blocks, origins, directions, t_min, t_max, after_t, after_triangle)

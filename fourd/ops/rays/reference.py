@@ -124,7 +124,7 @@ def _box_interval(corners: Tensor, origins: Tensor, scaled: Tensor, magnitude: T
 def _with_weights(
     xyz: Tensor, tri: Tensor, origins: Tensor, directions: Tensor, t: Tensor, triangle: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Solve origin + t direction = u a + v b + (1 - u - v) c for the triangles that were hit."""
+    """Return t, u, v and the triangle of each hit, where origin + t direction = u a + v b + (1 - u - v) c."""
     ray, layer = (triangle >= 0).nonzero(as_tuple=True)
     a, b, c = xyz[tri.long()[triangle[ray, layer].long()]].unbind(1)
     d, p, q = -directions[ray], a - c, b - c
@@ -153,7 +153,8 @@ def composite_discs_reference(
     t_min: float,
     layers: int,
 ) -> Tensor:
-    """Compute what :meth:`fourd.ops.rays.discs.DiscTree.composite` computes, for valid discs and rays, as (R, 4)."""
+    """Compute the result of :meth:`fourd.ops.rays.discs.DiscTree.composite`, (R, 4), with a slow, simple
+    implementation. Discs and rays must be valid."""
     away = xyz[None] - origins[:, None]
     normal = directions[:, None] if facing is None else facing.expand(len(origins), 1, 3)
     t = (away * normal).sum(-1) / (directions[:, None] * normal).sum(-1)

@@ -15,13 +15,13 @@ from fourd.raster.rays.bvh import Bvh
 from fourd.raster.rays.tracing import Hits, trace
 
 CHUNK_LAYERS = 16
-"""Number of hits that are traced at once."""
+"""Number of hits per ray that one call of the ray tracer returns."""
 MIN_ALPHA = 1 / 255
 
 
 @dataclass(frozen=True)
 class RaySplats:
-    """What rays show.
+    """The result of compositing along R rays.
 
     Attributes:
         features: (R, C) composited features.
@@ -52,12 +52,13 @@ def splat_along_rays(
 
     Let a_k be the barycentric weight of vertex k at the hit, times the perimeter of the triangle, divided by the length
     of the edge that is opposite to vertex k. The window is min(a_0, a_1, a_2)^sigma: 1 at the incentre and 0 at the
-    edges. The alpha of a triangle is min(0.99, opacity window). Triangles with an alpha of at least 1/255 are
+    edges. The alpha of a triangle is min(0.99, opacity * window). Triangles with an alpha of at least 1/255 are
     composited in the order of (t, index), until the transmittance is at most 1e-4.
 
-    Without ``camera``, lengths are those in space. With ``camera``, lengths and weights are those in the image of this
-    camera. Rays through its pixel centres then show what :func:`fourd.raster.triangles.splat_triangles` renders, except
-    that triangles are in the order of t instead of the depths of their centres.
+    Without ``camera``, edge lengths and barycentric weights are computed in space. With ``camera``, they are computed
+    in the image of this camera. Rays through the pixel centres of this camera then give the image of
+    :func:`fourd.raster.triangles.splat_triangles`, except that triangles are sorted by t instead of by the depths of
+    their centres.
 
     Args:
         bvh: tree over the triangles.
@@ -66,7 +67,7 @@ def splat_along_rays(
         opacity: (T,) float32 opacity at the incentre.
         sigma: (T,) float32 exponent of the window, above 0.
         camera: camera whose image defines the window, or None.
-        t_min: hits nearer than ``t_min`` are skipped, in multiples of the direction.
+        t_min: hits with t below ``t_min`` are skipped. The point at t is origin + t direction.
         layers: maximum number of triangles that are composited along a ray, or None for no limit.
         origins, directions, backend, threads: as in :func:`fourd.raster.rays.trace`.
 
@@ -128,7 +129,7 @@ def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Soup:
-    """The triangles: features (T, C), opacity and sigma (T,), and their windows."""
+    """All triangles: features (T, C), opacity and sigma (T,), and windows."""
 
     features: Tensor
     opacity: Tensor
@@ -148,7 +149,7 @@ class _State:
     """Compositing of R rays.
 
     Attributes:
-        colour: (R, C) features so far.
+        colour: (R, C) features that were composited so far.
         transmittance: (R,) transmittance behind the last composited triangle.
         taken: (R,) int64 number of triangles that were composited.
     """
@@ -180,7 +181,7 @@ class _State:
         triangle = hits.triangle[ray, layer].long()
         colour = weights[ray, layer, None] * soup.features[triangle]
         self.colour = self.colour.index_add(0, active[ray], colour)
-        # Weights are subtracted, because hits behind a complete ray's last triangle have no effect.
+        # ``products`` also contains hits behind the last composited triangle, so the weights are subtracted instead.
         remaining = transmittance - weights.sum(1)
         self.transmittance = self.transmittance.index_put((active,), remaining)
         self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)

@@ -58,22 +58,22 @@ def trace(
 ) -> Hits:
     """Find the nearest hits of rays with triangles.
 
-    Hits are those of a loop over all triangles, in the order of (t, triangle index). The test is watertight (Woop,
-    Benthin and Wald 2013): a ray that passes through a common edge of two triangles hits at least one of them. Rays hit
-    triangles from both sides. Triangles with two equal corners, and triangles that are seen exactly edge-on, are not
-    hit.
+    The result equals that of a loop over all triangles. Hits are sorted by (t, triangle index). The test is watertight
+    (Woop, Benthin and Wald 2013): a ray that passes through a common edge of two triangles hits at least one of them.
+    Rays hit triangles from both sides. Triangles with two equal corners, and triangles that are seen exactly edge-on,
+    are not hit.
 
     Args:
         bvh: tree over the triangles.
         xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. This tensor receives the gradient.
         origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
-        directions: (R, 3) float32, of any length whose largest coordinate is between 1e-18 and 1e18. t is measured in
-            multiples of the direction. Other directions, also zero and NaN, hit nothing.
+        directions: (R, 3) float32, of any length. The point at t is origin + t direction. A ray hits nothing unless the
+            largest absolute coordinate of its direction is between 1e-18 and 1e18.
         t_min, t_max: limits of t for all rays, or (R,) limits for each ray. Hits have t in [t_min, t_max]. A ray with
             t_min > t_max hits nothing.
         layers: number K of hits for each ray, from 1 to 1024.
         after: t (R,) and triangle (R,) of a hit of each ray. Only hits after this hit are found. With ``hits.last()``
-            of one call, the next call continues without losing or repeating hits of equal t.
+            of the previous call, a call returns the next hits. Hits of equal t are neither lost nor repeated.
         backend: "auto" for the kernels of the tensors' device, or "reference" for plain torch (float32 or float64,
             slow).
         threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or
@@ -116,14 +116,14 @@ def occluded(
 
 
 def visibility(bvh: Bvh, points: Tensor, targets: Tensor, *, margin: float = 1e-4, threads: int = 0) -> Tensor:
-    """Return (N, M) bool: whether no triangle occludes target j, of M targets, from point i, of N points.
+    """Return (N, M) bool. Element (i, j) is true if no triangle lies between point i and target j.
 
     Args:
         bvh: tree over the triangles.
         points: (N, 3) float32 in world units.
         targets: (M, 3) float32 in world units, for example the centres of cameras.
-        margin: share of the distance at both ends of the segment in which triangles do not occlude, from 0 to 0.5. The
-            margin prevents a surface from occluding its own points.
+        margin: triangles are ignored within this share of the segment's length from each end, from 0 to 0.5. The margin
+            prevents a surface from occluding its own points.
         threads: as in :func:`trace`.
 
     Raises:

@@ -62,7 +62,7 @@ def splat_triangles(
     Let phi(p) be the largest of the three signed distances, in pixels, between the pixel p and the edges of a projected
     triangle. phi is negative inside the triangle. Let s be the incentre of the triangle. The window function I(p) =
     max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The alpha of the triangle is min(0.99,
-    opacity I(p)).
+    opacity * I(p)).
 
     At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of the camera depths
     of their centres. Triangles with equal depth are composited in the order of their indices. Compositing of a pixel
