@@ -20,8 +20,8 @@ NEIGHBOURS = 24
 SMOOTHING_ROUNDS = 3
 """How often each normal is replaced by the mean of the normals around it."""
 VOTING_ROUNDS = 4
-"""Number of rounds of voting. In each round, a normal is reversed if most normals of its nearest points point to the
-opposite side."""
+"""Number of rounds of voting. In each round, a normal is reversed if the sum of its dot products with the normals of
+its nearest points is negative."""
 VOTERS = 8
 """Number of nearest points whose normals vote on the sign of a normal. A larger number would include points on the
 other side of thin parts."""

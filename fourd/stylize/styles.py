@@ -72,8 +72,9 @@ class DetailAxis:
             distance ``far - near`` from it. facing: N.V to the power ``power``, 0 at silhouettes.
         near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
         power: exponent of N.V.
-        fade: share of ``fade_colour`` in the colours of the last row. A map is not faded.
-        fade_colour: colour that is mixed into the last row.
+        fade: share of ``fade_colour`` in the colours where the detail is 1, or at silhouettes if ``by`` is facing. Not
+            used with a map.
+        fade_colour: colour that ``fade`` mixes into the colours.
     """
 
     by: Detail = "facing"

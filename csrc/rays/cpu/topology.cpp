@@ -1,7 +1,7 @@
 // Builds the tree from the top down. The centres of a range of primitives are sorted into 16 bins along each axis. The
-// range is split between the two bins with the lowest cost by the surface area heuristic (Wald 2007, On fast
-// Construction of SAH-based Bounding Volume Hierarchies). A node splits its range until it has eight children. The top
-// of the tree is built on one thread, and the subtrees below on all threads.
+// range is split at the border of two bins where the cost by the surface area heuristic (Wald 2007, On fast
+// Construction of SAH-based Bounding Volume Hierarchies) is lowest. A node splits its range until it has eight
+// children. The top of the tree is built on one thread, and the subtrees below on all threads.
 #include "rays/cpu/topology.h"
 
 #include <algorithm>
