@@ -76,6 +76,8 @@ def check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
             raise UserError(
                 f"{path}: expected uncompressed members, got the compressed member {name!r}; use zip -0 or export again"
             )
+        if not 0 <= info.header_offset < size:
+            raise damaged(path, "members inside the file", f"{name!r} at byte {info.header_offset}")
         total += info.file_size
         members[name] = info
     if total > size:

@@ -251,3 +251,14 @@ def test_random_damage_never_escapes(scene: Path, tmp_path: Path, rng: np.random
                 reader.read(index)
         except UserError as error:
             assert "\n" not in str(error)  # noqa: PT017
+
+
+def test_members_before_the_start_of_the_file_are_rejected(scene: Path) -> None:
+    """Catches a traceback of the system call that seeks to a negative offset, which a damaged directory contains."""
+    content = bytearray(scene.read_bytes())
+    end = content.rindex(b"PK\x05\x06")
+    (directory,) = struct.unpack_from("<L", content, end + 16)
+    struct.pack_into("<L", content, end + 16, directory + 2000)
+    scene.write_bytes(content)
+    with pytest.raises(UserError, match=r"expected members inside the file, got '.*' at byte -"):
+        open_scene(scene)
