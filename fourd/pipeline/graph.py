@@ -88,11 +88,10 @@ def stages_to_first_points(request: RunRequest, *, plates: bool = True) -> tuple
     return tuple(stages)
 
 
-def stages_to_run(request: RunRequest, *, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that train a run. The capture must have masks or mattes. For ``plates``, see
-    :func:`stages_to_first_points`."""
+def stages_to_run(request: RunRequest) -> tuple[AnyStage, ...]:
+    """Stages that train a run. The capture must have masks or mattes."""
     files = TrainFiles(request.capture, request.run, request.lpips_weights)
-    return (*stages_to_first_points(request, plates=plates), *training_stages(files, request.train))
+    return (*stages_to_first_points(request), *training_stages(files, request.train))
 
 
 def training_stages(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, ...]:
@@ -113,6 +112,8 @@ def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> 
     made: tuple[AnyStage, ...] = ()
     if not has_masks(request.capture):
         made = stages_to_mattes(request.capture, MatteStageSettings(train.views, train.frames, mattes))
-    run = stages_to_run(request, plates=not made)
-    trained = tuple(stage.name for stage in run if stage.name.startswith("train"))
-    return (*made, *run, bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture, trained))
+    prepared = stages_to_first_points(request, plates=not made)
+    trained = training_stages(TrainFiles(request.capture, request.run, request.lpips_weights), train)
+    names = tuple(stage.name for stage in trained)
+    bake = bake_stage(BakeFiles(request.run, scene), BakeSettings(), request.capture, names)
+    return (*made, *prepared, *trained, bake)

@@ -16,7 +16,7 @@ from fourd.pipeline.capture_graph import has_masks, stages_to_capture
 from fourd.pipeline.cluster import Cluster
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
 from fourd.pipeline.plan import describe_plan
-from fourd.pipeline.runner import Runner
+from fourd.pipeline.runner import Runner, run_here
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.check import check_stage
 from fourd.pipeline.stages.repair import repair_stage, repaired_capture
@@ -76,9 +76,8 @@ def make_scene(
     """
     work = _work_folder(out)
     with locked_folder(work):
-        runner = Runner(context, work / RECORD)
-        if cluster is not None:
-            runner = Runner(context, work / RECORD, cluster.execute, is_parallel=True)
+        execute = run_here if cluster is None else cluster.execute
+        runner = Runner(context, work / RECORD, execute, is_parallel=cluster is not None)
         request = RunRequest(source, work / RUN, train, points_from, lpips_weights, accept_mattes=accept_mattes)
         _run_graph(request, out, mattes, imports or ImportOptions(), context, runner)
 

@@ -20,7 +20,7 @@ from fourd.configs import save_config
 from fourd.files import atomic_path
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context, Leftovers, Stage
-from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, run_train, start_run
+from fourd.pipeline.stages.train import PREPARED_BY, TrainFiles, start_run, train_run
 from fourd.processes import locked_folder
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.checkpoints import latest_checkpoint
@@ -130,9 +130,7 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
         if group.is_first:
             _prepare_segment(files, config)
         group.barrier()
-        with open_run(files.segment) as run:
-            capture = run.config.capture
-        run_train(TrainFiles(capture, files.segment, files.lpips_weights), config, context)
+        train_run(files.segment, files.lpips_weights, config, context)
     # The trainer contains reference cycles, so its memory would stay while the next segments are trained.
     gc.collect()
 
@@ -143,8 +141,8 @@ def _prepare_segment(files: SegmentFiles, config: TrainConfig) -> None:
     if not (files.segment / CONFIG_NAME).exists():
         with open_run(files.run) as whole:
             _start_segment(whole, files.segment, config)
-    with open_run(files.segment) as run:
-        if files.previous is not None and latest_checkpoint(run.checkpoints)[0] is None:
+    if files.previous is not None and latest_checkpoint(files.segment / CHECKPOINTS)[0] is None:
+        with open_run(files.segment) as run:
             write_warm_start(run, files.previous)
 
 

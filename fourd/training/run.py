@@ -247,11 +247,16 @@ def load_run(folder: Path) -> TrainedRun:
             f"{folder}: expected a run with one model, got a run with segments; name one segment, such as "
             f"{folder / SEGMENTS / '000'}, or the scene of all segments: fourd export {folder} -o scene.4dv"
         )
+    return load_models(run)
+
+
+def load_models(run: Run) -> TrainedRun:
+    """Load the newest intact checkpoint of an open run without segments."""
     found, note = latest_checkpoint(run.checkpoints)
     if found is None:
         reason = f" ({note})" if note else ""
         raise UserError(
-            f"{folder}: expected a trained run, got no intact checkpoint{reason}; resume with fourd train --resume"
+            f"{run.folder}: expected a trained run, got no intact checkpoint{reason}; resume with fourd train --resume"
         )
     step, tensors, _ = load_checkpoint(found)
     model = run.new_model()

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.baking import BakedFrame, SceneManifest, SceneWriter
+from fourd.baking import BakedFrame, SceneManifest, SceneReader, SceneWriter
 from fourd.cameras import Camera, look_at
 
 
@@ -103,3 +103,13 @@ def write_full_scene(
         for index, frame in enumerate(dynamic):
             writer.add_frame(index, frame, shadows[index] if shadow else None)
     return dynamic, room, shadows
+
+
+def read_frames(path: Path, most: int) -> None:
+    """Read the first frames of a scene file, ``most`` of them at most."""
+    reader = SceneReader(path)
+    try:
+        for index in range(min(reader.manifest.frame_count, most)):
+            reader.read(index)
+    finally:
+        reader.close()

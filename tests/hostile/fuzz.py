@@ -17,7 +17,6 @@ from types import FunctionType
 
 import atheris
 
-from fourd.baking.container import SceneReader
 from fourd.baking.splats.reader import SplatReader
 from fourd.boards import read_board
 from fourd.capture.calibration import check_calibration
@@ -30,6 +29,7 @@ from fourd.formats.ply import read_ply
 from fourd.importing.formats import actorshq, anipose, caliscope, neural3dv, qualisys, transforms_json
 from fourd.training.config import TrainConfig
 from fourd.viewer.navigation.recorded_path import load_recorded_path
+from tests.baking.scenes import read_frames
 
 FOLDER = Path("build") / "fuzz"
 GRACE_SECONDS = 60
@@ -39,12 +39,7 @@ MAX_BYTES = 1 << 16
 
 
 def read_scene(path: Path) -> None:
-    reader = SceneReader(path)
-    try:
-        for index in range(min(reader.manifest.frame_count, 2)):
-            reader.read(index)
-    finally:
-        reader.close()
+    read_frames(path, 2)
 
 
 def read_splats(path: Path) -> None:

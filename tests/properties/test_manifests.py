@@ -10,14 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fourd.baking import SceneReader
 from fourd.baking.files.json_node import ManifestError
 from fourd.baking.manifest import manifest_from_json, manifest_to_json
 from fourd.baking.packing.pack import pack_scene
 from fourd.baking.scene import SceneManifest
 from fourd.errors import UserError
 from tests.baking.fuzz.rewrite import rewrite_members
-from tests.baking.scenes import write_full_scene
+from tests.baking.scenes import read_frames, write_full_scene
 from tests.properties.effort import EFFORTS
 from tests.properties.json_trees import Tree, changed_trees, trees
 from tests.properties.manifests import are_equal, manifests
@@ -96,12 +95,7 @@ def test_scenes_with_changed_manifests_are_read_or_refused(
         path = tmp_path / "changed.4dv"
         rewrite_members(source, path, lambda members: members.update({MEMBER: json.dumps(tree).encode()}))
         try:
-            reader = SceneReader(path)
-            try:
-                for index in range(min(reader.manifest.frame_count, 2)):
-                    reader.read(index)
-            finally:
-                reader.close()
+            read_frames(path, 2)
         except UserError as error:
             assert path.name in str(error)  # noqa: PT017
 

@@ -23,14 +23,13 @@ from fourd.cameras import Camera
 from fourd.capture import open_capture
 from fourd.carving.mask_source import frame_masks
 from fourd.mesh.files.glb import read_mesh
-from fourd.mesh.rendering import render_mesh
 from fourd.mesh.texturing.atlas import Atlas, find_texels
 from fourd.mesh.texturing.blending import blend_views
 from fourd.mesh.texturing.inpainting import fill_between_charts, fill_vertices
 from fourd.mesh.texturing.texture import TexturedMesh
 from fourd.mesh.texturing.visibility import Occluder
 from fourd.mesh.views import MeshView, depth_image, mesh_views
-from fourd.training.evaluation.metrics import mask_box, psnr
+from fourd.pipeline.stages.mesh import mean_score, score_mesh
 
 Floats = NDArray[np.float32]
 TOLERANCE_PX = 2.0
@@ -121,23 +120,14 @@ def main() -> None:
     views = mesh_views(images, frame_masks(capture, 0), capture.cameras)
     mesh = read_mesh(arguments.mesh)
     welded, source = weld(mesh)
+    indices = [whole.names.index(name) for name in test]
     plain = Occluder.of(welded, source[mesh.triangles])
     for kind in (Rays, Rasterized, Untested):
         occluder = kind(plain.bvh, plain.offset)
         print(f"{kind.__name__}: ", end="")
         textured = texture(mesh, views, occluder)
-        indices = [whole.names.index(name) for name in test]
-        scores = [_score(textured, whole.cameras[i], whole.image(i, 0), whole.mask(i, 0)) for i in indices]
-        print(f"{sum(occluder.seconds):.2f} s, {np.mean(scores):.3f} dB")
-
-
-def _score(mesh: TexturedMesh, camera: Camera, image: NDArray[np.uint8], matte: NDArray[np.uint8]) -> float:
-    truth = (image * (matte[..., None] / 255**2)).astype(np.float32)
-    box = mask_box(matte)
-    if box is None:
-        raise SystemExit("--test-views: expected views that show the subject")
-    part = np.s_[box[0] : box[1], box[2] : box[3]]
-    return float(psnr(render_mesh(mesh, camera).rgb[part], truth[part]))
+        score = mean_score(score_mesh(textured, whole, indices, 0))
+        print(f"{sum(occluder.seconds):.2f} s, {score.psnr:.3f} dB")
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ from fourd.mesh.files.glb import read_mesh
 from fourd.mesh.rendering import render_mesh, silhouette_iou
 from fourd.mesh.sequence import mesh_capture
 from fourd.mesh.settings import MeshSettings
+from fourd.mesh.texturing.texture import TexturedMesh
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 from fourd.pipeline.stages.plates import MATTE_PATTERNS
@@ -90,16 +91,15 @@ def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) ->
         scores = [
             score
             for frame in context.track(range(len(paths)), len(paths), "scores")
-            for score in score_mesh(paths[frame], whole, test, frame)
+            for score in score_mesh(read_mesh(paths[frame]), whole, test, frame)
         ]
     content = {"mean": asdict(mean_score(scores)), "pictures": [asdict(score) for score in scores]}
     write_text_atomically(files.meshes / SCORES_NAME, json.dumps(content, indent=1) + "\n")
 
 
-def score_mesh(path: Path, capture: Capture, views: Sequence[int], frame: int) -> list[MeshScore]:
+def score_mesh(mesh: TexturedMesh, capture: Capture, views: Sequence[int], frame: int) -> list[MeshScore]:
     """Compare the mesh of a frame with the images of some cameras. ``views`` are indices into ``capture.cameras``."""
-    mesh, number = read_mesh(path), capture.frame_numbers[frame]
-    scores = []
+    number, scores = capture.frame_numbers[frame], []
     for view in views:
         matte = capture.mask(view, frame)
         rendered = render_mesh(mesh, capture.cameras[view])

@@ -49,19 +49,26 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
 
 def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
     """Start the run, or resume the run from its newest checkpoint. For a resumed run, only the budget may change."""
-    lpips, group = load_lpips(files.lpips_weights), context.group or ALONE
+    group = context.group or ALONE
     if group.is_first and not (files.run / CONFIG_NAME).exists():
         start_run(files.capture, files.run, config).capture.close()
     group.barrier()
+    train_run(files.run, files.lpips_weights, config, context)
+
+
+def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, context: Context) -> None:
+    """Train an existing run until the budget of ``config`` is spent, from its newest checkpoint if there is one. All
+    ranks call this function."""
+    lpips, group = load_lpips(lpips_weights), context.group or ALONE
     if lpips is None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
-    with open_run(files.run) as run:
+    with open_run(folder) as run:
         require_frames(run.capture.frame_count, group)
         budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
         trainer = Trainer(run, lpips, context.console, budget, group)
         with closing(trainer.frames):
             summary = trainer.train()
-    context.log(f"{files.run}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
+    context.log(f"{folder}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
 
 
 def require_divisible(config: TrainConfig, group: ProcessGroup) -> None:

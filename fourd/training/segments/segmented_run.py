@@ -14,7 +14,7 @@ from fourd.errors import UserError
 from fourd.training.cameras.rig import Rig
 from fourd.training.evaluation.render import RenderedView, render_view
 from fourd.training.rendering import RenderablePoints, concatenate
-from fourd.training.run import Run, TrainedRun, load_run, open_run
+from fourd.training.run import Run, TrainedRun, load_models, load_run, open_run
 from fourd.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folder
 from fourd.training.segments.fade import kept_points
 from fourd.training.segments.plan import SegmentPlan
@@ -114,10 +114,7 @@ def open_trained(folder: Path) -> TrainedRun | SegmentedRun:
     Raises UserError if the run is missing or was not trained.
     """
     run = open_run(folder)
-    if run.has_segments:
-        return SegmentedRun(run)
-    run.capture.close()
-    return load_run(folder)
+    return SegmentedRun(run) if run.has_segments else load_models(run)
 
 
 def _evaluate(part: SegmentFrame, camera: Camera, exclude: int | None) -> RenderablePoints:

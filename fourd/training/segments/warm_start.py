@@ -11,7 +11,13 @@ from torch import Tensor
 from fourd.errors import UserError
 from fourd.model.kplanes import KPlanes
 from fourd.model.point_model import PointModel
-from fourd.training.checkpoints import checkpoint_path, latest_checkpoint, load_checkpoint, save_checkpoint
+from fourd.training.checkpoints import (
+    SavedProgress,
+    checkpoint_path,
+    latest_checkpoint,
+    load_checkpoint,
+    save_checkpoint,
+)
 from fourd.training.run import Run, open_run
 from fourd.training.run_layout import CHECKPOINTS, points_folder
 
@@ -46,7 +52,7 @@ def write_warm_start(run: Run, previous: Path) -> None:
         points.save(points_folder(target))
     finally:
         points.close()
-    save_checkpoint(run.checkpoints, 0, started, {"seconds": 0.0, "psnr": 0.0})
+    save_checkpoint(run.checkpoints, 0, started, SavedProgress(seconds=0.0, psnr=0.0).to_json())
 
 
 def _shifted(model: PointModel, tensors: Mapping[str, Tensor], shift: int) -> dict[str, Tensor]:

@@ -12,14 +12,14 @@ from types import FrameType
 import numpy as np
 import pytest
 
-from fourd.baking import SceneReader, open_scene
+from fourd.baking import open_scene
 from fourd.baking.exporting.export import ExportSettings, Format, export_scene
 from fourd.baking.files.encoding import TIERS
 from fourd.baking.packing.pack import pack_scene
 from fourd.errors import UserError
 from tests.baking.damage import damage
 from tests.baking.fuzz.mutations import SceneMutator
-from tests.baking.scenes import write_full_scene, write_scene
+from tests.baking.scenes import read_frames, write_full_scene, write_scene
 
 CASES, SLOW_CASES = 300, 10_000
 BUDGET = 64 << 20
@@ -46,12 +46,7 @@ def no_hang() -> Iterator[None]:
 def read_all(path: Path) -> None:
     """Read all frames of a scene. UserErrors are expected, and must have one line that names the file."""
     try:
-        reader = SceneReader(path)
-        try:
-            for index in range(min(reader.manifest.frame_count, 4)):
-                reader.read(index)
-        finally:
-            reader.close()
+        read_frames(path, 4)
     except UserError as error:
         assert "\n" not in str(error)  # noqa: PT017
         assert path.name in str(error)  # noqa: PT017
