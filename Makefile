@@ -23,7 +23,7 @@ help:
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet -c constraints.txt torch scikit-build-core nanobind cmake ninja
-	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation -C cmake.define.FOURD_WERROR=$(WERROR) -e '.[train,dev,docs]'
+	$(BIN)/pip install --quiet -c constraints.txt --no-build-isolation --config-settings cmake.define.FOURD_WERROR=$(WERROR) -e '.[train,dev,docs]'
 	touch $@
 
 install: $(STAMP)
