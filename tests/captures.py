@@ -1,4 +1,4 @@
-"""A small capture on disk: a textured moving ball, rendered from a ring of cameras."""
+"""A small capture on disk. The images show a moving, textured ball and are rendered from a ring of cameras."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ def test_functions_are_short() -> None:
 
 
 def test_modules_do_not_import_each_other_in_a_cycle() -> None:
-    """Catches modules that cannot be read, tested or moved separately."""
+    """Catches cyclic imports between modules. Modules in a cycle cannot be read, tested or moved separately."""
     modules = package_modules()
     graph = {module: set(imports_of(path, module, modules)) for module, path in modules.items()}
     try:

@@ -28,7 +28,7 @@ def test_the_pattern_is_opencv_s(size: tuple[int, int], legacy: bool) -> None:
 
 
 def test_corners_are_where_opencv_finds_them() -> None:
-    """Catches ids in another order, or corners that are mirrored or shifted by half a pixel."""
+    """Catches ids in the wrong order, and corners that are mirrored or shifted by half a pixel."""
     picture = draw_board(CHARUCO, 60, margin=30)
     pixels, ids, _, _ = cv2.aruco.CharucoDetector(charuco_board(CHARUCO)).detectBoard(picture)
     scale = 60 / CHARUCO.square_m

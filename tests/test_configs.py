@@ -64,7 +64,7 @@ def test_no_such_file(tmp_path: Path) -> None:
 
 
 def test_hostile_files_are_refused_at_once(tmp_path: Path) -> None:
-    """Catches an overlay that waits for a named pipe, and an error message that expands nested aliases."""
+    """Catches a config reader that blocks on a named pipe, and an error message that expands nested aliases."""
     os.mkfifo(tmp_path / "pipe.yaml")
     with pytest.raises(UserError, match=r"pipe.yaml: expected a file, got a named pipe; name a file"):
         load_overlay(TrainConfig(), tmp_path / "pipe.yaml")

@@ -58,8 +58,9 @@ def test_temporary_files_of_killed_processes_are_removed(tmp_path: Path) -> None
 
 
 def test_temporary_files_of_one_target_are_removed(tmp_path: Path) -> None:
-    """Catches temporary files that remain after a process is killed, and the removal of temporary files of another
-    target."""
+    """Catches temporary files that remain after a process is killed, and the removal of temporary files that belong to
+    a different target.
+    """
     for name in ("scene.4dv", "scene-2.4dv"):
         with pytest.raises(FileNotFoundError), atomic_path(tmp_path / name) as temporary:
             ours = temporary.stem.rsplit("-", 1)[0]
@@ -96,7 +97,9 @@ def test_folders_of_killed_processes_are_removed(tmp_path: Path) -> None:
 
 
 def test_pipes_and_devices_are_not_replaced(tmp_path: Path) -> None:
-    """Catches an output that replaces a device node, which is possible as root, and a write that waits for a pipe."""
+    """Catches a write that replaces a device node, which is possible as root, and a write that blocks on a named
+    pipe.
+    """
     os.mkfifo(tmp_path / "pipe")
     (tmp_path / "device").symlink_to("/dev/null")
     for name, kind in (("pipe", "a named pipe"), ("device", "a device")):

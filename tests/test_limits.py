@@ -1,4 +1,4 @@
-"""Files from strangers: kinds, sizes, nesting, and text for the terminal."""
+"""Checks of untrusted files: their kind, size and nesting, and the text that is printed from them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from fourd.progress import Terminal
 
 
 def test_pipes_and_devices_are_refused_at_once(tmp_path: Path) -> None:
-    """Catches a reader that waits for ever for a named pipe, or that fills the memory from /dev/zero."""
+    """Catches a reader that blocks forever on a named pipe, or that fills the memory with bytes from /dev/zero."""
     pipe, device = tmp_path / "pipe", tmp_path / "device"
     os.mkfifo(pipe)
     device.symlink_to("/dev/zero")
@@ -25,7 +25,9 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path: Path) -> None:
 
 
 def test_missing_files_and_folders_are_errors_of_the_system(tmp_path: Path) -> None:
-    """Catches readers that lose their own message for a missing file, and descriptors of folders that stay open."""
+    """Catches readers whose own error message for a missing file is replaced by a general one, and file descriptors of
+    folders that stay open.
+    """
     descriptors = len(os.listdir("/proc/self/fd"))
     require_regular(tmp_path / "absent")
     require_regular(tmp_path)
@@ -37,7 +39,7 @@ def test_missing_files_and_folders_are_errors_of_the_system(tmp_path: Path) -> N
 
 
 def test_large_files_are_refused_before_memory_is_taken(tmp_path: Path) -> None:
-    """Catches a sparse file of a terabyte that is read whole."""
+    """Catches a reader that reads a sparse file of one terabyte into memory."""
     path = tmp_path / "large.json"
     with path.open("wb") as stream:
         stream.truncate(1 << 40)

@@ -1,5 +1,6 @@
-"""Tests of the process pool: results arrive while jobs run, errors of jobs are raised, and no process outlives its
-parent."""
+"""Tests of the process pool. Results must arrive while jobs run, errors of jobs must be raised, and child processes
+must end when the parent process ends.
+"""
 
 from __future__ import annotations
 

@@ -29,7 +29,9 @@ def logged_lines(count: int, seconds: float, clock: list[float]) -> list[str]:
 
 
 def test_file_gets_lines_with_the_remaining_time(clock: list[float]) -> None:
-    """Catches progress without a line for hours, progress with a line per item, and wrong remaining times."""
+    """Catches progress output without a line for hours, progress output with a line for each item, and wrong remaining
+    times.
+    """
     lines = logged_lines(100, 1.0, clock)
     assert lines == [
         "mattes: 30 of 100 after 0:00:30, 0:01:10 left",

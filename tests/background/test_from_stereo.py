@@ -17,7 +17,7 @@ from fourd.progress import untracked
 from tests.calibration.rooms import HALF_WIDTH, HEIGHT, Room, room_cameras
 
 HOLE = ((0.7, 1.5), (0.5, 1.3))
-"""Ranges of y and z of a rectangle on the wall x = 2 that is a hole in every plate."""
+"""A rectangle on the wall x = 2, as ranges of y and z. Every plate has a hole at this rectangle."""
 MAGENTA = (255, 0, 255)
 
 

@@ -26,7 +26,7 @@ def folder(ball_capture: Path, tmp_path: Path) -> Path:
 
 
 def stage(rng: np.random.Generator) -> np.ndarray:
-    """Smooth image (H, W, 3). Resampling changes a smooth image only little."""
+    """A smooth image (H, W, 3), because resampling hardly changes a smooth image."""
     return cv2.GaussianBlur(rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8), (0, 0), 4)
 
 

@@ -50,7 +50,7 @@ def test_shell_extrapolates_distance_and_colour_along_the_horizon(shell: Coloure
 
 
 def test_a_closed_room_has_no_shell() -> None:
-    """Catches usual distances between neighbouring points of a closed surface that count as gaps."""
+    """Catches a test for gaps that reports gaps in a closed surface, between points at their usual distance."""
     assert len(build_shell(_room(0), ring_cameras(8, 64), CENTRE).xyz) == 0
 
 

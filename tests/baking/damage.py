@@ -6,7 +6,9 @@ import numpy as np
 
 
 def damage(content: bytes, rng: np.random.Generator, most: int) -> bytes:
-    """Return ``content`` with 1 to ``most`` - 1 bytes changed, and cut at a random place in one of five cases."""
+    """Return ``content`` with 1 to ``most`` - 1 changed bytes. In one of five cases, the content is also truncated at a
+    random position.
+    """
     changed = np.frombuffer(content, np.uint8).copy()
     where = rng.integers(0, len(changed), rng.integers(1, most))
     changed[where] = rng.integers(0, 256, len(where))

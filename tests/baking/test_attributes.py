@@ -21,7 +21,9 @@ from tests.baking.test_container import rewritten, with_manifest
 
 
 def with_unknown_attribute(path: Path, entry: object) -> Path:
-    """Copy a scene as a newer program may write it. Every frame has a member that this program does not know."""
+    """Copy a scene in the form that a newer program may write. Every frame has an additional member that this program
+    does not know.
+    """
 
     def add_member(members: dict[str, bytes]) -> None:
         for name in [name for name in members if name.endswith("/xyz")]:

@@ -122,8 +122,9 @@ def test_threads_that_share_a_player_take_turns() -> None:
 
 
 def test_large_discs_need_little_memory() -> None:
-    """Catches memory for each pair of a disc and a tile: a small file of discs that cover the image needs gigabytes.
-    Also catches wrong pixels where the image is drawn in bands."""
+    """Catches memory that is proportional to the number of pairs of a disc and a tile. With discs that cover the image,
+    a small file would then need gigabytes. Also catches wrong pixels where the image is drawn in bands.
+    """
     points, side = 8000, 1600
     frame, scene = random_frame(points, 2, seed=1), replace(manifest(2, 1), pixel_filter=0.0)
     frame = replace(frame, radius=np.full(points, 20, np.float16), density=(0.02 * frame.density).astype(np.float16))

@@ -1,4 +1,4 @@
-"""Views of a board by synthetic cameras: projected corners with noise, without rendered images."""
+"""Views of a board by synthetic cameras. The views are projected corners with noise. No images are rendered."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ class Filming:
     Attributes:
         delays: times in frames by which the middle row of each camera is late, by the camera's index.
         readout: duration in frames in which the rows of an image are read.
-        across: whether the columns are read one after another, as in a video that was turned by 90 degrees.
+        across: whether the columns are read one after another instead of the rows, as in a video that was turned by 90
+        degrees.
         jitter: standard deviation of a random delay of each image, in frames.
         thickness_m: thickness of the board.
         backs: indices of the cameras that see the back.
@@ -97,7 +98,9 @@ def rig_input(settings: BoardSettings, views: list[BoardView], lenses: list[Came
 
 
 def largest_differences(found: Iterable[Camera], true: Iterable[Camera]) -> tuple[float, float, float]:
-    """Largest differences: focal length in %, angle of a pair in degrees, position of a pair in % of the baseline."""
+    """The largest errors: of focal lengths in %, of the relative rotations of pairs in degrees, and of the relative
+    positions of pairs in % of the baseline.
+    """
     first, second = list(found), list(true)
     focal = max(
         abs(100 * (a.intrinsics[k, k] / b.intrinsics[k, k] - 1))

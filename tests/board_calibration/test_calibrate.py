@@ -55,7 +55,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: object) -> str:
 
 
 def test_a_rig_is_calibrated_from_videos(videos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a shift by half a pixel, a wrong unit, and results that are missing or not reported."""
+    """Catches a shift by half a pixel, a wrong unit, and missing results or reports."""
     out = tmp_path / "calibration"
     log = calibrate(capsys, videos, "--board", videos / "board.toml", "-o", out)
     assert "held-out frames measure the error" in log
@@ -73,7 +73,7 @@ def test_a_rig_is_calibrated_from_videos(videos: Path, tmp_path: Path, capsys: p
 
 
 def test_the_floor_and_known_lenses(videos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a world that is not on the board of the floor frame, and known lenses that are changed."""
+    """Catches a world frame that is not that of the board in the floor frame, and known lenses that are changed."""
     out, truth = tmp_path / "calibration", cameras_in(videos / "truth")
     words = ["--intrinsics", videos / "truth", "--floor-frame", 5, "--frames", "0:24:2"]
     calibrate(capsys, videos, "--board", videos / "board.toml", "-o", out, *words)
@@ -87,7 +87,7 @@ def test_the_floor_and_known_lenses(videos: Path, tmp_path: Path, capsys: pytest
 def test_the_calibration_is_replaced_as_a_whole(
     videos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches other files that are overwritten, and a failed calibration that leaves half of its results."""
+    """Catches a calibration that overwrites other files, and a failed calibration that leaves incomplete results."""
     out = tmp_path / "calibration"
     words = [
         videos,
@@ -165,7 +165,7 @@ def test_a_chessboard_in_folders_of_images(tmp_path: Path, capsys: pytest.Captur
     ],
 )
 def test_the_board_in_the_images_is_recognised(changes: dict[str, object], fix: str) -> None:
-    """Catches a suggestion that does not describe the board that is seen."""
+    """Catches an error message that suggests a board other than the one in the videos."""
     camera = rig_cameras(SETTINGS)[1]
     renderer = BoardRenderer(BOARD, camera, SETTINGS.optics)
     pictures = [renderer.render([board_pose(SETTINGS, 9.0)], np.random.default_rng(0))]
@@ -182,7 +182,9 @@ def test_the_board_in_the_images_is_recognised(changes: dict[str, object], fix: 
 def test_a_board_that_does_not_fit_is_named(
     changes: dict[str, object], message: str, videos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a wrong description of the board that gives no hint, or a calibration that is silently wrong."""
+    """Catches a wrong board description that causes an error without a hint, or a wrong calibration without an
+    error.
+    """
     write_board(tmp_path / "board.toml", replace(BOARD, **changes))
     out = tmp_path / "out"
     line = refused(capsys, videos, "--board", tmp_path / "board.toml", "-o", out, "--frames", "0:24:6")
@@ -198,7 +200,7 @@ def write_images(folder: Path, name: str, pictures: list[np.ndarray]) -> None:
 
 
 def test_boards_that_are_not_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a missing error for videos without a board, and for a board that only one camera sees."""
+    """Catches videos without a board, and a board that only one camera sees, for which no error is reported."""
     empty = [np.full((120, 160), 90 + 10 * number, np.uint8) for number in range(4)]
     board = CalibrationBoard(4, 3, 0.05, 0.04, "DICT_4X4_50")
     drawn = [np.roll(draw_board(board, 30, margin=30), 3 * shift, axis=1) for shift in range(4)]

@@ -1,4 +1,6 @@
-"""A recording of a real rig: four web cameras and an inverted, double-sided board whose back one camera sees."""
+"""A recording of a real rig with four web cameras and an inverted, double-sided board. One camera sees the back of the
+board.
+"""
 
 from __future__ import annotations
 
@@ -45,12 +47,13 @@ def compare_pairs(found: dict[str, Calibration]) -> tuple[float, float]:
 
 
 def test_poses_with_known_lenses(tmp_path: Path) -> None:
-    """Catches the back of the board with the wrong corners, and a rig that disagrees with another program's."""
+    """Catches wrong corners on the back of the board, and camera poses that disagree with those of another program."""
     out = tmp_path / "calibration"
     words = ["calibrate", RIG, "--board", RIG / "board.toml", "-o", out, "--intrinsics", LENSES]
     assert main([str(word) for word in words]) == 0
     degrees, share = compare_pairs(read_calibration(out))
-    # Caliscope takes all rows of all cameras to be exposed at the same time, which these web cameras do not do.
+    # Caliscope assumes that all rows of all cameras are exposed at the same time. This is not the case for these web
+    # cameras.
     assert degrees < 1.0
     assert share < 0.4
     report = json.loads((out / "report.json").read_text())

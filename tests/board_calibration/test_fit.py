@@ -1,4 +1,6 @@
-"""The fit of a rig: derivatives, accuracy, cameras that are joined through others, outliers, and its errors."""
+"""The fit of a rig: derivatives, accuracy, cameras that are connected only through other cameras, outliers, and error
+messages.
+"""
 
 from __future__ import annotations
 
@@ -94,7 +96,7 @@ def test_the_rig_is_recovered() -> None:
 
 
 def test_known_lenses_are_kept() -> None:
-    """Catches a known lens that is adjusted, or a lens without intrinsics that is not."""
+    """Catches a known lens that is adjusted, and an unknown lens that is not adjusted."""
     cameras, views = seen_views(SETTINGS, range(20))
     fit = fit_rig(rig_input(SETTINGS, views, [cameras[0], None, cameras[2]]), untracked)
     for index in (0, 2):
@@ -122,7 +124,7 @@ def test_separate_groups_of_cameras_are_named() -> None:
 
 
 def test_wrong_corners_do_not_matter() -> None:
-    """Catches a few corners that are 20 px wrong and bend the rig."""
+    """Catches camera poses that are distorted by a few corners with an error of 20 px."""
     cameras, views = seen_views(SETTINGS, range(40))
     generator = np.random.default_rng(1)
     for view in views[::4]:
@@ -134,7 +136,7 @@ def test_wrong_corners_do_not_matter() -> None:
 
 
 def test_boards_of_different_sizes_are_refused() -> None:
-    """Catches one camera that sees a board with larger squares, which no rigid rig explains."""
+    """Catches a fit that accepts a camera that sees a board with larger squares. No rigid rig explains such views."""
     _, views = seen_views(SETTINGS, range(40))
     larger = replace(SETTINGS, board=replace(SETTINGS.board, square_m=0.1, marker_m=0.075))
     _, others = seen_views(larger, range(40))
@@ -144,7 +146,7 @@ def test_boards_of_different_sizes_are_refused() -> None:
 
 
 def test_too_few_views_are_refused() -> None:
-    """Catches a lens that is estimated from two views, and a board that one camera alone sees."""
+    """Catches a lens that is estimated from two views, and a board that only one camera sees and that is accepted."""
     _, views = seen_views(SETTINGS, range(40), {1: range(2)})
     with pytest.raises(UserError, match=r"videos: b: expected the board in at least 5 frames, got [12];"):
         fit_rig(rig_input(SETTINGS, views), untracked)
@@ -187,7 +189,7 @@ def test_coverage_is_the_share_of_cells() -> None:
 
 
 def test_late_cameras_and_slow_readouts_are_found() -> None:
-    """Catches cameras taken to expose at the same time although they lag and read their rows one after another."""
+    """Catches a fit that assumes simultaneous exposure although cameras are delayed and have rolling shutters."""
     filming = Filming(delays={1: 0.05, 2: -0.05}, readout=0.1)
     cameras, views = seen_views(SETTINGS, range(40), filming=filming)
     fit = fit_rig(rig_input(SETTINGS, views), untracked)

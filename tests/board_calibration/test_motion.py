@@ -16,7 +16,7 @@ def poses(times: np.ndarray) -> Poses:
 
 
 def test_motion_is_the_derivative_of_the_poses() -> None:
-    """Catches a motion that ignores missing frames, or that is one-sided in the middle."""
+    """Catches a motion that ignores missing frames, and one-sided differences at frames that have both neighbours."""
     frames = [3, 4, 5, 7, 8, 9, 10]
     times = np.array(frames, float)
     motion = board_motion(frames, poses(times))

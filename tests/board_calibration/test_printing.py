@@ -46,7 +46,7 @@ def rasterize(size: tuple[float, float], rectangles: list[tuple[str, np.ndarray]
 
 
 def test_offsets_of_objects_are_right(tmp_path: Path) -> None:
-    """Catches a table of offsets that viewers have to repair."""
+    """Catches a wrong cross-reference table of the PDF, which viewers would have to repair."""
     path = tmp_path / "board.pdf"
     write_board(tmp_path / "board.toml", BOARD)
     assert main(["calibrate", "--board", str(tmp_path / "board.toml"), "--print-board", str(path)]) == 0
@@ -94,7 +94,7 @@ def test_the_back_is_mirrored(tmp_path: Path) -> None:
     assert views[1] is not None
     assert np.array_equal(views[0].corners, views[1].corners)
     assert np.abs(views[0].pixels - views[1].pixels).max() < 0.5
-    # The ground of an inverted board is black.
+    # The background of an inverted board is black.
     assert cv2.countNonZero(first[400:800, 200:600]) < 400 * 400 * 0.7
 
 

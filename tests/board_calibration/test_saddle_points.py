@@ -36,7 +36,7 @@ def test_corners_are_precise_in_blurred_images() -> None:
 
 
 def test_places_without_a_corner_are_refused() -> None:
-    """Catches the middle of a square that is returned as a corner."""
+    """Catches a search that returns the middle of a square as a corner."""
     settings = BoardSettings()
     picture = draw_board(settings.board, 40, margin=20)
     flat = settings.board.corners[:, :2] / settings.board.square_m

@@ -81,7 +81,7 @@ def test_residuals_alone_choose_the_true_hypothesis(rng: np.random.Generator, na
 
 
 def test_borders_decide_without_matches(rng: np.random.Generator) -> None:
-    """Catches a choice that is called clear without evidence."""
+    """Catches a hypothesis that is reported as clear without evidence."""
     cameras = _off_centre_cameras()
     sizes = [(1080, 1920), (1088, 1920), (1088, 1920), (1088, 1920)]
     unknown = choose_size({}, cameras, sizes)

@@ -1,4 +1,4 @@
-"""Calibration from images alone. A distance gives the scale, and a chessboard gives the world frame."""
+"""Calibration from images alone. A given distance determines the scale, and a chessboard determines the world frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small videos as phones write them: rotation metadata, uneven frame times, and HDR in 10 bits."""
+"""Small videos like those of phones, with rotation metadata, uneven frame times, and HDR in 10 bits."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Opening and checking of captures: their content, the cost, and the errors for damaged captures."""
+"""Opening and checking of captures: their content, the memory and time that they need, and the errors for damaged
+captures.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ BARREL = np.array([-0.25, 0.06, 0.002, -0.001, 0.01])
 
 @pytest.fixture
 def capture(ball_capture: Path, tmp_path: Path) -> Path:
-    """A copy to break."""
+    """A copy of the capture that the test damages."""
     return Path(shutil.copytree(ball_capture, tmp_path / "capture"))
 
 
@@ -233,7 +235,9 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
 def test_broken_captures_raise_one_line(
     damage: Callable[[Path], object], message: str, capture: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a damaged capture that gives a traceback, a half-grey image, or a message that does not name the file."""
+    """Catches a damaged capture that causes a traceback, a half-grey image, or a message that does not name the
+    file.
+    """
     damage(capture)
     with pytest.raises(UserError, match=message) as caught:
         opened = open_capture(capture)

@@ -59,7 +59,7 @@ def test_lists_that_lie_are_refused(tmp_path: Path, change: dict[str, object]) -
 
 
 def test_time_lapses_are_read_or_refused(tmp_path: Path) -> None:
-    """Catches a frame rate that is rounded to 0 and then divides."""
+    """Catches a division by a frame rate that is rounded to 0."""
     path = tmp_path / "a.mkv"
     for seconds, fps in ((60, Fraction(1, 60)), (3600, None)):
         write_slow_video(path, Fraction(seconds))

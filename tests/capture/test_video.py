@@ -50,7 +50,9 @@ def test_random_access_equals_sequential_decoding(
 
 
 def test_test_video_has_b_frames_and_keyframes(tmp_path: Path) -> None:
-    """Catches a test video without B-frames or with too few keyframes, which would reveal no errors."""
+    """Catches a test video without B-frames or with too few keyframes. With such a video, the other tests would find no
+    errors.
+    """
     path = write_numbered_video(tmp_path / "video.mp4")
     with av.open(str(path)) as container:
         times = [packet.pts for packet in container.demux(video=0) if packet.pts is not None]
@@ -186,7 +188,9 @@ def test_rounded_times_are_a_constant_rate(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("matrix", [(-1, 0, 0, 1), (0, 1, 1, 0), (0.6, 0.8, -0.8, 0.6)])
 def test_mirrored_and_oblique_videos_are_refused(matrix: tuple[float, ...], tmp_path: Path) -> None:
-    """Catches a mirrored or oblique display matrix that is rounded to a turn."""
+    """Catches a display matrix with a mirror or an oblique angle that is read as a rotation by a multiple of 90
+    degrees.
+    """
     path = write_display_matrix(write_numbered_video(tmp_path / "video.mp4"), matrix)
     assert_refused(path, r"expected frames turned by a multiple of 90 degrees and not mirrored.*ffmpeg -i")
 

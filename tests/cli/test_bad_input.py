@@ -1,4 +1,4 @@
-"""Wrong input gives exit code 2 and one line on stderr that names the file. No data is lost."""
+"""Tests that wrong input gives exit code 2 and one line on stderr that names the file, and that no data is lost."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def checked(capture: Path, capsys: pytest.CaptureFixture[str]) -> str:
 
 
 def made(capture: Path, capsys: pytest.CaptureFixture[str]) -> str:
-    """Output of ``fourd make``, which fails or trains for one step."""
+    """Return the output of ``fourd make``. The command fails, or trains for one step."""
     main(["make", str(capture), "-o", str(capture.parent / "scene.4dv"), "--max-steps", "1", "--points", "200"])
     output = capsys.readouterr()
     return " ".join((output.out + output.err).split())

@@ -1,4 +1,4 @@
-"""All commands run in sequence on a small synthetic capture, as a user would type them."""
+"""Tests that run all commands in sequence on a small synthetic capture, as a user would type them."""
 
 from __future__ import annotations
 
@@ -125,7 +125,9 @@ def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) 
 
 
 def test_export_of_a_run_for_other_programs(made: Path, tmp_path: Path) -> None:
-    """Catches a run that must be baked by hand first, and a temporary scene that remains."""
+    """Catches a command that does not accept a run without an exported scene, and a temporary scene that is not
+    removed.
+    """
     run, out = made.with_suffix(".work") / "run", tmp_path / "splats"
     assert main(["export", str(run), "-o", str(out), "--to", "splat"]) == 0
     assert [path.name for path in sorted(tmp_path.iterdir())] == ["splats"]

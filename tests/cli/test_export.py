@@ -57,7 +57,7 @@ def test_wrong_options_are_refused(
 
 
 def test_one_file_takes_one_frame(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an export that writes the last frame over the others."""
+    """Catches an export that writes all frames to one file, so that only the last frame remains."""
     assert export(scene, "-o", tmp_path / "a.glb", "--to", "glb") == 2
     assert "a.glb: expected a folder for 3 frames, got the name of a file" in capsys.readouterr().err
     assert export(scene, "-o", tmp_path / "a.glb", "--to", "glb", "--frames", "11:12") == 0
@@ -65,7 +65,7 @@ def test_one_file_takes_one_frame(scene: Path, tmp_path: Path, capsys: pytest.Ca
 
 
 def test_broken_splats_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a traceback for a file that another program wrote in part."""
+    """Catches a traceback for an incomplete file of another program."""
     (tmp_path / "a.splat").write_bytes(b"0" * 40)
     for command in (["view", "--screenshot", tmp_path / "a.png"], ["info"]):
         assert main([command[0], str(tmp_path / "a.splat"), *map(str, command[1:])]) == 2

@@ -42,7 +42,7 @@ def test_a_fit_improves_the_unseen_view(ball_capture: Path) -> None:
 
 
 def test_a_fit_without_hardening_is_scored(ball_capture: Path) -> None:
-    """Catches soft triangles that are not scored if the soft phase lasts until the end."""
+    """Catches soft triangles that are not scored if the fit ends in the soft phase."""
     soft, opaque = box_psnr(fit(ball_capture, max_steps=4, soft_share=1.0, hard_share=1.0))
     assert 5 < soft < 40
     assert 5 < opaque < 40

@@ -170,8 +170,9 @@ def test_good_calibration_is_unchanged(tmp_path: Path, capsys: pytest.CaptureFix
 
 
 def test_check_reports_residuals_and_names_the_camera(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a displaced camera that is not reported, correct cameras that are reported, and slow checks with
-    --quick."""
+    """Catches a displaced camera that is not reported, correct cameras that are reported, and slow checks that run in
+    spite of --quick.
+    """
     true = room_cameras(5, 320, 240)
     angle = np.deg2rad(2.5)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])

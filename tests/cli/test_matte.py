@@ -94,7 +94,9 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_stopped_commands_resume_to_the_same_files(
     how: signal.Signals, workers: str, when: str, finished: Path, tmp_path: Path
 ) -> None:
-    """Catches truncated files, work that starts over, and files that depend on when and how the command was stopped."""
+    """Catches truncated files, finished work that is repeated, and files that depend on when and how the command was
+    stopped.
+    """
     stopped = tmp_path / "stopped"
     shutil.copytree(finished, stopped, copy_function=shutil.copy2, ignore=shutil.ignore_patterns(".fourd"))
     command = [*MATTE, workers, str(stopped)]

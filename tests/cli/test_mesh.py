@@ -47,7 +47,7 @@ def test_each_frame_has_a_closed_textured_mesh(made: Path) -> None:
 
 
 def test_held_out_views_are_scored(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches scores of training views, and meshes that do not match the images."""
+    """Catches scores that are computed from training views, and meshes that do not match the images."""
     scores = json.loads((made / "scores.json").read_text())
     assert {picture["camera"] for picture in scores["pictures"]} == {"02", "05"}
     assert {picture["frame"] for picture in scores["pictures"]} == {0, 1}
@@ -73,7 +73,7 @@ def test_finished_frames_are_kept_and_new_settings_replace_them(capture: Path, m
 def test_remeshing_gives_fewer_triangles(
     capture: Path, made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches remeshing with a length in another unit, and a missing package that is reported only after the fit."""
+    """Catches remeshing with a length in the wrong unit, and a missing package that is reported only after the fit."""
     words = ["mesh", str(capture), "-o", str(tmp_path), "--frames", "0:1", *SMALL, "--remesh", "1"]
     with monkeypatch.context() as patched:
         patched.setattr("fourd.cli.captures.mesh.remeshing_is_available", lambda: False)
@@ -98,7 +98,7 @@ def test_ply_files_are_in_world_coordinates(capture: Path, made: Path, tmp_path:
 
 
 def test_runs_give_their_views_and_frames(capture: Path, tmp_path: Path) -> None:
-    """Catches a run whose held-out views are used for its meshes."""
+    """Catches meshes of a run that are fitted to the run's held-out views."""
     run, overlay = tmp_path / "run", tmp_path / "small.yaml"
     overlay.write_text("points: 1000\nmodel: {hidden: 16, planes: {levels: 2, features: 4, base_resolution: 16}}\n")
     words = ["train", str(capture), "--out", str(run), "--config", str(overlay), "--frames", "1:2"]
@@ -147,7 +147,7 @@ def test_bad_options_are_named(
 
 
 def test_empty_frames_are_named(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a subject that leaves the scene and ends in a traceback."""
+    """Catches a traceback for frames in which the subject has left the scene."""
     import cv2
 
     copied = tmp_path / "capture"

@@ -45,7 +45,7 @@ def test_pack_writes_a_smaller_scene_and_prints_sizes(
 
 
 def test_a_packed_scene_can_be_packed_again(scene: Path, tmp_path: Path) -> None:
-    """Catches a reader of packed scenes that the packer cannot use."""
+    """Catches a packed scene that cannot be packed again."""
     assert pack(scene, "-o", tmp_path / "full.4dv") == 0
     assert pack(tmp_path / "full.4dv", "-o", tmp_path / "light.4dv", "--tier", "light") == 0
     assert pack(tmp_path / "light.4dv", "-o", tmp_path / "again.4dv", "--tier", "stream") == 0

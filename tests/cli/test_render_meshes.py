@@ -54,7 +54,7 @@ def picture(path: Path) -> np.ndarray:
 
 @pytest.mark.parametrize("suffix", [".ply", ".glb"])
 def test_files_are_read_as_they_were_written(suffix: str, tmp_path: Path) -> None:
-    """Catches colours that stay linear, another up direction, and vertices in another order than the triangles."""
+    """Catches colours that stay linear, a wrong up direction, and vertices whose order does not match the triangles."""
     mesh = sphere(rings=12)
     path = write_as(tmp_path / f"mesh{suffix}", mesh)
     found = read_ply_mesh(path) if suffix == ".ply" else read_glb_mesh(path)
@@ -104,7 +104,9 @@ def test_a_mesh_is_drawn_in_a_style_without_torch(suffix: str, tmp_path: Path) -
 
 
 def test_sequences_orbit_and_video(tmp_path: Path) -> None:
-    """Catches frames in the order of names instead of numbers, the animation as a frame, and a video without frames."""
+    """Catches frames that are sorted by name instead of number, the file of the animation that is read as a frame, and
+    a video without frames.
+    """
     folder = tmp_path / "meshes"
     folder.mkdir()
     for number, radius in ((2, 0.3), (10, 1.0), (1, 0.6)):
@@ -129,7 +131,7 @@ def test_the_window_names_the_command_for_meshes(tmp_path: Path, capsys: pytest.
 
 
 def test_points_are_not_meshes(tmp_path: Path) -> None:
-    """Catches point clouds that are no longer drawn as points."""
+    """Catches point clouds that are drawn as meshes."""
     write_ply(tmp_path / "points.ply", np.random.default_rng(1).normal(size=(20, 3)), np.zeros((20, 3), np.uint8))
     assert not is_mesh(tmp_path / "points.ply")
     assert not is_mesh(tmp_path)

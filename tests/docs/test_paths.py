@@ -20,7 +20,7 @@ PAGES = [
 TOP = ("fourd", "viewer", "csrc", "configs", "examples", "tools", "tests", "docs")
 PATH = re.compile(rf"`((?:{'|'.join(TOP)})/[\w./-]*)`")
 DEFINITION = re.compile(r"`((?:fourd|viewer|tools)/[\w/]+\.py)`, ((?:`[\w.]+`(?:, | and )?)+)")
-"""A file with names that it defines, such as `fourd/a.py`, `function` and `Class.method`."""
+"""Pattern for a file followed by names that the file defines, such as `fourd/a.py`, `function` and `Class.method`."""
 NAME = re.compile(r"`(fourd(?:\.\w+)+)(?:\(\))?`")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 FENCE = re.compile(r"^```.*?^```", re.DOTALL | re.MULTILINE)

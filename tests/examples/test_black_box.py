@@ -22,5 +22,5 @@ def test_fitting_through_opengl_reduces_the_error(tmp_path: Path) -> None:
 
 
 def test_readme_lists_the_example() -> None:
-    """Catches an example that nobody finds."""
+    """Catches an example without an entry in examples/README.md."""
     assert "(triangles/black_box.py)" in (ROOT / "examples" / "README.md").read_text(encoding="utf-8")

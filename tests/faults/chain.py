@@ -20,7 +20,7 @@ from tests.captures import write_ball_capture
 from tests.faults.operations import Mode
 
 TIMES = ("metrics.jsonl", "events.out.tfevents")
-"""Beginnings of the names of files that contain times."""
+"""Files whose names start with one of these texts contain times."""
 EXPORTED = ".export"
 REPOSITORY = Path(__file__).parents[2]
 SMALL = (
@@ -38,7 +38,7 @@ SMALL = (
 
 @dataclass(frozen=True)
 class Command:
-    """A command, and the folder that it writes. Paths are relative to the folder of work."""
+    """A command, and the folder that the command writes. Paths are relative to the working folder of the test."""
 
     words: tuple[str, ...]
     output: str
@@ -62,12 +62,12 @@ MAKE = Command(
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of a command.
+    """The result of a command.
 
     Attributes:
         code: exit code, or the negative number of a signal.
-        text: its output.
-        operations: the operations that it did, or an empty list if it was killed.
+        text: output of the command.
+        operations: the operations that the command did, or an empty list if the command was killed.
     """
 
     code: int
@@ -76,7 +76,7 @@ class Outcome:
 
 
 class Zygote:
-    """Runs commands in processes that are forked from one process with all imports."""
+    """Runs commands in processes that are forked from one process. This process has imported all modules."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -134,7 +134,9 @@ def write_source(root: Path) -> None:
 
 
 def restore(snapshot: Path, root: Path) -> None:
-    """Replace the folder ``root`` by a copy of ``snapshot``, with the same times."""
+    """Replace the folder ``root`` by a copy of ``snapshot``. The copies have the modification times of the
+    originals.
+    """
     shutil.rmtree(root, ignore_errors=True)
     shutil.copytree(snapshot, root, symlinks=True)
 

@@ -20,7 +20,9 @@ import safetensors.torch
 from safetensors import SafetensorError
 
 Mode = Literal["count", "full", "memory", "interrupt", "kill"]
-"""full: the disk is full. memory: memory is missing. interrupt: Ctrl-C. kill: SIGKILL."""
+"""The kind of fault: "full" is a full disk, "memory" a failed allocation, "interrupt" Ctrl-C, and "kill" SIGKILL. The
+mode "count" only counts operations.
+"""
 MODES: tuple[Mode, ...] = ("full", "memory", "interrupt", "kill")
 READING = ("open for reading",)
 NAMES = ("mkdir", "rmdir", "unlink", "remove", "rename", "replace", "symlink", "chmod", "link", "utime", "truncate")
@@ -30,7 +32,9 @@ WRITING_FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 @dataclass
 class Faults:
-    """Counts operations below ``root``. The operation number ``at``, from 0, has a fault of the kind ``mode``."""
+    """Counts operations on paths inside ``root``. The operation with the index ``at``, counted from 0, gets a fault of
+    the kind ``mode``.
+    """
 
     root: Path
     mode: Mode
@@ -38,7 +42,9 @@ class Faults:
     operations: list[str] = field(default_factory=list)
 
     def install(self) -> None:
-        """Replace the functions in this process. There is no way back, so call it in a child process."""
+        """Replace the functions in this process. The functions cannot be restored, so call this method in a child
+        process.
+        """
         for name in NAMES:
             setattr(os, name, self._wrap(name, getattr(os, name)))
         os.fsync = self._wrap("fsync", os.fsync)  # type: ignore[assignment]
@@ -48,7 +54,9 @@ class Faults:
         safetensors.torch.serialize_file = self._wrap_serialize(safetensors.torch.serialize_file)
 
     def step(self, kind: str, target: object, tear: Callable[[], object] | None = None) -> None:
-        """Count an operation, and let it fail if it is the chosen one. ``tear`` does half of a write."""
+        """Count an operation. If the operation has the index ``at``, it fails. ``tear`` is called before the fault and
+        writes half of the bytes.
+        """
         path = self._path(target)
         if path is None:
             return
@@ -69,7 +77,7 @@ class Faults:
             raise OSError(code, os.strerror(code), str(path))
 
     def _path(self, target: object) -> Path | None:
-        """The absolute path of an operation, or None if it is not below the folder."""
+        """The absolute path of an operation, or None if the path is outside ``root``."""
         try:
             if isinstance(target, int):
                 path = Path(os.readlink(f"/proc/self/fd/{target}"))
@@ -98,7 +106,7 @@ class Faults:
     def _wrap_open(self, function: Callable[..., Any]) -> Callable[..., Any]:
         def wrapped(file: Any, mode: str = "r", buffering: int = -1, *rest: Any, **named: Any) -> Any:
             writes = any(letter in mode for letter in "wax+")
-            if not isinstance(file, int):  # os.open has counted the file of a descriptor
+            if not isinstance(file, int):  # os.open has already counted the opening of a file descriptor
                 self.step("open for writing" if writes else "open for reading", file)
             if self._path(file) is None or not writes:
                 return function(file, mode, buffering, *rest, **named)

@@ -1,4 +1,6 @@
-"""Every operation on files fails once, in all commands from images to a scene: no result is lost or damaged."""
+"""Tests that no result is lost or damaged if a file operation fails. The faults are in the commands that make a scene
+from images.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ CODES: dict[Mode, tuple[int, ...]] = {
 
 @dataclass(frozen=True)
 class Stage:
-    """A command, the folder before it, the contents after it, and the operations that it does."""
+    """A command, a copy of the working folder before the command, the contents of the folder after the command, and the
+    operations that the command does.
+    """
 
     command: Command
     before: Path
@@ -69,7 +73,9 @@ def chain(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chain]:
 
 
 def find_fault(chain: Chain, stage: Stage, mode: Mode, at: int) -> str:
-    """Let one operation of a command fail, and run the command again. Returns a description of what is wrong."""
+    """Let one operation of a command fail, and run the command again. Returns a description of the error, or an empty
+    text if the results are correct.
+    """
     restore(stage.before, chain.root)
     before = contents(chain.root)
     failed = chain.zygote.run(stage.command, chain.root, mode, at)
@@ -120,7 +126,9 @@ def all_faults(chain: Chain) -> list[tuple[int, Mode, int]]:
 
 
 def test_some_faults_lose_nothing(chain: Chain, rng: np.random.Generator) -> None:
-    """Catches a torn file, a lost result, a leftover file, and a next run that ends with other bytes."""
+    """Catches files that are written in part, lost results, leftover files, and results of the next run that differ
+    from those of a run without faults.
+    """
     faults = all_faults(chain)
     chosen = [
         each
@@ -134,7 +142,7 @@ def test_some_faults_lose_nothing(chain: Chain, rng: np.random.Generator) -> Non
 
 @pytest.mark.slow
 def test_every_fault_loses_nothing(chain: Chain) -> None:
-    """Catches the same, for every operation of every command."""
+    """Catches the errors of :func:`test_some_faults_lose_nothing`, for every operation of every command."""
     faults = all_faults(chain)
     print(f"{len(faults)} faults of {sum(len(stage.operations) for stage in chain.stages)} operations")
     run_faults(chain, faults)

@@ -1,4 +1,6 @@
-"""fourd make that is killed or interrupted at random times ends with the same scene."""
+"""Tests that ``fourd make`` gives the same scene with and without interruptions. The command is killed or interrupted
+at random times.
+"""
 
 from __future__ import annotations
 
@@ -39,11 +41,15 @@ def run_kills(tmp_path: Path, rng: np.random.Generator, count: int) -> None:
 
 
 def test_killed_commands_end_with_the_same_scene(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a damaged or lost stage, another scene, and a leftover file, after kill -9 and Ctrl-C at random times."""
+    """Catches damaged or lost results of a stage, a scene that differs from that of an uninterrupted command, and
+    leftover files, after kill -9 and Ctrl-C at random times.
+    """
     run_kills(tmp_path, rng, QUICK)
 
 
 @pytest.mark.slow
 def test_commands_that_are_killed_often_end_with_the_same_scene(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches the same, with 100 calls of each kind."""
+    """Catches the errors of :func:`test_killed_commands_end_with_the_same_scene`, with 100 killed and 100 interrupted
+    calls.
+    """
     run_kills(tmp_path, rng, SLOW)

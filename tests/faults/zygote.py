@@ -25,7 +25,9 @@ from fourd.ops.loading import load_native
 from tests.faults.operations import Faults
 
 MAX_SECONDS = 20
-"""A command that runs for this time hangs. It takes less than 3 seconds on an idle machine."""
+"""A command that runs for longer than this time, in seconds, counts as hanging. On an idle machine, a command takes
+less than 3 seconds.
+"""
 MODULES = (
     "captures.import_",
     "captures.matte",
@@ -38,7 +40,9 @@ MODULES = (
 
 
 def run_job(job: dict[str, Any]) -> dict[str, Any]:
-    """Run a command in a forked process, and send it a signal if the job has one. The result has the wait status."""
+    """Run a command in a forked process. If the job contains a signal, the process gets this signal. The result
+    contains the wait status of the process.
+    """
     child = os.fork()
     if child == 0:
         code = 70
@@ -68,9 +72,9 @@ def _run_command(job: dict[str, Any]) -> int:
         code = cli.main(job["words"])
     except BaseException as error:
         print(f"Traceback: {type(error).__name__}: {error}", file=sys.stderr)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as main does for the words of the command line
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as fourd.cli.main does for the words of the command line
     done, faults.at = list(faults.operations), -1
-    atexit._run_exitfuncs()  # removes scratch folders, as the end of a program does
+    atexit._run_exitfuncs()  # removes scratch folders, as fourd does when it exits
     sys.stdout.flush()
     sys.stderr.flush()
     Path(job["operations"]).write_text(json.dumps(done))
@@ -78,7 +82,9 @@ def _run_command(job: dict[str, Any]) -> int:
 
 
 def _import_lazily_imported() -> None:
-    """Import what libraries import on their first use, so that commands do not import it again in each process."""
+    """Import the modules that libraries import on first use, so that the forked processes do not import these modules
+    again.
+    """
     importlib.import_module("torch.utils.tensorboard")
     Image.init()
     load_native()

@@ -27,7 +27,7 @@ def test_round_trip(count: int, tmp_path: Path, rng: np.random.Generator) -> Non
 
 
 def test_trimesh_and_fourd_read_each_others_files(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches files that only fourd can read."""
+    """Catches PLY files that other programs cannot read."""
     xyz, rgb = cloud(rng, 50)
     write_ply(tmp_path / "ours.ply", xyz, rgb)
     theirs = trimesh.load(tmp_path / "ours.ply")

@@ -1,4 +1,6 @@
-"""Hostile files of classes that need files of several programs: numbers that are not finite, lying counts, aliases."""
+"""Hostile files that are written in the formats of several programs. Examples are files with numbers that are not
+finite, with counts that do not match the content, and with aliases.
+"""
 
 from __future__ import annotations
 

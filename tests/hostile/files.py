@@ -1,4 +1,6 @@
-"""Generator of hostile files and command lines. Each case is a command that must end with one line and exit code 2."""
+"""Generator of hostile files and command lines. Each case is a command that must end with one error line and exit code
+2.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,7 @@ class HostileFiles:
             yield from make()
 
     def _kinds_of_files(self) -> Iterator[Case]:
-        """Named pipes and devices in the place of files."""
+        """Named pipes and devices in place of files."""
         for kind, make in (("pipe", os.mkfifo), ("device", lambda path: os.symlink("/dev/zero", path))):
             for suffix in (".4dv", ".ply", ".splat", ".glb", ".safetensors", ".mp4"):
                 path = self.folder / f"{kind}{suffix}"
@@ -83,7 +85,7 @@ class HostileFiles:
             yield Case(f"config of a {kind}", words)
 
     def _calibrations(self) -> Iterator[Case]:
-        """Content on which OpenCV's parser overflows the stack, and other formats."""
+        """Content that overflows the stack of OpenCV's parser, and content in other formats."""
         many = 300_000
         contents = {
             "flow lists": YAML + "a: " + "[" * many + "]" * many,
@@ -107,7 +109,7 @@ class HostileFiles:
                 yield Case(f"check of {name} as {file}", ("check", broken))
 
     def _pictures(self) -> Iterator[Case]:
-        """Other formats with the name of a picture, and pictures that declare a huge size."""
+        """Files of other formats that are named as images, and images that declare a huge size."""
         bomb = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (60_000).to_bytes(4, "big") * 2 + b"\x08\x02\0\0\0" + b"\0" * 40
         for name, content in (("EPS", EPS), ("bomb", bomb), ("GIF", b"GIF89a" + b"\0" * 60), ("empty", b"")):
             for file in ("images/00/000000.png", "masks/00/000000.png"):
@@ -116,7 +118,7 @@ class HostileFiles:
                 yield Case(f"carve of {name} as {file}", ("carve", broken, "--out", self._out()))
 
     def _states(self) -> Iterator[Case]:
-        """State files of captures, and symbolic links that lead out of the capture."""
+        """State files of captures, and symbolic links to paths outside the capture."""
         contents = {"deep": "[" * 200_000, "number": '{"version": 1, "fps": ' + "9" * 5000 + "}", "text": '"a"'}
         contents["exponent"] = '{"version": 1, "fps": "1e99999999"}'
         for name, content in contents.items():

@@ -2,7 +2,7 @@
 
 Each reader runs in its own process for its share of the time. The corpora, which grow, are in build/fuzz/. An input on
 which a reader raises another error than UserError, hangs for 10 seconds or needs 2 GB is written to
-build/fuzz/READER-crash-HASH. Fix the reader, and keep the class of the input as a case in tests/hostile/.
+build/fuzz/READER-crash-HASH. Fix the reader, and add a case with an input of this kind to tests/hostile/.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 def instrument() -> None:
-    """Measure the coverage of all functions of fourd, which are already imported."""
+    """Instrument all functions of fourd for the measurement of coverage. The functions are already imported."""
     for module in [module for name, module in sys.modules.items() if name.startswith("fourd.")]:
         values = list(vars(module).values())
         values += [value for kind in values if isinstance(kind, type) for value in vars(kind).values()]
@@ -100,7 +100,7 @@ def fuzz(name: str, options: list[str]) -> None:
 
 
 def write_seeds() -> None:
-    """Write the whole files of the tests' samples as the first inputs of the corpora."""
+    """Write the undamaged sample files of the tests as the first inputs of the corpora."""
     from tests.hostile.samples import Samples
 
     with tempfile.TemporaryDirectory() as folder:

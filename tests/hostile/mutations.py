@@ -1,4 +1,6 @@
-"""Random damage of files of any kind: bytes, numbers, text and structure, and other kinds of files in their place."""
+"""Damages files of any kind at random. The damage changes bytes, numbers, text or structure, or replaces a file by
+another kind of file.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,7 @@ def damage_file(path: Path, rng: np.random.Generator) -> str:
 
 
 def _replace_kind(path: Path, rng: np.random.Generator) -> str:
-    """Replace a file by a pipe, a link, a folder, an empty file or a huge file with a hole."""
+    """Replace a file by a named pipe, a symbolic link, a folder, an empty file or a huge sparse file."""
     path.unlink()
     kind = ("pipe", "device", "loop", "missing", "folder", "empty", "hole")[rng.integers(7)]
     if kind == "pipe":
@@ -141,7 +143,7 @@ def _bytes(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _blocks(content: bytes, rng: np.random.Generator) -> bytes:
-    """Remove, repeat or clear a block."""
+    """Remove a block of bytes, repeat it or set it to zeros."""
     first, last = np.sort(rng.integers(len(content) + 1, size=2))
     block = content[first:last]
     return content[:first] + (b"", block * 2, bytes(len(block)))[rng.integers(3)] + content[last:]

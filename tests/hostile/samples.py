@@ -1,4 +1,4 @@
-"""Whole files of every kind that fourd reads, with the commands that read them."""
+"""Undamaged files of every kind that fourd reads, with the commands that read these files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tests.training.small import SMALL
 
 CALISCOPE = "camera_array.toml"
 OUT = "OUT"
-"""Stands for the path of the output in a command."""
+"""Placeholder for the path of the output in a command."""
 RENDER = ("--path", "orbit", "--steps", "1", "--size", "32", "24", "-o", OUT)
 
 
@@ -39,7 +39,7 @@ class Sample:
 
     Attributes:
         name: short description, unique.
-        folder: folder with the file and everything that the commands need besides.
+        folder: folder with the file and with all other files that the commands need.
         file: the file that is damaged, relative to the folder.
         commands: commands that read the file. FILE and DIR stand for the paths of the file and of the folder.
     """

@@ -1,4 +1,6 @@
-"""Generated hostile files of every kind, and generated command lines: one line, little memory and time, no damage."""
+"""Tests with generated hostile files of every kind and with generated command lines. Each command must end with one
+error line, use little memory and time, and damage no file.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,13 @@ from tests.hostile.words import HostileWords, is_safe
 FILES, SLOW_FILES = 100, 1000
 COMMANDS, SLOW_COMMANDS = 30, 300
 QUICK = ("info", "verify", "check")
-"""Commands of the quick test, which take little time for whole files."""
+"""Commands of the quick test. With undamaged files, these commands take little time."""
 
 
 def snapshot(folder: Path, left_out: tuple[str, ...]) -> dict[str, int]:
-    """Time of the last change of all files below a folder, by path. ``left_out`` are names at the top."""
+    """Modification times of all files below a folder, by path. ``left_out`` are names of files and folders directly
+    inside the folder that are skipped.
+    """
     found = {}
     for parent, folders, files in os.walk(folder):
         if Path(parent) == folder:
@@ -101,14 +105,16 @@ def run_commands(tmp_path: Path, rng: np.random.Generator, count: int) -> None:
 
 
 def test_damaged_files_end_with_one_line(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches tracebacks, crashes, hangs, memory without bound, and changed files, for damage of all kinds of files."""
+    """Catches tracebacks, crashes, hangs, unbounded memory and changed files, with damaged files of all kinds."""
     run_files(tmp_path, rng, FILES, quick=True)
 
 
 def test_hostile_command_lines_end_with_one_line(
     tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches tracebacks, hangs, and files outside the output, for values of options that are out of range."""
+    """Catches tracebacks, hangs, and files that are written outside the output, with option values that are out of
+    range.
+    """
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     run_commands(tmp_path, rng, COMMANDS)
@@ -116,7 +122,7 @@ def test_hostile_command_lines_end_with_one_line(
 
 @pytest.mark.slow
 def test_many_damaged_files_end_with_one_line(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches the same, with more files and with all commands."""
+    """Catches the errors of :func:`test_damaged_files_end_with_one_line`, with more files and with all commands."""
     run_files(tmp_path, rng, SLOW_FILES, quick=False)
 
 
@@ -124,7 +130,7 @@ def test_many_damaged_files_end_with_one_line(tmp_path: Path, rng: np.random.Gen
 def test_many_hostile_command_lines_end_with_one_line(
     tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches the same, with more command lines."""
+    """Catches the errors of :func:`test_hostile_command_lines_end_with_one_line`, with more command lines."""
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     run_commands(tmp_path, rng, SLOW_COMMANDS)

@@ -1,4 +1,6 @@
-"""Hostile files and command lines: one line, exit code 2, little memory and time, and nothing outside the output."""
+"""Tests with hostile files and command lines. Each command must end with one error line and exit code 2, use little
+memory and time, and change no file outside the output.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,7 @@ def find_fault(case: Case, status: int, usage: resource.struct_rusage, text: str
 
 @pytest.mark.slow
 def test_hostile_files_end_with_one_line(tmp_path: Path) -> None:
-    """Catches tracebacks, crashes, hangs, memory without bound, and files that are deleted outside the capture."""
+    """Catches tracebacks, crashes, hangs, unbounded memory, and files that are deleted outside the capture."""
     hostile = HostileFiles(tmp_path)
     faults, count = {}, 0
     for case in chain(hostile.cases(), HostileClasses(hostile).cases()):

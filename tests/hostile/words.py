@@ -1,4 +1,6 @@
-"""Random command lines: every option of every command, with values that are out of range or of another type."""
+"""Random command lines with every option of every command. Values are out of range, or their type is not that of the
+option.
+"""
 
 from __future__ import annotations
 
@@ -84,11 +86,11 @@ BASES = {
     "info": ("SCENE",),
     "verify": ("SCENE",),
 }
-"""Words after each command. Commands that would run for long have no source."""
+"""Arguments of each command. Commands that would run for a long time get no source."""
 
 
 class HostileWords:
-    """Makes command lines. ``scene`` and ``capture`` are whole sources, and ``out`` is the path of the output."""
+    """Makes command lines. ``scene`` and ``capture`` are undamaged sources, and ``out`` is the path of the output."""
 
     def __init__(self, scene: Path, capture: Path, out: Path, rng: np.random.Generator) -> None:
         self._places = {"SCENE": scene, "CAPTURE": capture, "OUT": out, "ABSENT": out.with_name("absent")}
@@ -107,7 +109,7 @@ class HostileWords:
             if choice < 0.75 and self._options[name]:
                 option = self._options[name][rng.integers(len(self._options[name]))]
                 words += [option, value] if rng.random() < 0.9 else [f"{option}={value}"]
-            elif choice < 0.9 and name != "synth":  # which would make a capture under any name
+            elif choice < 0.9 and name != "synth":  # this command would make a capture at any path
                 words[rng.integers(len(words))] = value
             else:
                 words.insert(int(rng.integers(len(words) + 1)), value)
@@ -131,7 +133,9 @@ def _options(kind: Any) -> list[str]:
 
 
 def is_safe(words: tuple[str, ...]) -> bool:
-    """Whether the command line names no folder outside the test as its output, and starts no server or benchmark."""
+    """Whether the command line can run in a test: it writes no folder outside the test, and starts no server or
+    benchmark.
+    """
     outside = any(words[index] in ("-o", "--out") and _is_outside(words[index + 1]) for index in range(len(words) - 1))
     return not outside and not any(word.startswith("--out=") for word in words)
 

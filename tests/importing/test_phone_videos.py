@@ -1,4 +1,6 @@
-"""Imports of videos as phones write them give the same pictures as imports of plain videos."""
+"""Tests that imports of phone videos give the same images as imports of videos without rotation, uneven frame times or
+HDR.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> list[float]:
 
 @pytest.mark.parametrize("unpack", [False, True])
 def test_turned_videos_give_the_same_pictures(unpack: bool, plain: list[float], tmp_path: Path) -> None:
-    """Catches a turn in the wrong direction, and a path that decodes frames without their turn."""
+    """Catches a rotation in the wrong direction, and code that decodes frames without applying their rotation."""
     source = write_source(tmp_path / "source")
     for name, clockwise in zip(NAMES, (90, 180, 270), strict=True):
         write_phone_video(source / "videos" / f"{name}.mp4", PLAIN, clockwise=clockwise)
@@ -76,7 +78,7 @@ def test_turned_videos_give_the_same_pictures(unpack: bool, plain: list[float], 
 
 
 def test_calibrations_of_stored_frames_are_turned(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a calibration of the stored frames that is used for the turned frames."""
+    """Catches a calibration of the stored frames that is used for the rotated frames."""
     upright = [replace(camera, distortion=rng.normal(0, 0.02, 12)) for camera in calibrations()]
     stored = [turn_camera(camera, angle) for camera, angle in zip(upright, (90, 180, 270), strict=True)]
     source = write_source(tmp_path / "source", stored)
@@ -96,7 +98,7 @@ def test_calibrations_of_stored_frames_are_turned(tmp_path: Path, rng: np.random
 
 
 def test_turned_cameras_project_to_turned_pixels(rng: np.random.Generator) -> None:
-    """Catches a sign error in the turned pose, intrinsics or tangential distortion."""
+    """Catches a sign error in the rotated pose, intrinsics or tangential distortion."""
     cv2 = pytest.importorskip("cv2")
     camera = replace(calibrations()[0], distortion=rng.normal(0, 0.05, 12))
     points = rng.normal(0, 0.4, (20, 3))

@@ -1,4 +1,6 @@
-"""Lenses, mirrors and glass balls: directions with known values, and pictures that must equal others."""
+"""Lenses, mirrors and glass balls. Directions are compared with known values, and pictures with the rasterizer and
+between devices.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ from tests.baking.scenes import manifest, random_frame, ring, write_scene
 
 
 def test_a_pinhole_shows_the_picture_of_the_compositor() -> None:
-    """Catches colours, an order or a filter that differ from those of the rasterized picture."""
+    """Catches colours, a compositing order or a pixel filter that differ from those of the rasterized picture."""
     frame, described = random_frame(4000, 6, seed=4), manifest(views=6)
     for camera in ring(3, size=96):
         expected = render_frame(frame, camera, described, background=np.float32([0.2, 0.3, 0.4])).rgb
@@ -30,7 +32,7 @@ def test_a_pinhole_shows_the_picture_of_the_compositor() -> None:
 
 @pytest.mark.parametrize("lens", [Pinhole(), Fisheye(150.0, 2), Panorama(2), ThinLens(0.3, 3.0, rays_per_pixel=3)])
 def test_a_gpu_draws_the_picture_of_the_cpu(lens: Lens, gpu: torch.device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a background, a filter, a near plane or means of rays that differ from those of the CPU."""
+    """Catches a background, a filter, a near plane or averages over rays that differ between the GPU and the CPU."""
     monkeypatch.delenv("FOURD_SIMD", raising=False)
     frame, described = random_frame(1500, 6, seed=4), manifest(views=6)
     camera = ring(3, size=32)[1]
@@ -42,7 +44,7 @@ def test_a_gpu_draws_the_picture_of_the_cpu(lens: Lens, gpu: torch.device, monke
 
 
 def test_fisheye_directions_have_their_angles() -> None:
-    """Catches mirrored or transposed axes, and an angle of the half circle instead of the whole."""
+    """Catches mirrored or transposed axes, and a full angle of view that is used as a half angle."""
     camera = ring(1, size=64)[0]
     rays = Fisheye(180.0).rays(camera)
     directions = dict(zip(rays.pixels.tolist(), rays.directions @ camera.rotation.T, strict=True))
@@ -69,7 +71,7 @@ def test_panorama_directions_cover_the_sphere() -> None:
 
 
 def test_a_thin_lens_without_aperture_is_a_pinhole_and_its_plane_is_sharp() -> None:
-    """Catches rays that do not meet in the sharp plane."""
+    """Catches rays that do not meet in the focal plane."""
     camera = ring(1, size=16)[0]
     rays = ThinLens(0.5, 2.5, rays_per_pixel=40).rays(camera)
     depth = (rays.origins - camera.centre) @ camera.forward

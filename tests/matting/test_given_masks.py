@@ -1,4 +1,4 @@
-"""Masks of other programs and painted images."""
+"""Masks from other programs, and images that the user paints."""
 
 from __future__ import annotations
 

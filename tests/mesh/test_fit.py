@@ -1,4 +1,4 @@
-"""Distances to hulls, the photo term, and the fit of a ball."""
+"""Distances to hulls, the photometric term, and the fit of a ball."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def radii(xyz: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("trim", [False, True])
 def test_the_hull_surface_is_closed_and_near_the_ball(capture: Capture, trim: bool) -> None:
-    """Catches a grid whose border cuts the surface, and distances in another unit or with another sign."""
+    """Catches a grid whose border cuts the surface, and distances in the wrong unit or with the wrong sign."""
     start = hull_distance_grid(frame_masks(capture, 0), capture.cameras, BOX, cells=24, trim=trim)
     surface = marching_tetrahedra(start.grid.xyz, start.sdf, start.grid.tetrahedra)
     mesh = trimesh.Trimesh(surface.xyz.numpy(), surface.triangles.numpy(), process=False)
@@ -85,8 +85,9 @@ def test_silhouettes_shrink_and_grow_the_surface(views: list[MeshView]) -> None:
 
 
 def test_photo_consistency_finds_the_depth(views: list[MeshView]) -> None:
-    """Catches a photo term with a wrong projection. Without the silhouette term, only the colours determine where the
-    surface is."""
+    """Catches a photometric term with a wrong projection. In this test, there is no silhouette term, so only the
+    colours determine the position of the surface.
+    """
     start = sphere_start(0.43, 10)
     fitted = fit_mesh(start, views, FitSettings(steps=40, rate=0.1, silhouette=0))
     equator = np.abs(fitted.xyz[:, 2]) < 0.2

@@ -81,7 +81,7 @@ def test_gradients_match_finite_differences(rng: np.random.Generator) -> None:
 
 
 def test_a_grid_without_surface_gives_an_empty_mesh(grid: TetrahedralGrid) -> None:
-    """Catches an error for a subject that is not there."""
+    """Catches an error for a grid without a surface."""
     surface = marching_tetrahedra(grid.xyz, torch.full((len(grid.xyz),), -1.0), grid.tetrahedra)
     assert surface.xyz.shape == (0, 3)
     assert surface.triangles.shape == (0, 3)

@@ -14,7 +14,7 @@ XYZ, FACES = np.asarray(BOX.vertices, np.float32), np.asarray(BOX.faces, np.int6
 
 
 def test_edges_have_the_wanted_length() -> None:
-    """Catches a length in another unit, flipped triangles and open meshes."""
+    """Catches a length in the wrong unit, flipped triangles and open meshes."""
     pytest.importorskip("gpytoolbox")
     xyz, triangles = remesh(XYZ, FACES, 0.08)
     mesh = trimesh.Trimesh(xyz, triangles, process=False)

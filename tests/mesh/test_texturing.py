@@ -1,4 +1,4 @@
-"""Atlases and colours from views, against a sphere whose colours are known."""
+"""Texture atlases and colours from views, compared with a sphere whose colours are known."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def textured(views: list[MeshView]) -> TexturedMesh:
 
 
 def test_charts_do_not_overlap_and_cover_all_triangles() -> None:
-    """Catches an atlas with flipped texture coordinates, overlapping charts, or another order of triangles."""
+    """Catches an atlas with flipped texture coordinates, overlapping charts, or triangles in the wrong order."""
     atlas = build_atlas(XYZ, FACES, 256)
     np.testing.assert_array_equal(atlas.source[atlas.triangles], FACES)
     assert atlas.uv.min() >= 0

@@ -34,7 +34,9 @@ def test_bytes_equal_the_reference(
 
 
 def test_single_pixels_on_a_background(rng: np.random.Generator) -> None:
-    """Catches a pixel of another colour that is not spread to its neighbours, because their run or row is copied."""
+    """Catches a run or row of equal pixels that is copied without the filter although a neighbouring pixel has a
+    different colour.
+    """
     for _ in range(50):
         image = np.full((9, 200, 4), rng.integers(0, 256, 4), np.uint8)
         image[rng.integers(9), rng.integers(200)] = rng.integers(0, 256, 4)

@@ -71,7 +71,9 @@ def assert_parity(got: Result, wanted: Result) -> None:
 def test_images_and_gradients_equal_the_reference(
     count: int, size: tuple[int, int], layers: int | None, seed: int, distance: str
 ) -> None:
-    """Catches wrong distances, wrong selections of the nearest, wrong tiles and missing terms of gradients."""
+    """Catches wrong distances, wrong selections of the nearest triangles, wrong tiles and missing terms of
+    gradients.
+    """
     soup = random_soup(np.random.default_rng(seed), count)
     settings = {"layers": layers, "distance": distance}
     wanted = run(soup, size, "reference", **settings)
@@ -90,7 +92,7 @@ def test_channel_counts_and_outputs(channels: int, outputs: tuple[int, ...]) -> 
 
 @pytest.mark.parametrize("changes", [{"sigma": 1e-5}, {"sigma": 0.1}, {"gamma": 1.0}, {"cutoff": 0.2}, {"eps": 0.9}])
 def test_parameters(changes: dict[str, float]) -> None:
-    """Catches a parameter that the kernel reads in another unit than the reference."""
+    """Catches a parameter whose unit differs between the kernel and the reference."""
     soup = random_soup(np.random.default_rng(8), 60)
     assert_parity(run(soup, (30, 22), "cpu", **changes), run(soup, (30, 22), "reference", **changes))
 
@@ -139,7 +141,7 @@ def test_instruction_sets_and_threads_give_the_same_bits(simd: str, monkeypatch:
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_ties_go_to_the_smaller_index(backend: str) -> None:
-    """Catches a selection of the nearest that depends on the order of equal depths."""
+    """Catches a selection of the nearest triangles that depends on the order of triangles with equal depths."""
     corners = torch.tensor([[-1.0, -1.0, 0], [1.0, -1.0, 0], [0.0, 1.5, 0]])
     soup = Soup(corners, torch.tensor([[0, 1, 2]] * 3, dtype=torch.int32), torch.eye(3), torch.ones(3), torch.ones(3))
     features = run(soup, (9, 9), backend, layers=2)[0][0]
@@ -151,7 +153,9 @@ def test_ties_go_to_the_smaller_index(backend: str) -> None:
 def test_cuda_equals_the_reference(
     count: int, size: tuple[int, int], layers: int | None, distance: str, gpu: torch.device
 ) -> None:
-    """Catches pixels of the wrong tile, wrong selections, diverging warps and missing terms in sums."""
+    """Catches pixels of the wrong tile, wrong selections of triangles, errors from diverging warps, and missing terms
+    in sums.
+    """
     soup = random_soup(np.random.default_rng(count), count)
     settings = {"layers": layers, "distance": distance}
     assert_parity(run(soup, size, "auto", device=gpu, **settings), run(soup, size, "reference", **settings))

@@ -75,7 +75,7 @@ def assert_parity(got: Result, wanted: Result) -> None:
 def test_images_and_gradients_equal_the_reference(
     count: int, size: tuple[int, int], layers: int | None, seed: int
 ) -> None:
-    """Catches wrong windows, wrong orders, wrong tiles and missing terms of gradients."""
+    """Catches wrong window functions, a wrong compositing order, wrong tiles and missing terms of gradients."""
     soup = random_soup(np.random.default_rng(seed), count)
     wanted = run(soup, size, "reference", layers=layers)
     assert float(wanted[0][1].max()) > 0.5
@@ -94,13 +94,17 @@ def test_channel_counts(channels: int, geometry: bool) -> None:
 
 @pytest.mark.parametrize("outputs", [(name,) for name in OUTPUTS])
 def test_gradient_of_each_output_alone(outputs: tuple[str, ...]) -> None:
-    """Catches a gradient that ignores one of the outputs, and small gradients that others hide."""
+    """Catches a gradient that ignores one of the outputs, and errors in small gradients that are hidden by large
+    gradients.
+    """
     soup = random_soup(np.random.default_rng(5), 150)
     assert_parity(run(soup, (33, 27), "cpu", outputs=outputs), run(soup, (33, 27), "reference", outputs=outputs))
 
 
 def test_gradients_equal_finite_differences() -> None:
-    """Catches an error that kernel and reference share, and a formula that is only right in the mean."""
+    """Catches an error that the kernel and the reference have in common, and a gradient that is correct only on
+    average.
+    """
     rng = np.random.default_rng(3)
     soup = random_soup(rng, 12, size=0.6)
     soup = Soup(*(array.double() if array.is_floating_point() else array for array in vars(soup).values()))
@@ -151,7 +155,7 @@ def test_instruction_sets_and_threads_give_the_same_bits(simd: str, monkeypatch:
 
 
 def test_ties_go_to_the_smaller_index() -> None:
-    """Catches an order of equal depths that depends on the sort."""
+    """Catches an order of triangles with equal depths that depends on the sorting algorithm."""
     corners = torch.tensor([[-1.0, -1.0, 0], [1.0, -1.0, 0], [0.0, 1.5, 0]])
     tri = torch.tensor([[0, 1, 2]] * 3, dtype=torch.int32)
     colours = torch.eye(3)
@@ -177,7 +181,9 @@ def test_the_nearest_centre_is_in_front() -> None:
 
 @pytest.mark.parametrize(("count", "size", "layers"), [(150, (41, 35), None), (60, (16, 16), 1), (40, (3, 50), 7)])
 def test_cuda_equals_the_reference(count: int, size: tuple[int, int], layers: int | None, gpu: torch.device) -> None:
-    """Catches pixels of the wrong tile, wrong orders, diverging warps and missing terms in sums."""
+    """Catches pixels of the wrong tile, a wrong compositing order, errors from diverging warps, and missing terms in
+    sums.
+    """
     soup = random_soup(np.random.default_rng(count), count)
     got = run(soup, size, "auto", layers=layers, device=gpu)
     assert_parity(got, run(soup, size, "reference", layers=layers))

@@ -42,7 +42,7 @@ def fail(files: CounterFiles, settings: NoSettings, context: Context) -> None:
 
 
 def die_once(files: CounterFiles, settings: NoSettings, context: Context) -> None:
-    """Kill this process in the first call, and finish the work in the second."""
+    """Kill this process in the first call. In the second call, finish the work."""
     if not files.count.exists():
         files.count.write_text("1")
         os.kill(os.getpid(), signal.SIGKILL)
@@ -88,8 +88,9 @@ def test_a_missing_package_is_named(ball_capture: Path, tmp_path: Path, capsys: 
 
 @needs_ray
 def test_a_killed_worker_is_replaced_and_failures_wait_for_the_others(cluster: Cluster, tmp_path: Path) -> None:
-    """Catches a lost worker that ends the command, a failed stage that stops the others, and a message that does not
-    name the node."""
+    """Catches a command that fails because a worker is lost, a failed stage that stops the other stages, and a message
+    that does not name the node.
+    """
     stages: list[AnyStage] = [
         Stage("bad", fail, CounterFiles(tmp_path / "bad"), NoSettings(), is_parallel=True),
         Stage("killed", die_once, CounterFiles(tmp_path / "count"), NoSettings(), is_parallel=True),

@@ -62,7 +62,9 @@ def make(capture: Path, out: Path, config: TrainConfig) -> list[str]:
 
 
 def test_each_segment_is_cached_and_repeated_by_itself(capture: Path, tmp_path: Path) -> None:
-    """Catches a lost segment that repeats other segments, and segments of an earlier division that stay."""
+    """Catches a lost segment after which other segments are trained again, and segments of an earlier division that are
+    not removed.
+    """
     out, segments = tmp_path / "scene.4dv", ["train 000", "train 001", "train 002"]
     assert make(capture, out, CONFIG) == ["check", "repair", "carve", "segments", *segments, "bake"]
     with open_scene(out) as scene:
@@ -79,7 +81,9 @@ def test_each_segment_is_cached_and_repeated_by_itself(capture: Path, tmp_path: 
 
 
 def test_an_interrupted_segment_resumes(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches an interruption after which finished segments are trained again, or the interrupted one starts again."""
+    """Catches an interruption after which finished segments are trained again, or the interrupted segment is trained
+    from its start.
+    """
     out, steps = tmp_path / "scene.4dv", list[tuple[str, int]]()
     config = replace(CONFIG, checkpoint_steps=1)
     step = Trainer._step
@@ -158,8 +162,7 @@ def test_a_run_with_segments_has_no_model_of_its_own(trained: Path, tmp_path: Pa
 
 
 def test_commands_accept_a_run_with_segments(trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a command that needs one model where the models of all segments are meant, and a message that names no
-    way out."""
+    """Catches a command that does not accept a run with segments, and a message that does not name a fix."""
     scores, out = tmp_path / "scores.json", tmp_path / "pictures"
     assert main(["eval", str(trained), "--json", str(scores)]) == 0
     assert json.loads(scores.read_text())["frames"] == list(range(12))

@@ -1,4 +1,4 @@
-"""Scenes without mattes in which nothing moves, and scenes of a single frame without mattes."""
+"""Captures without mattes in which nothing moves, and captures of a single frame without mattes."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_one_frame_without_mattes_needs_a_full_scene(ball_capture: Path, tmp_pat
 
 
 def test_moving_and_still_captures_are_told_apart(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a moving capture that is made into a still scene, and noise that counts as motion."""
+    """Catches a capture with motion that is treated as still, and noise that counts as motion."""
     config = full_config(tmp_path / "seeds.ply")
     assert not stands_still(ball_capture, config), "the capture has masks"
     moving = Path(shutil.copytree(ball_capture, tmp_path / "moving", ignore=shutil.ignore_patterns("masks")))

@@ -1,4 +1,4 @@
-"""Parsers in a child process: their crashes, hangs and lack of memory are error messages."""
+"""Parsers in a child process. Crashes, hangs and a lack of memory in the parser must become error messages."""
 
 from __future__ import annotations
 

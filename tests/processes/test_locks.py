@@ -28,7 +28,7 @@ with locked_folder(Path(sys.argv[1])):
 
 
 def hold(folder: Path) -> subprocess.Popen[str]:
-    """Start a process that locks the folder until its input is closed."""
+    """Start a process that locks the folder. It releases the lock when its standard input is closed."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
@@ -70,7 +70,7 @@ def test_an_unused_new_folder_is_removed(tmp_path: Path) -> None:
 
 
 def test_the_first_interrupt_is_deferred_and_the_second_is_not() -> None:
-    """Catches Ctrl-C in the middle of an optimizer step, and a program that Ctrl-C cannot end."""
+    """Catches Ctrl-C that takes effect in the middle of an optimizer step, and a program that Ctrl-C does not end."""
     before = signal.getsignal(signal.SIGINT)
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -20,17 +20,17 @@ UNUSUAL = (
     "|\n  text", ">\n  text", "# comment", "---", "...", "%YAML 9.9", "'", '"', '"\\x00"', '"\\ud800"', "\t", "a: b: c",
     "<<: {points: 1}", "[" * 300, "{a: " * 300, "=", "\u2028", "\ufeff", "caf\u00e9",
 )  # fmt: skip
-"""Values of YAML that other readers convert, refuse or execute, and pieces of invalid YAML."""
+"""YAML values that some YAML readers convert, reject or execute, and pieces of invalid YAML."""
 
 LIKE_OTHER_TYPES = ("null", "true", "05", "1e3", "1:24", "~", " a", "-", "#", "2001-01-01", "=", "<<")
 """Texts that YAML reads as other values if they are not in quotes."""
 
 LETTERS = st.characters(exclude_categories=("Cs",), exclude_characters="\0")
-"""Letters of texts in a config. UTF-8 has no lone surrogates."""
+"""Characters of texts in a config. Lone surrogates are excluded, because UTF-8 cannot encode them."""
 
 
 def values(kind: Any) -> st.SearchStrategy[Any]:
-    """Values of a field's type. NaN is no value of a config."""
+    """Random values of a field's type. NaN is excluded, because configs do not accept NaN."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin in (Union, types.UnionType):
         return st.one_of(*(st.none() if each is type(None) else values(each) for each in arguments))
@@ -52,7 +52,7 @@ def values(kind: Any) -> st.SearchStrategy[Any]:
 
 
 def paths_of(config: object, prefix: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """The names of all fields, with those of nested dataclasses, and the types of the fields."""
+    """The names and types of all fields, including the fields of nested dataclasses."""
     hints = typing.get_type_hints(type(config))
     for field in dataclasses.fields(config):  # type: ignore[arg-type]
         value = getattr(config, field.name)
@@ -63,7 +63,9 @@ def paths_of(config: object, prefix: tuple[str, ...] = ()) -> Iterator[tuple[tup
 
 
 def with_value(config: Config, path: tuple[str, ...], value: object) -> Config:
-    """A copy with another value of a field. Raises ValueError if the config refuses the value."""
+    """A copy of the config with a changed value of one field. Raises ValueError if the config does not accept the
+    value.
+    """
     if len(path) > 1:
         value = with_value(getattr(config, path[0]), path[1:], value)
     return dataclasses.replace(config, **{path[0]: value})  # type: ignore[type-var]
@@ -107,7 +109,7 @@ def changed_lines(draw: st.DrawFn, text: str) -> str:
 
 @st.composite
 def assignments(draw: st.DrawFn, base: object) -> str:
-    """Texts for --set: a key, which usually exists, and any value."""
+    """Arguments of --set: a key, which usually exists, and an arbitrary value."""
     keys = [".".join(path) for path, _ in paths_of(base)]
     groups = [key.rpartition(".")[0] for key in keys if "." in key]
     key = draw(st.sampled_from(keys) | st.sampled_from(groups) | st.sampled_from(("", ".", "a.", "points.a", "\ud800")))

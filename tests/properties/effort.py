@@ -1,4 +1,5 @@
-"""How many examples the property tests draw: quick in the normal suite, long in the slow one.
+"""Numbers of examples that the property tests draw. The setting QUICK is for the normal suite, and LONG for tests
+marked slow.
 
 A failing test prints the smallest example that fails. The examples are new in every run, and nothing is stored.
 """
@@ -20,4 +21,4 @@ LONG = settings(QUICK, max_examples=5_000)
 EFFORTS = pytest.mark.parametrize(
     "effort", [pytest.param(QUICK, id="quick"), pytest.param(LONG, id="long", marks=pytest.mark.slow)]
 )
-"""Runs a test with both efforts. The test gets the settings of the property that it defines."""
+"""Runs a test with both settings. The test passes the settings to the property that it defines."""

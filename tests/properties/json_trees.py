@@ -1,4 +1,4 @@
-"""Generated JSON, and copies of valid JSON in which something is changed."""
+"""Generated JSON, and changed copies of valid JSON."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def changed_trees(draw: st.DrawFn, valid: Tree) -> Tree:
 
 
 def _places(tree: Tree) -> Iterator[tuple[Any, Any]]:
-    """All values of a tree, as the containers with their keys or indices."""
+    """All positions of values in a tree, as pairs of a container and a key or index."""
     keys = list(tree) if isinstance(tree, dict) else range(len(tree)) if isinstance(tree, list) else ()
     for key in keys:
         yield tree, key

@@ -1,4 +1,4 @@
-"""Configs in YAML and on the command line: every value is read back equal, or refused with one error."""
+"""Configs in YAML and on the command line. Every value must be read back unchanged, or be rejected with one error."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ ids = [type(base).__name__ for base in BASES]
 @EFFORTS
 @pytest.mark.parametrize("base", BASES, ids=ids)
 def test_written_configs_are_read_back_equal(base: object, effort: settings, tmp_path: Path) -> None:
-    """Catches a value that the writer writes in a form that the reader converts or refuses."""
+    """Catches a written value that the reader converts or rejects."""
 
     @effort
     @given(configs(base))
@@ -39,7 +39,9 @@ def test_written_configs_are_read_back_equal(base: object, effort: settings, tmp
 @EFFORTS
 @pytest.mark.parametrize("base", BASES, ids=ids)
 def test_changed_configs_are_read_or_refused(base: object, effort: settings, tmp_path: Path) -> None:
-    """Catches another exception than UserError, an error without the file's name, and a config that is not stable."""
+    """Catches exceptions other than UserError, errors without the file's name, and configs that change when they are
+    written and read again.
+    """
 
     @effort
     @given(configs(base).flatmap(lambda config: changed_lines(to_yaml(config))))
@@ -59,7 +61,7 @@ def test_changed_configs_are_read_or_refused(base: object, effort: settings, tmp
 
 @EFFORTS
 def test_files_of_any_bytes_are_read_or_refused(effort: settings, tmp_path: Path) -> None:
-    """Catches another exception than UserError for bytes that are no text, and for text that is no YAML."""
+    """Catches exceptions other than UserError for bytes that are not text, and for text that is not YAML."""
 
     @effort
     @given(st.binary(max_size=64) | st.text(max_size=64).map(lambda text: text.encode("utf-16")))
@@ -104,7 +106,9 @@ def _plain(value: object) -> object:
 
 @EFFORTS
 def test_assignments_are_used_or_refused(effort: settings, tmp_path: Path) -> None:
-    """Catches another exception than UserError, and a config of the command line that the run cannot read again."""
+    """Catches exceptions other than UserError, and configs from the command line that cannot be read again from the
+    run.
+    """
 
     @effort
     @given(st.lists(assignments(TrainConfig()), min_size=1, max_size=3))

@@ -1,4 +1,6 @@
-"""Manifests of scenes: what is written is read back equal, and what is changed is read or refused with one error."""
+"""Manifests of scenes. A written manifest must be read back unchanged. A changed manifest must be read, or be rejected
+with one error.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ MEMBER = "manifest.json"
 
 
 def check_parsing(content: bytes) -> None:
-    """A manifest is refused with a ManifestError, or is read back equal after it was written again."""
+    """Assert that a manifest is rejected with a ManifestError, or that it is unchanged after it is written and read
+    again.
+    """
     try:
         manifest = manifest_from_json(content)
     except ManifestError as error:
@@ -36,7 +40,7 @@ def check_parsing(content: bytes) -> None:
 
 @EFFORTS
 def test_written_manifests_are_read_back_equal(effort: settings) -> None:
-    """Catches a field that is not written, is rounded, or is refused although it is valid."""
+    """Catches a field that is not written or is rounded, and a valid field that is rejected."""
 
     @effort
     @given(manifests())
@@ -50,7 +54,7 @@ def test_written_manifests_are_read_back_equal(effort: settings) -> None:
 
 @EFFORTS
 def test_changed_manifests_are_read_or_refused(effort: settings) -> None:
-    """Catches another exception than ManifestError, and a manifest that is read but cannot be written."""
+    """Catches exceptions other than ManifestError, and a manifest that can be read but not written."""
 
     @effort
     @given(manifests().flatmap(lambda manifest: changed_trees(json.loads(manifest_to_json(manifest)))))
@@ -62,7 +66,7 @@ def test_changed_manifests_are_read_or_refused(effort: settings) -> None:
 
 @EFFORTS
 def test_any_bytes_are_read_or_refused(effort: settings) -> None:
-    """Catches another exception than ManifestError for bytes that are no JSON, and for JSON that is no manifest."""
+    """Catches exceptions other than ManifestError for bytes that are not JSON, and for JSON that is not a manifest."""
 
     @effort
     @given(st.binary(max_size=64) | trees().map(lambda tree: json.dumps(tree).encode()))
@@ -85,7 +89,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_scenes_with_changed_manifests_are_read_or_refused(
     effort: settings, scenes: list[Path], tmp_path: Path
 ) -> None:
-    """Catches a manifest that fits no array of its scene, and that the reader of the frames trusts."""
+    """Catches a reader of frames that does not check whether the manifest matches the arrays of the scene."""
     sources = [(path, _manifest_of(path)) for path in scenes]
 
     @effort

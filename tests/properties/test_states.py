@@ -1,4 +1,4 @@
-"""Checkpoints and the JSON files that stages keep: read back equal, or refused with one error."""
+"""Checkpoints and the JSON files of stages. They must be read back unchanged, or be rejected with one error."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ DTYPES = (torch.float32, torch.float64, torch.float16, torch.int64, torch.uint8,
 
 
 def tensors() -> st.SearchStrategy[Tensor]:
-    """Small tensors of any bits."""
+    """Small tensors with random bits."""
     return st.tuples(st.integers(0, 1 << 32), st.lists(st.integers(0, 3), max_size=3), st.sampled_from(DTYPES)).map(
         lambda each: _random_bits(*each)
     )
@@ -46,7 +46,7 @@ def _random_bits(seed: int, shape: list[int], dtype: torch.dtype) -> Tensor:
 
 @EFFORTS
 def test_checkpoints_are_read_back_equal(effort: settings, tmp_path: Path) -> None:
-    """Catches a tensor, a number or a text that a checkpoint changes."""
+    """Catches tensors, numbers and texts that change when a checkpoint is written and read."""
     named = st.dictionaries(st.text(min_size=1, max_size=8).filter(lambda name: name != "__metadata__"), tensors())
     states = st.dictionaries(st.text(), trees(), max_size=4)
 
@@ -69,7 +69,7 @@ def test_checkpoints_are_read_back_equal(effort: settings, tmp_path: Path) -> No
 
 @EFFORTS
 def test_damaged_checkpoints_are_refused(effort: settings, tmp_path: Path) -> None:
-    """Catches damage that a checkpoint is read with, and another exception than UserError."""
+    """Catches a damaged checkpoint that is read without an error, and exceptions other than UserError."""
     given_tensors = {"a": torch.arange(6.0).reshape(2, 3), "b": torch.tensor([True])}
     state = {"seconds": 1.5, "psnr": 20.25}
     path = save_checkpoint(tmp_path, 7, given_tensors, state)
@@ -93,7 +93,7 @@ def test_damaged_checkpoints_are_refused(effort: settings, tmp_path: Path) -> No
 
 @EFFORTS
 def test_progress_of_any_state_is_read_or_refused(effort: settings) -> None:
-    """Catches a checkpoint with right digests and a wrong state that ends training with a traceback."""
+    """Catches a traceback in training for a checkpoint whose digests are correct but whose state is invalid."""
 
     @effort
     @given(changed_trees({"seconds": 1.5, "psnr": 20.25}) | trees())
@@ -158,7 +158,7 @@ READERS: dict[str, tuple[str, Tree, Callable[[Path], object]]] = {
 @EFFORTS
 @pytest.mark.parametrize("name", READERS)
 def test_changed_state_files_are_read_or_refused(name: str, effort: settings, tmp_path: Path) -> None:
-    """Catches another exception than UserError, for files of a capture, of an import and of a stage."""
+    """Catches exceptions other than UserError for files of a capture, of an import and of a stage."""
     file, valid, read = READERS[name]
     path = tmp_path / file
     path.parent.mkdir(exist_ok=True)
@@ -177,7 +177,7 @@ def test_changed_state_files_are_read_or_refused(name: str, effort: settings, tm
 
 @pytest.mark.parametrize("name", READERS)
 def test_valid_state_files_are_read(name: str, tmp_path: Path) -> None:
-    """Catches a property that holds because the valid content is refused."""
+    """Catches a property test that passes only because valid content is rejected."""
     file, valid, read = READERS[name]
     (tmp_path / file).parent.mkdir(exist_ok=True)
     (tmp_path / file).write_text(json.dumps(valid))
@@ -209,7 +209,7 @@ VALUES = (
 
 @EFFORTS
 def test_changed_boards_are_read_or_refused(effort: settings, tmp_path: Path) -> None:
-    """Catches another exception than UserError for the TOML file of a calibration board."""
+    """Catches exceptions other than UserError for the TOML file of a calibration board."""
     path = tmp_path / "board.toml"
 
     @effort

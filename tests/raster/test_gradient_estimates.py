@@ -76,7 +76,9 @@ def test_several_ids_in_a_pixel_and_epsilon_for_each_parameter() -> None:
 
 
 def test_invalid_arguments_are_named() -> None:
-    """Catches ids of another image and perturbations of size 0, which give wrong gradients without an error."""
+    """Catches ids whose size is not that of the image and perturbations of size 0, which give wrong gradients without
+    an error.
+    """
     params = torch.zeros(3, 2)
 
     def call(ids: Tensor = IDS, epsilon: float = 0.1, samples: int = 1, values: Tensor = params) -> None:

@@ -1,4 +1,4 @@
-"""Scripts that are written for nvdiffrast.torch run with fourd.raster.nvdiffrast, unchanged but for the import line."""
+"""Tests that scripts for nvdiffrast.torch run with fourd.raster.nvdiffrast after only their import line is changed."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_depth_peeling_with_ranges(tmp_path: Path) -> None:
 
 
 def test_wrong_contexts_and_levels_are_named() -> None:
-    """Catches a call without a context, in which every argument takes the place of the previous one."""
+    """Catches a call without a context, in which each argument would be passed as the previous parameter."""
     pos, tri = torch.zeros(1, 3, 4), torch.zeros(1, 3, dtype=torch.int32)
     with pytest.raises(TypeError, match="glctx: expected a RasterizeCudaContext or a RasterizeGLContext as the first"):
         dr.rasterize(pos, tri, (4, 4), (4, 4))  # type: ignore[arg-type]

@@ -25,7 +25,7 @@ def test_octahedral_normals_keep_their_direction(rng: np.random.Generator) -> No
 
 @pytest.mark.parametrize("has_views", [True, False])
 def test_normals_of_a_noisy_sphere_point_outwards(has_views: bool, rng: np.random.Generator) -> None:
-    """Catches normals that point inwards, and noise of the positions that reaches the normals."""
+    """Catches normals that point inwards, and normals that follow the noise of the positions."""
     outwards = unit_vectors(rng, 3000)
     xyz = outwards * (1 + rng.normal(0, 0.005, (3000, 1)))
     centres = 4 * np.concatenate([np.eye(3), -np.eye(3)])
@@ -38,7 +38,9 @@ def test_normals_of_a_noisy_sphere_point_outwards(has_views: bool, rng: np.rando
 
 
 def test_single_wrong_directions_are_outvoted(rng: np.random.Generator) -> None:
-    """Catches dark speckle where a camera sees a point through a gap of the surface."""
+    """Catches normals with the wrong sign at single points that a camera sees through a gap in the surface. Such
+    normals cause dark specks.
+    """
     xyz = np.concatenate([rng.uniform(-1, 1, (2000, 2)), np.zeros((2000, 1))], 1)
     weights = np.tile([1.0, 0.0], (2000, 1))
     weights[rng.choice(2000, 60, replace=False)] = [0, 1]
@@ -47,7 +49,9 @@ def test_single_wrong_directions_are_outvoted(rng: np.random.Generator) -> None:
 
 
 def test_normals_of_thin_parts_face_the_cameras(rng: np.random.Generator) -> None:
-    """Catches normals of legs that are determined by neighbours on the other side: light and dark patches."""
+    """Catches normals of thin parts, such as legs, that are estimated from points on the opposite side. Such normals
+    cause light and dark patches.
+    """
     count, radius = 6000, 0.02
     angle, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(0, 4, count)
     outwards = np.stack([np.cos(angle), np.sin(angle), np.zeros(count)], 1)

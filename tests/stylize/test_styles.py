@@ -1,4 +1,4 @@
-"""Style files: presets, shade maps and mistakes of the user."""
+"""Style files: presets, shade maps and user errors."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_presets_load_and_survive_a_round_trip(name: str, tmp_path: Path) -> Non
     ],
 )
 def test_mistakes_in_style_files_name_the_key(text: str, message: str, tmp_path: Path) -> None:
-    """Catches a style file with a mistake that draws something else instead of an error."""
+    """Catches a style file with a mistake that is drawn without an error."""
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(UserError) as caught:
@@ -57,7 +57,7 @@ def test_mistakes_in_style_files_name_the_key(text: str, message: str, tmp_path:
 
 @pytest.mark.parametrize("values", [{"depth": float("nan")}, {"thickness": float("nan")}])
 def test_thresholds_that_are_nan_are_refused(values: dict[str, float]) -> None:
-    """Catches comparisons that NaN passes."""
+    """Catches range checks that accept NaN."""
     with pytest.raises(ValueError, match=r"expected .* got nan"):
         LineSettings(**values)
 
@@ -98,7 +98,9 @@ def test_shade_maps_of_another_shape_are_refused(shading: str, rows: int, column
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
 def test_shade_maps_that_are_no_regular_files_are_refused(kind: str, tmp_path: Path) -> None:
-    """Catches a named pipe as a map, at which fourd would wait for ever, and a device that never ends."""
+    """Catches a shade map that is a named pipe, on which fourd would block forever, or a device with endless
+    content.
+    """
     path = tmp_path / "map.png"
     if kind == "pipe":
         os.mkfifo(path)
@@ -112,7 +114,7 @@ def test_shade_maps_that_are_no_regular_files_are_refused(kind: str, tmp_path: P
 
 
 def test_damaged_shade_maps_are_refused(tmp_path: Path) -> None:
-    """Catches a decoder that returns nothing for a damaged file."""
+    """Catches a damaged file for which the decoder returns None and no error is reported."""
     (tmp_path / "mine.yaml").write_text("shading: toon\nramp: {map: map.png}")
     with pytest.raises(UserError, match=r"map.png: expected a PNG, got 'No such file"):
         load_style(str(tmp_path / "mine.yaml"))
@@ -126,7 +128,7 @@ def test_damaged_shade_maps_are_refused(tmp_path: Path) -> None:
 
 
 def test_stops_begin_at_their_tones() -> None:
-    """Catches stops that are shifted, and a softness that moves them."""
+    """Catches stops of the tone ramp that are shifted, and a softness that moves the stops."""
     ramp = Ramp(stops=((0.0, 0.0, 0.0, 0.0), (0.5, 1.0, 1.0, 1.0)), softness=0.0)
     table = make_table(Style(shading="toon", ramp=ramp))[0, :, 0]
     assert (table[:128] == 0).all()
@@ -146,7 +148,9 @@ def test_details_fade_at_the_last_row() -> None:
 
 
 def test_lengths_scale_with_the_picture() -> None:
-    """Catches lines that are thinner in larger pictures, and a light that does not turn with the world."""
+    """Catches lines that are relatively thinner in larger pictures, and a light in world axes that turns with the
+    camera.
+    """
     style = load_style("ink")
     for rows, thickness in ((108, 1), (1080, 2), (2160, 3), (1 << 14, 8)):
         camera = ring(1, size=rows)[0]

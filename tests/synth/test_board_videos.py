@@ -18,7 +18,7 @@ from fourd.synth.board_videos import BOARD, BoardSettings, board_pose, rig_camer
 
 
 def test_the_command_writes_videos_and_truth(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a video without its truth, and two calls with the same options that differ."""
+    """Catches a video without ground truth, and results that differ between two calls with equal options."""
     contents = []
     for name in ("a", "b"):
         words = ["synth", tmp_path / name, "--board", "--frames", 3, "--cameras", 2, "--size", 128, "--seed", 4]
@@ -51,8 +51,9 @@ def test_other_folders_are_kept(tmp_path: Path, capsys: pytest.CaptureFixture[st
 
 
 def test_the_image_is_where_the_projection_is() -> None:
-    """Catches a rendered board that is shifted, mirrored or not distorted, because its bounding box is not that of the
-    projected outline."""
+    """Catches a rendered board that is shifted, mirrored or not distorted. The test compares its bounding box with that
+    of the projected outline.
+    """
     settings = BoardSettings(size=256)
     camera = rig_cameras(settings)[0]
     tilt = board_pose(settings, 4.0).rotation

@@ -1,5 +1,6 @@
-"""Synthetic captures: their ground truth is correct, the settings determine every byte, and other folders are not
-damaged."""
+"""Tests that the ground truth of synthetic captures is correct, that the settings determine every byte, and that other
+folders are not damaged.
+"""
 
 from __future__ import annotations
 
@@ -160,8 +161,9 @@ def _signed_distance(part: Part, xyz: NDArray[np.float64]) -> NDArray[np.float64
 
 @pytest.mark.parametrize("length", [0.0, 0.1, 0.6])
 def test_intersections_lie_on_the_rounded_cone(rng: np.random.Generator, length: float) -> None:
-    """Catches a wrong root of the ray equation or a missing cap of a rounded cone, also if one sphere contains the
-    other sphere."""
+    """Catches a wrong root of the ray equation or a missing cap of a rounded cone. The cases include cones in which one
+    sphere contains the other sphere.
+    """
     camera = _test_camera(48)
     for _ in range(20):
         part = _random_part(rng, length)

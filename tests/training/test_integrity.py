@@ -44,7 +44,7 @@ def flip_bit(path: Path, rng: np.random.Generator) -> None:
 def test_damaged_points_lead_to_the_older_checkpoint(
     run: Run, damage: str, rng: np.random.Generator, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a flipped bit that is rendered, and a traceback although an older checkpoint is whole."""
+    """Catches damaged points that are rendered, and a traceback although an older checkpoint is intact."""
     older, newer = checkpoint_files(run.checkpoints)
     assert verify_checkpoint(newer) == 1 + run.capture.frame_count
     assert main(["verify", str(run.folder)]) == 0
@@ -63,13 +63,13 @@ def test_damaged_points_lead_to_the_older_checkpoint(
     captured = capsys.readouterr()
     assert captured.err.startswith(f"fourd verify: {points}: expected ")
     assert f"{older}: whole" in captured.out
-    # A resumed training also starts from the older checkpoint, and ends with a whole one.
+    # A resumed training also starts from the older checkpoint, and writes an intact checkpoint at the end.
     train(run, with_steps(run.config.train, 6))
     assert load_run(run.folder).step == 6
 
 
 def test_a_changed_state_is_refused(run: Run) -> None:
-    """Catches a checkpoint whose step or state was altered, although its tensors are whole."""
+    """Catches a checkpoint that is accepted although its step or state was altered, because its tensors are intact."""
     path = checkpoint_files(run.checkpoints)[-1]
     with safe_open(path, framework="pt") as stream:
         header = stream.metadata()
@@ -97,7 +97,9 @@ def test_checkpoints_without_digests_still_load(run: Run) -> None:
 
 
 def test_an_interrupt_is_taken_after_a_whole_step(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a checkpoint of half a step, after which training does not continue bit for bit."""
+    """Catches a checkpoint that is written in the middle of a step. Training resumed from it would not give the same
+    bits as uninterrupted training.
+    """
     unbroken = {path.name: path.read_bytes() for path in points_folder(checkpoint_files(run.checkpoints)[-1]).iterdir()}
     for path in checkpoint_files(run.checkpoints):
         path.unlink()

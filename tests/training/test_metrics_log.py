@@ -48,7 +48,7 @@ def test_resume_drops_later_steps_and_truncated_lines(tmp_path: Path) -> None:
 
 
 def test_a_last_record_without_line_end_is_dropped(tmp_path: Path) -> None:
-    """Catches two records on one line after a killed run has left a last line without a line end."""
+    """Catches two records on one line. This occurs if a killed run has left a last line without a line break."""
     (tmp_path / "metrics.jsonl").write_text('{"step": 1}\n{"step": 2}')
     with MetricsLog(tmp_path, resume_step=5) as log:
         log.scalars(3, {})

@@ -37,7 +37,9 @@ def test_held_out_views_and_the_target_are_never_sources() -> None:
 
 
 def test_source_weights_are_those_of_rendering() -> None:
-    """Catches view weights in training that differ from those in rendering, where the target is no source either."""
+    """Catches view weights in training that differ from those in rendering. In rendering, too, the target view is not a
+    source view.
+    """
     cameras, training = ring(10), [0, 1, 2, 4, 5, 6, 7, 9]
     config = TrainConfig(model=ModelConfig(fade_views=True))
     drawn = StepSampler(config, cameras, training, 5, np.zeros(3))

@@ -41,8 +41,9 @@ def test_invisible_and_transparent_triangles_are_removed(rng: np.random.Generato
 
 
 def test_small_triangles_are_cloned_and_keep_the_opacity_of_the_pair(rng: np.random.Generator) -> None:
-    """Catches a triangle and its clone that are together more opaque than the triangle was. Two triangles with the
-    opacity 1 - sqrt(1 - o) together have the opacity o."""
+    """Catches a triangle and its clone that together are more opaque than the original triangle. Two triangles with the
+    opacity 1 - sqrt(1 - o) together have the opacity o.
+    """
     soup = soup_of(rng, 20, 0.01)
     before = soup.opacity(0.0).detach().clone()
     assert longest_edges_px(soup.corners.value.detach(), [camera()]).max() < 24

@@ -55,6 +55,6 @@ def test_the_first_limit_ends_the_budget(monkeypatch: pytest.MonkeyPatch) -> Non
     ],
 )
 def test_invalid_settings_are_named(values: dict[str, float], message: str) -> None:
-    """Catches a setting out of range that fails late."""
+    """Catches a setting out of range that causes an error only during the fit."""
     with pytest.raises(ValueError, match=message.replace("[", r"\[").replace("(", r"\(")):
         TriangleSettings(**{"max_steps": 5} | values)  # type: ignore[arg-type]

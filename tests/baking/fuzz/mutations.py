@@ -1,4 +1,6 @@
-"""Random scene files for tests of readers: damaged bytes, poisoned manifests and damaged contents of members."""
+"""Random scene files for tests of readers. The files have damaged bytes, manifests with invalid values, or damaged
+members.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Copies of scenes with other members."""
+"""Makes copies of scenes with changed members."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from pathlib import Path
 
 
 def rewrite_members(source: Path, target: Path, change: Callable[[dict[str, bytes]], None]) -> None:
-    """Copy a scene. ``change`` gets the content of each member by name, and changes it."""
+    """Copy a scene. ``change`` receives a dictionary with the content of each member by name, and changes the
+    dictionary.
+    """
     with zipfile.ZipFile(source) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     change(members)

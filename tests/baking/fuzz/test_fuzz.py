@@ -1,4 +1,6 @@
-"""Readers of scenes and splats with random damaged files: no crash, no endless loop, and bounded memory."""
+"""Tests readers of scenes and splats with random damaged files. Readers must not crash or loop forever, and their
+memory must be bounded.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ HANG_SECONDS = 60
 
 @contextmanager
 def no_hang() -> Iterator[None]:
-    """Fail if the block runs for longer than a minute, which is thousands of times longer than a file takes."""
+    """Fail if the ``with`` block runs for longer than a minute. Reading a file takes less than a thousandth of this
+    time.
+    """
 
     def fail(number: int, frame: FrameType | None) -> None:
         raise TimeoutError("the reader hangs")
@@ -89,7 +93,7 @@ def test_damaged_scenes_never_escape(tmp_path: Path, rng: np.random.Generator) -
 
 @pytest.mark.slow
 def test_many_damaged_scenes_never_escape(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches the same, with more cases."""
+    """Catches the errors of :func:`test_damaged_scenes_never_escape`, with more cases."""
     fuzz_scenes(tmp_path, rng, SLOW_CASES)
 
 
@@ -114,7 +118,7 @@ def fuzz_splats(folder: Path, rng: np.random.Generator, cases: int) -> None:
 
 
 def _damage_splats(content: bytes, header: int, rng: np.random.Generator) -> bytes:
-    """Damage the header in half of the cases, and otherwise any bytes."""
+    """Return damaged content. Half of the cases have damage only in the header, the others anywhere in the file."""
     if header > 11 and rng.random() < 0.5:
         return damage(content[:header], rng, 4) + content[header:]
     return damage(content, rng, 20)
@@ -127,5 +131,5 @@ def test_damaged_splats_never_escape(tmp_path: Path, rng: np.random.Generator) -
 
 @pytest.mark.slow
 def test_many_damaged_splats_never_escape(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches the same, with more cases."""
+    """Catches the errors of :func:`test_damaged_splats_never_escape`, with more cases."""
     fuzz_splats(tmp_path, rng, SLOW_CASES)

@@ -1,4 +1,4 @@
-"""Surfaces and styles of meshes, compared with exact answers."""
+"""Surfaces and styles of meshes, compared with exact values."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_the_surface_of_a_sphere_is_exact() -> None:
 
 @pytest.mark.parametrize("samples", [1, 3])
 def test_the_silhouette_ring_has_the_radius_of_the_outline(samples: int) -> None:
-    """Catches an outline that is missing, too thick or at another place, and lines inside the sphere."""
+    """Catches an outline that is missing, too thick or at the wrong position, and lines inside the sphere."""
     surface = draw_mesh(sphere(), front_camera(SIZE), samples=samples).surface()
     lines = lines_of(surface, depth_threshold=0.3, normal_threshold=9.0)
     outline = FOCAL * 1.0 / np.sqrt(DISTANCE**2 - 1)
@@ -49,8 +49,9 @@ def test_the_silhouette_ring_has_the_radius_of_the_outline(samples: int) -> None
 
 @pytest.mark.parametrize("threshold", [0.2, 0.4, 0.7])
 def test_the_inner_ring_has_the_radius_of_the_threshold(threshold: float) -> None:
-    """Catches surface-angle darkening that uses the viewing axis instead of the ray, or normals in other axes than the
-    rays."""
+    """Catches surface-angle darkening that uses the viewing axis instead of the ray, or that uses normals and rays in
+    different coordinate systems.
+    """
     surface = draw_mesh(sphere(), front_camera(SIZE), samples=1).surface()
     changes = {"angle_threshold": threshold, "angle_softness": 1e-4, "angle_strength": 1.0}
     picture = stylize_surface(surface, line_parameters(SIZE, lines="none", **changes))
@@ -111,7 +112,7 @@ def test_a_mesh_that_surrounds_the_camera() -> None:
 
 @pytest.mark.parametrize("shift", [(0, 0, 0), (-0.9, 0.7, 0.0), (1.2, 0.1, -1.0), (9, 0, 0), (0, 0, -3.2)])
 def test_only_the_box_of_the_mesh_is_drawn(shift: tuple[float, float, float], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a mesh that is cut off at the border of its box, or that is drawn at another place."""
+    """Catches a mesh that is cut off at the border of its bounding box, or that is drawn at the wrong position."""
     camera = replace(front_camera(SIZE), translation=np.array(shift, float))
     mesh = replace(sphere(rings=40), uv=None)
     fast = draw_mesh(mesh, camera, samples=2)

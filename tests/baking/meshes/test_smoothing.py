@@ -30,7 +30,7 @@ def test_noise_is_reduced(rng: np.random.Generator) -> None:
 
 
 def test_sharp_edges_stay_sharp() -> None:
-    """Catches a cube that is drawn as a ball."""
+    """Catches smoothing of normals across the sharp edges of a cube."""
     corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
     xyz, triangles = [], []
     for axis in range(3):

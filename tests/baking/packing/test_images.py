@@ -90,7 +90,9 @@ def test_planes_are_sampled_between_texel_centres() -> None:
 
 
 def test_a_fitted_plane_has_the_values_of_its_points(rng: np.random.Generator) -> None:
-    """Catches a fit that only blurs: where points are sparser than texels, the samples must equal the values."""
+    """Catches a fit that only blurs. Where points are sparser than texels, the samples must equal the colours of the
+    points.
+    """
     x, y = (rng.uniform(2, 38, 200).astype(np.float32) for _ in range(2))
     values = (20 * np.sin(x / 3) + y).astype(np.float32)
     plane = fit_plane(values, x, y, np.ones(200, np.float32), (40, 40))
@@ -99,7 +101,7 @@ def test_a_fitted_plane_has_the_values_of_its_points(rng: np.random.Generator) -
 
 
 def test_positions_are_those_of_the_camera(rng: np.random.Generator) -> None:
-    """Catches a projection without skew or principal point, and too coarse arithmetic."""
+    """Catches a projection without skew or principal point, and rounding errors that are too large."""
     camera = ring(5, size=500)[3]
     xyz = rng.normal(0, 0.4, (100, 3)).astype(np.float32)
     pixels, _ = camera.project(xyz)
@@ -142,7 +144,7 @@ def test_packing_twice_gives_the_same_bytes(packed: Path) -> None:
 
 
 def with_image(path: Path, change: Change, member: str = MEMBER) -> Path:
-    """Copy a scene with one changed image. The checksums of the copy are right."""
+    """Copy a scene with one changed image. The checksums of the copy are correct."""
 
     def rewrite(members: dict[str, bytes]) -> None:
         content = zstandard.ZstdDecompressor().decompress(members[member])
@@ -212,8 +214,9 @@ def bigger(frame: bytes) -> bytes:
     ],
 )
 def test_damaged_images_are_named(packed: Path, change: Change, message: str) -> None:
-    """Catches images that cause a traceback, wrong colours without a message, or an allocation for a wrong declared
-    size."""
+    """Catches images that cause a traceback or wrong colours without a message, and memory that is allocated for a
+    wrong declared size.
+    """
     reader = SceneReader(with_image(packed, change))
     with pytest.raises(UserError, match=message) as caught:
         reader.read(0)

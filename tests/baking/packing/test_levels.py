@@ -27,7 +27,7 @@ from tests.baking.scenes import manifest, random_frame, ring
 
 
 def test_each_level_is_smaller_than_the_level_before(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches an order of levels in which a rate skips the best level of a tier that fits."""
+    """Catches an order of levels in which the choice by data rate skips the best level that fits the rate."""
     with SceneWriter(tmp_path / "scene.4dv", manifest(6, 1)) as writer:
         writer.add_frame(0, natural_frame(3000, 6, rng))
     reader = SceneReader(tmp_path / "scene.4dv")
@@ -102,7 +102,7 @@ def test_extreme_colours_are_within_the_bounds() -> None:
 
 
 def test_colours_are_rounded_as_asked(rng: np.random.Generator) -> None:
-    """Catches a mean colour from which the reader and the writer compute different colours."""
+    """Catches a reader and a writer that compute different colours from the mean colour."""
     frame = natural_frame(400, 5, rng)
     precision = Precision(96, 64, 255, 1 / 64, 8, 2, 10, unseen_colour_step=16)
     encoding, rounding = fit_encoding(sample_cloud(frame), precision), precision.colour_rounding

@@ -1,4 +1,4 @@
-"""Packed scenes: errors within the promised bounds, sizes, the index of members, and damaged files."""
+"""Tests of packed scenes: quantisation errors, sizes, the index of members, and damaged files."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_bits_are_spread_and_gathered(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("tier", ["full", "stream"])
 def test_errors_are_within_the_bounds(tier: Tier, rng: np.random.Generator) -> None:
-    """Catches a wrong scale, a wrong order of points, and bounds that no array can violate."""
+    """Catches a wrong scale, a wrong order of points, and a check of error bounds that accepts every array."""
     frame = natural_frame(500, 5, rng)
     precision = LEVELS[tier][0]
     encoding, rounding = fit_encoding(sample_cloud(frame), precision), precision.colour_rounding
@@ -84,7 +84,9 @@ def test_errors_are_within_the_bounds(tier: Tier, rng: np.random.Generator) -> N
 
 @pytest.mark.parametrize("tier", TIERS)
 def test_a_packed_scene_looks_like_its_source(tier: Tier, tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches any error between the writer and the image. Light scenes keep only smooth colours."""
+    """Catches errors in packing, reading or rendering. The tier light keeps only smooth colours, so its limit is
+    lower.
+    """
     from fourd.baking import SceneWriter
 
     source, out = tmp_path / "scene.4dv", tmp_path / "packed.4dv"
@@ -166,7 +168,7 @@ def test_frames_without_points_are_packed(tmp_path: Path) -> None:
 
 
 def test_a_scene_without_frames_is_refused(tmp_path: Path) -> None:
-    """Catches a traceback for the extremes of no points."""
+    """Catches a traceback from computing the bounds of a scene without points."""
     from fourd.baking import SceneWriter
 
     with SceneWriter(tmp_path / "scene.4dv", manifest(3, 0)):
@@ -199,7 +201,7 @@ def test_a_member_that_declares_gigabytes_is_refused(scene: Path, tmp_path: Path
 
 
 def test_damaged_members_are_named(scene: Path, tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a damaged member that gives a traceback or wrong arrays of the right shape."""
+    """Catches a damaged member that causes a traceback, or that is read as wrong arrays of the correct shape."""
     out = tmp_path / "packed.4dv"
     pack_scene(scene, out, "full")
     changes = {
@@ -254,7 +256,7 @@ def test_random_damage_never_escapes(scene: Path, tmp_path: Path, rng: np.random
 
 
 def test_members_before_the_start_of_the_file_are_rejected(scene: Path) -> None:
-    """Catches a traceback of the system call that seeks to a negative offset, which a damaged directory contains."""
+    """Catches a traceback from seeking to a negative offset. Damaged directories contain such offsets."""
     content = bytearray(scene.read_bytes())
     end = content.rindex(b"PK\x05\x06")
     (directory,) = struct.unpack_from("<L", content, end + 16)

@@ -46,7 +46,7 @@ def covariances(cloud: SplatCloud) -> NDArray[np.float64]:
 
 @pytest.mark.parametrize("terms", [1, 4, 9, 16])
 def test_a_ply_file_returns_the_same_cloud(tmp_path: Path, rng: np.random.Generator, terms: int) -> None:
-    """Catches a property that is written in other units than it is read in, and mixed-up harmonics."""
+    """Catches a property whose units differ between writer and reader, and permuted harmonics."""
     cloud = random_cloud(rng, terms=terms)
     write_splat_ply(tmp_path / "a.ply", cloud)
     found = read_splat_ply(tmp_path / "a.ply")
@@ -108,7 +108,9 @@ def test_frames_show_the_colours_of_the_splats(rng: np.random.Generator) -> None
 
 
 def test_a_needle_becomes_points_along_its_longest_axis(rng: np.random.Generator) -> None:
-    """Catches a needle that is shown as a ball, and pieces along a wrong axis."""
+    """Catches a long, thin splat that is converted to a single ball, and pieces that are placed along the wrong
+    axis.
+    """
     cloud = random_cloud(rng, 1)
     cloud = replace(cloud, scale=np.array([[0.01, 0.06, 0.008]], np.float32))
     frame = frame_from_splats(cloud)
@@ -133,7 +135,7 @@ def test_splats_that_are_not_finite_are_left_out(tmp_path: Path, rng: np.random.
 
 
 def test_broken_files_are_refused(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a traceback, and a file that is read in part, for a truncated or incomplete file."""
+    """Catches a traceback for a truncated file, and a truncated file that is read without an error."""
     path = tmp_path / "a.ply"
     write_splat_ply(path, random_cloud(rng, terms=4))
     whole = path.read_bytes()

@@ -52,7 +52,9 @@ def test_every_format_writes_one_file_for_each_frame(scene_path: Path, tmp_path:
 
 
 def test_up_is_minus_y_in_ply_and_the_scene_looks_the_same(scene_path: Path, tmp_path: Path) -> None:
-    """Catches scenes that lie on their side in other programs, and a rotation without its colours."""
+    """Catches scenes whose up direction is wrong in other programs, and a rotation that does not rotate the
+    harmonics.
+    """
     (kept,) = export(scene_path, tmp_path / "kept.ply", "ply-sequence", (1,), keep_axes=True)
     (turned,) = export(scene_path, tmp_path / "turned.ply", "ply-sequence", (1,))
     with open_scene(scene_path) as scene:
@@ -69,7 +71,7 @@ def test_up_is_minus_y_in_ply_and_the_scene_looks_the_same(scene_path: Path, tmp
 
 
 def test_exported_colours_are_those_of_the_scene(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a fit of wrong harmonics: colours that are linear in the harmonics are found again."""
+    """Catches a wrong fit of harmonics. Colours that are linear in the harmonics must be reproduced."""
     count = 400
     sh = rng.normal(0, 0.05, (count, 3, 9)).astype(np.float32)
     sh[..., 0] = rng.uniform(-1, 1, (count, 3))
@@ -85,7 +87,7 @@ def test_exported_colours_are_those_of_the_scene(tmp_path: Path, rng: np.random.
 
 
 def test_glb_has_the_attributes_of_the_extension(scene_path: Path, tmp_path: Path) -> None:
-    """Catches offsets that do not match, scales that are logarithms, and quaternions in the order of PLY."""
+    """Catches wrong offsets, scales that are logarithms, and quaternions in the component order of PLY."""
     (path,) = export(scene_path, tmp_path / "a.glb", "glb", (0,), degree=1)
     content = path.read_bytes()
     length = struct.unpack("<I", content[12:16])[0]
@@ -147,7 +149,7 @@ def test_spz_has_y_up(scene_path: Path, tmp_path: Path) -> None:
 
 
 def test_usd_plays_every_frame(scene_path: Path, tmp_path: Path) -> None:
-    """Catches value clips that no program finds, and quaternions in the order of PLY."""
+    """Catches value clips whose paths cannot be resolved, and quaternions in the component order of PLY."""
     files = export(scene_path, tmp_path / "out", "usd")
     from pxr import Usd, UsdVol
 
@@ -166,7 +168,9 @@ def test_usd_plays_every_frame(scene_path: Path, tmp_path: Path) -> None:
 
 
 def test_a_folder_of_files_is_a_scene_in_the_order_of_its_numbers(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches frame 10 before frame 9, and coloured points that are taken for splats."""
+    """Catches files that are sorted by name, so that frame 10 comes before frame 9, and coloured points that are read
+    as splats.
+    """
     for number in (9, 10, 100):
         count = number
         write_ply(

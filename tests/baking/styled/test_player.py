@@ -59,7 +59,7 @@ def test_surfaces_equal_those_of_the_float_renderer(
 
 
 def test_a_resting_camera_averages_the_surface(frame: BakedFrame, rng: np.random.Generator) -> None:
-    """Catches averages that continue after the camera moves, and surfaces that move but are averaged."""
+    """Catches averaging over time that continues after the camera moves, and averaging of surfaces that move."""
     camera, other = MANIFEST.cameras[:2]
     noisy = replace(frame, xyz=frame.xyz + rng.normal(0, 0.004, frame.xyz.shape).astype(np.float32))
     fresh = StyledPlayer().draw_surface(noisy, camera, MANIFEST).inverse_depth.copy()
@@ -111,7 +111,7 @@ def test_normals_are_stored_and_estimated_where_they_are_missing(tmp_path: Path)
 
 @pytest.mark.parametrize("tier", ["full", "light"])
 def test_packed_scenes_have_no_normals(tmp_path: Path, tier: str) -> None:
-    """Catches packed scenes that become larger by the normals."""
+    """Catches packed scenes that store normals, which makes them larger."""
     with SceneWriter(tmp_path / "scene.4dv", manifest(frames=1)) as writer:
         writer.add_frame(0, add_normals(random_frame(300, 6, seed=1), MANIFEST))
     pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", tier)

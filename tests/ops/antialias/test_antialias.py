@@ -53,15 +53,16 @@ def test_values_and_gradients_equal_the_reference(
 
 
 def test_gpu_equals_the_reference(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches a pixel that misses its crossings with the pixel above or the pixel to the left, and gradients that are
-    not cleared."""
+    """Catches a pixel whose edge crossings to the pixel above or to the left are missed, and gradients that are not
+    cleared.
+    """
     scene = random_scene(rng, size=(15, 18))
     upstream = upstream_of(scene, rng)
     assert_equal_results(results(scene, upstream, gpu), results(scene, upstream, backend="reference"))
 
 
 def test_gpu_image_has_the_bits_of_the_cpu(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches crossings that are added in another order than on the CPU."""
+    """Catches crossings whose order of addition differs from that on the CPU."""
     scene = random_scene(rng, size=(15, 18))
     upstream = upstream_of(scene, rng)
     on_gpu = results(scene, upstream, gpu)
@@ -85,7 +86,7 @@ def test_one_pos_for_all_images_equals_its_copies(rng: np.random.Generator) -> N
 
 
 def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator) -> None:
-    """Catches rows at the borders of tasks that are blended twice or in another order, and sums in random order."""
+    """Catches rows at the borders of tasks that are blended twice or in the wrong order, and sums in random order."""
     scene = random_scene(rng, size=(101, 40))
     upstream = upstream_of(scene, rng)
     one, *others = (results(scene, upstream, threads=threads) for threads in (1, 2, 5))
@@ -94,7 +95,7 @@ def test_any_thread_count_gives_the_same_bits(rng: np.random.Generator) -> None:
 
 
 def test_boost_multiplies_the_gradient_of_pos_only(rng: np.random.Generator) -> None:
-    """Catches a boost that is applied twice, or to the colours."""
+    """Catches a gradient boost that is applied twice, or that is applied to the gradients of the colours."""
     scene = random_scene(rng)
     upstream = upstream_of(scene, rng)
     for backend in ("cpu", "reference"):
@@ -127,7 +128,7 @@ def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) 
 
 
 def test_topology_argument_gives_the_same_bits(rng: np.random.Generator) -> None:
-    """Catches a cached topology that differs from the one that is found in the call."""
+    """Catches a topology computed in advance whose result differs from that of a topology computed in the call."""
     scene = random_scene(rng)
     upstream = upstream_of(scene, rng)
     topology = antialias_construct_topology(scene.tri)

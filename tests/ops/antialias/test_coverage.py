@@ -107,7 +107,7 @@ def test_folds_are_silhouettes(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_edges_of_three_triangles_are_silhouettes(backend: str) -> None:
-    """Catches an edge of several triangles that has an arbitrary one of them as its neighbour."""
+    """Catches an edge of three or more triangles for which an arbitrary triangle is used as the neighbour."""
     pos = torch.cat((rectangle(2.3, 1.0, 8.6, 8.0, HEIGHT, WIDTH), rectangle(3.0, 1.0, 11.0, 8.0, HEIGHT, WIDTH, 2.0)))
     tri = torch.tensor([[0, 1, 2], [0, 2, 3], [1, 2, 5], [1, 2, 6]], dtype=torch.int32)
     assert (opposite_vertices(tri)[:, [0, 1, 2]] >= 0).sum() == 2  # The diagonal of the rectangle.

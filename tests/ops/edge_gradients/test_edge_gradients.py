@@ -106,7 +106,7 @@ def test_moving_square_has_the_slope_of_its_exact_image(power: float) -> None:
 
 
 def test_image_is_unchanged_and_its_gradient_is_the_identity(rng: np.random.Generator) -> None:
-    """Catches an image that is blended, and gradients of the colours that are moved between pixels."""
+    """Catches an operator that changes the image, and gradients of colours that move to other pixels."""
     scene = random_scene(rng)
     color = scene.color.clone().requires_grad_()
     out = edge_gradients(color, scene.rast, scene.pos.requires_grad_(), scene.tri)
@@ -143,7 +143,7 @@ def intersecting_walls(rng: np.random.Generator) -> Tensor:
 
 
 def test_gpu_finds_intersections(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches derivatives of z that are not added on a GPU."""
+    """Catches derivatives with respect to z that the CUDA kernel does not add."""
     pos, tri = intersecting_walls(rng).float(), torch.arange(6, dtype=torch.int32).reshape(2, 3)
     rast = rasterize_brute_force(pos, tri, 12, 13)
     scene = Scene((rast[..., 3:] > 1.5).float(), rast, pos, tri)

@@ -56,7 +56,7 @@ def summed_taps(state: NDArray[np.uint32]) -> NDArray[np.float32]:
 
 
 def random_state(rng: np.random.Generator, surface: Surface, parameters: StyleParameters) -> NDArray[np.uint32]:
-    """Random lines of a previous picture, in which the surface rests at about two thirds of the pixels."""
+    """Random lines of a previous picture. At about two thirds of the pixels, the surface has not changed since then."""
     seen = summed_taps(stylize_reference(surface, parameters).line_state) * rng.choice(
         [1, 1.5], surface.size, p=[0.7, 0.3]
     )
@@ -69,7 +69,7 @@ def random_state(rng: np.random.Generator, surface: Surface, parameters: StylePa
 def test_pictures_equal_the_reference(
     simd: str, height: int, width: int, rows: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a wrong border, a wrong tap, and runs at the end of rows that are left out."""
+    """Catches a wrong border, a wrong tap, and pixels at the end of rows that are skipped."""
     monkeypatch.setenv("FOURD_SIMD", simd)
     surface, parameters = random_surface(rng, height, width), random_parameters(rng, rows)
     state = random_state(rng, surface, parameters)
@@ -78,7 +78,7 @@ def test_pictures_equal_the_reference(
         found = stylize_surface(surface, parameters, line_state=state, threads=2)
     except ValueError as error:
         pytest.skip(str(error))  # this machine lacks the instruction set
-    # Rounding may move a tone to the next column of the random table, which is another colour.
+    # Rounding may move a tone to the next column of the random table. This column has an unrelated colour.
     differs = np.abs(found.astype(int) - expected.rgba) > 2
     assert differs.any(2).mean() < 0.02 + 2 / (height * width)
     differs = np.abs((state & 255).astype(int) - expected.lines) > 2
@@ -147,7 +147,7 @@ def test_sobel_lines_turn_with_the_picture(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize(("jump", "is_drawn"), [(0.03, False), (0.08, True)])
 def test_a_step_is_drawn_above_the_threshold(jump: float, is_drawn: bool) -> None:
-    """Catches a threshold that is not relative to the depth, or scaled by the weights of the filter."""
+    """Catches a threshold that is not relative to the depth, or that is scaled by the weights of the filter."""
     for distance in (1.0, 50.0):
         depth = np.full((40, 40), distance)
         depth[:, 20:] /= 1 - jump
@@ -159,7 +159,7 @@ def test_a_step_is_drawn_above_the_threshold(jump: float, is_drawn: bool) -> Non
 
 
 def test_ramps_below_the_threshold_draw_nothing() -> None:
-    """Catches a filter that adds up a slope over the picture."""
+    """Catches a filter that accumulates the slope of a plane over the picture."""
     depth = 1 / np.broadcast_to(np.linspace(0.5, 1, 200), (40, 200))
     surface = make_surface(depth, np.broadcast_to([0.0, 0, -1], (40, 200, 3)))
     slope = 2 * (0.5 / 199) / 0.5  # largest relative jump between the taps
@@ -190,11 +190,13 @@ def test_a_line_stays_until_it_is_clearly_below_the_threshold() -> None:
 
 
 def test_lines_fade_in_where_the_surface_rests() -> None:
-    """Catches lines of single pictures at full strength, and lines that are late where the surface moves."""
+    """Catches lines that reach full strength in one picture although the surface does not move, and lines that fade in
+    where the surface moves.
+    """
     surface, still = make_sphere(160), np.zeros((160, 160), np.uint32)
     parameters = line_parameters(160, persistence=0.75)
     stylize_surface(surface, parameters, line_state=still)
-    assert (still & 255).max() == 255  # the first picture from a camera has all its lines
+    assert (still & 255).max() == 255  # the lines of the first picture from a camera have full strength
     still &= 0xFFFF0000
     strengths = []
     for _ in range(3):
@@ -204,7 +206,7 @@ def test_lines_fade_in_where_the_surface_rests() -> None:
 
 
 def test_lines_vanish_at_once() -> None:
-    """Catches lines that stay behind where a surface has left or has become flat."""
+    """Catches lines that remain at pixels where there is no surface any more, or where the surface has become flat."""
     flat = make_surface(np.full((40, 40), 2.0), np.broadcast_to([0.0, 0, -1], (40, 40, 3)))
     for surface in (flat, Surface.empty(40, 40)):
         state = np.zeros((40, 40), np.uint32)
@@ -229,7 +231,9 @@ def find_lines_of_picture(surface: Surface) -> np.ndarray:
 
 
 def test_shading_follows_the_light() -> None:
-    """Catches a light from the wrong side. The lit side of a sphere must be bright, and the other side must be dark."""
+    """Catches light from the wrong direction. The lit side of a sphere must be bright, and the opposite side must be
+    dark.
+    """
     table = np.repeat(np.arange(256, dtype=np.uint8)[None, :, None], 3, 2)
     numbers = replace(numbers_of(64, table_alone=1.0, albedo_alone=0.0), light=(-1.0, 0.0, 0.0))
     picture = stylize_surface(make_sphere(64), StyleParameters(numbers, table))[..., 0]
@@ -241,7 +245,7 @@ def test_shading_follows_the_light() -> None:
 
 
 def test_invalid_parameters_are_refused() -> None:
-    """Catches thresholds that divide by 0, numbers that are not finite, and surfaces of another size."""
+    """Catches divisions by a threshold of 0, parameters that are not finite, and surfaces of the wrong size."""
     surface, good = make_sphere(16), line_parameters(16)
     for changes, message in (
         ({"depth_threshold": 0.0}, "depth_threshold, normal_threshold: expected more than 0"),

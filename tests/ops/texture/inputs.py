@@ -37,8 +37,9 @@ def random_lookup(
     picture: tuple[int, int] = (30, 40),
     size: tuple[int, int] = (8, 16),
 ) -> Lookup:
-    """Make two pictures of random positions inside and outside the texture, with mip levels from below 0 to above the
-    last one."""
+    """Make two pictures of random positions inside and outside the texture. Their mip levels range from below 0 to
+    above the last level.
+    """
     is_cube = boundary_mode == "cube"
     coordinates = 3 if is_cube else 2
     shape = (items, 6, 8, 8, channels) if is_cube else (items, *size, channels)
@@ -51,7 +52,9 @@ def random_lookup(
 
 
 def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str, pixels: int = 40) -> Lookup:
-    """Make a lookup in one row of pixels where small changes of any input change no choice of texels or levels."""
+    """Make a lookup in one row of pixels. Small changes of the inputs do not change which texels and levels are
+    read.
+    """
     is_cube = boundary_mode == "cube"
     coordinates = 3 if is_cube else 2
     size = np.array([8, 8] if is_cube else [16, 8])  # width, height
@@ -78,7 +81,7 @@ def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str
 
 
 def _directions(rng: np.random.Generator, ab: np.ndarray) -> np.ndarray:
-    """Turn positions on faces into directions of random length, on random faces."""
+    """Convert positions on a face to directions of random length, on random faces."""
     axis, sign = rng.integers(0, 3, len(ab)), rng.choice([-1.0, 1.0], len(ab))
     out = np.empty((len(ab), 3))
     for row, (where, toward) in enumerate(zip(axis, sign, strict=True)):

@@ -56,7 +56,7 @@ def test_a_texel_centre_gives_its_texel(backend: str, rng: np.random.Generator) 
 def test_pictures_are_continuous_across_all_edges_and_corners(
     size: int, backend: str, rng: np.random.Generator
 ) -> None:
-    """Catches an edge whose neighbour is turned or mirrored, on any of 12 edges, and corners that jump."""
+    """Catches a rotated or mirrored neighbour at any of the 12 edges, and discontinuities at the corners."""
     tex = torch.from_numpy(rng.standard_normal((1, 6, size, size, 1)).astype(np.float32))
     step = 1e-5
     checked = 0

@@ -40,7 +40,7 @@ def test_a_footprint_of_two_to_the_k_texels_reads_level_k(level: float, angle: f
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_bias_alone_is_the_level(backend: str) -> None:
-    """Catches a level without uv_da that is not 0 before the bias, and levels that are not clamped."""
+    """Catches a level that is not 0 before the bias is added if there is no uv_da, and levels that are not clamped."""
     base, *mips = level_picture(16, 5)
     bias = torch.tensor([-2.0, 0, 0.25, 1.5, 4, 9, math.nan, math.inf, -math.inf])[None, None]
     uv = torch.full((1, 1, 9, 2), 0.4)
@@ -170,7 +170,9 @@ def test_huge_coordinates_stay_inside_the_texture() -> None:
 
 
 def test_one_texture_serves_all_pictures() -> None:
-    """Catches pictures that read past a texture without a batch, and textures that are mixed up."""
+    """Catches pictures of a batch that read past the end of a texture without a batch axis, and textures that are
+    assigned to the wrong pictures.
+    """
     tex = torch.tensor([1.0, 2]).view(2, 1, 1, 1)
     uv = torch.zeros(2, 1, 3, 2)
     assert texture(tex, uv).flatten().tolist() == [1, 1, 1, 2, 2, 2]

@@ -28,7 +28,9 @@ def assert_equal_but_for_rounding(found: list[Tensor], expected: list[Tensor]) -
 def test_kernel_equals_the_reference(
     filter_mode: str, boundary_mode: str, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches wrong weights, texels and levels in any mode, for specialised and other numbers of channels."""
+    """Catches wrong weights, texels and levels in any mode, for numbers of channels with and without specialised
+    code.
+    """
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -68,8 +70,9 @@ def test_gpu_gives_own_mips_their_own_gradients(gpu: torch.device, rng: np.rando
 
 
 def test_large_textures_equal_the_reference(rng: np.random.Generator) -> None:
-    """Catches texels at the borders of the bands that the backward pass divides a texture into, and bands whose
-    pixels are summed in several parts."""
+    """Catches wrong gradients of texels at the borders of the bands that the backward pass divides a texture into, and
+    of bands whose pixels are summed in several parts.
+    """
     lookup = random_lookup(rng, "wrap", 3, items=1, picture=(200, 320), size=(128, 256))
     # Many pixels read the same few texels.
     lookup.uv[0, :, :100] *= 0.01
@@ -97,7 +100,7 @@ def test_any_thread_count_gives_the_same_bits(boundary_mode: str, rng: np.random
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_a_mip_gives_the_values_and_gradients_of_a_built_in_chain(backend: str, rng: np.random.Generator) -> None:
-    """Catches a Mip through which no gradient reaches the texture, and a Mip with a wrong number of levels."""
+    """Catches a mip chain that passes no gradient to the texture, and a mip chain with a wrong number of levels."""
     for boundary_mode in ("wrap", "cube"):
         lookup = random_lookup(rng, boundary_mode)
         upstream = torch.from_numpy(rng.standard_normal((2, 30, 40, 3)).astype(np.float32))

@@ -16,8 +16,9 @@ def random_soup(rng: np.random.Generator, count: int, size: float = 0.3) -> tupl
 
 
 def hard_soup(rng: np.random.Generator) -> tuple[Tensor, Tensor]:
-    """Triangles of all difficult kinds: duplicates, coplanar layers, slivers, points, long and tiny triangles, and
-    triangles with NaN and infinite coordinates."""
+    """Triangles that are difficult for ray tracing: duplicates, coplanar layers, slivers, triangles that degenerate to
+    a point, long and tiny triangles, and triangles with NaN and infinite coordinates.
+    """
     corners = rng.uniform(-1, 1, (40, 3, 3))
     corners[5:10] = corners[0:5]  # Duplicates.
     corners[10:16, :, 2] = 0.25  # Coplanar.
@@ -29,7 +30,7 @@ def hard_soup(rng: np.random.Generator) -> tuple[Tensor, Tensor]:
     corners[25, 1, 1] = np.nan
     corners[26, 0, 2] = np.inf
     corners[27, 0, 0] = 1e30
-    corners[28:34] = np.round(corners[28:34] * 2) / 2  # Corners on a coarse grid, which rays of the grid hit exactly.
+    corners[28:34] = np.round(corners[28:34] * 2) / 2  # Corners on a coarse grid, which some rays hit exactly.
     xyz = torch.from_numpy(corners.reshape(-1, 3).astype(np.float32))
     return xyz, torch.arange(120, dtype=torch.int32).reshape(-1, 3)
 
@@ -60,7 +61,7 @@ def random_rays(rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor]:
 
 
 def rays_at_vertices(rng: np.random.Generator, xyz: Tensor, count: int) -> tuple[Tensor, Tensor]:
-    """Rays through vertices and midpoints of pairs of vertices of a mesh."""
+    """Rays through the vertices of a mesh, and through the midpoints of pairs of vertices."""
     finite = xyz[(xyz.abs() < 10).all(1)]
     picked = finite[torch.from_numpy(rng.integers(len(finite), size=(count, 2)))]
     is_vertex = torch.from_numpy(rng.random(count) < 0.5)[:, None]

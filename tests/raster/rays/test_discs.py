@@ -31,7 +31,9 @@ def discs(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray,
 def test_colours_equal_the_reference(
     count: int, layers: int, is_facing: bool, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches discs that are lost in the tree, a wrong order, and t of directions that are not normalised."""
+    """Catches discs that are missing in the tree, a wrong order, and wrong values of t for directions that are not
+    normalised.
+    """
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -51,7 +53,7 @@ def test_colours_equal_the_reference(
 
 
 def test_a_pinhole_shows_the_picture_of_the_compositor(rng: np.random.Generator) -> None:
-    """Catches discs of another shape or order than those of the compositor."""
+    """Catches discs whose shape or order differs from those of the point compositor."""
     xyz, radius, density, colours = discs(rng, 4000)
     camera = ring(3, size=96)[1]
     rgb, alpha, _ = render_points_numpy(xyz, colours, radius, density.clip(max=1), camera, layers=12, near=0.01)
@@ -70,7 +72,9 @@ def test_a_pinhole_shows_the_picture_of_the_compositor(rng: np.random.Generator)
 def test_a_gpu_gives_the_colours_of_the_cpu(
     is_facing: bool, simd: str, gpu: torch.device, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches hit tests that differ between the CPU's vectors and the GPU, and limits that are ignored."""
+    """Catches hit tests that differ between the vector instructions of the CPU and the GPU, and limits of t that are
+    ignored.
+    """
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -97,7 +101,7 @@ def test_a_gpu_gives_the_colours_of_the_cpu(
 
 
 def test_wrong_tensors_are_named(gpu: torch.device) -> None:
-    """Catches shapes that the kernel of the GPU would read past."""
+    """Catches tensors of wrong shape that reach the CUDA kernel. The kernel would read past their end."""
     xyz, ones = torch.zeros(3, 3, device=gpu), torch.ones(3, device=gpu)
     with pytest.raises(ValueError, match="radius: expected"):
         GpuDiscTree(xyz, ones[:2], ones)
@@ -113,7 +117,7 @@ def test_wrong_tensors_are_named(gpu: torch.device) -> None:
 
 
 def test_limits_hide_discs(rng: np.random.Generator) -> None:
-    """Catches limits in other units than the direction, and limits of another ray."""
+    """Catches limits that are not in multiples of the direction's length, and limits that belong to a different ray."""
     xyz = np.array([[0, 0, 2], [0, 0, 4]], np.float32)
     tree = DiscTree(xyz, np.ones(2, np.float32), np.full(2, 0.5, np.float32))
     colours = np.array([[1, 0, 0], [0, 1, 0]], np.float32)
@@ -140,7 +144,7 @@ def test_invalid_discs_and_rays_hit_nothing() -> None:
 
 
 def test_wrong_arguments_are_named() -> None:
-    """Catches shapes that the kernel would read past."""
+    """Catches arrays of wrong shape that reach the kernel. The kernel would read past their end."""
     points = np.zeros((3, 3), np.float32), np.ones(3, np.float32), np.ones(3, np.float32)
     with pytest.raises(ValueError, match=r"radius: expected float32 of shape \(3,\), got float32 of shape \(2,\)"):
         DiscTree(points[0], points[1][:2], points[2])

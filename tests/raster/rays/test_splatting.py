@@ -19,7 +19,7 @@ Soup = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 def stacked_soup(rng: np.random.Generator, camera: Camera, count: int) -> Soup:
     """Triangles at increasing depths of a camera, so that both orders agree: xyz, tri, features, opacity, sigma."""
     depth = np.linspace(1.5, 5.0, count)[:, None, None] + rng.uniform(-0.4, 0.4, (count, 3, 1)) * 3.5 / count
-    # No slivers: rounding of their hits would change their large gradients.
+    # There are no slivers, because rounding of hits on slivers would change their large gradients.
     angles = np.radians([0, 120, 240]) + rng.uniform(0, 2 * np.pi, (count, 1)) + rng.uniform(-0.5, 0.5, (count, 3))
     corners = rng.uniform(0.06, 0.25, (count, 1, 1)) * np.stack([np.cos(angles), np.sin(angles)], -1)
     across = (rng.uniform(-0.35, 0.35, (count, 1, 2)) + corners) * depth
@@ -38,7 +38,9 @@ def pixel_rays(camera: Camera) -> tuple[Tensor, Tensor]:
 
 @pytest.mark.parametrize("layers", [None, 3])
 def test_picture_and_gradients_equal_the_rasterized_ones(layers: int | None, rng: np.random.Generator) -> None:
-    """Catches windows of other edges, weights without perspective, chunks that lose hits, and wrong gradients."""
+    """Catches window functions of the wrong edges, weights without perspective correction, hits that are lost between
+    chunks, and wrong gradients.
+    """
     camera = ring(3, size=40)[1]
     xyz, tri, features, opacity, sigma = stacked_soup(rng, camera, 60)
     origins, directions = pixel_rays(camera)
@@ -63,7 +65,9 @@ def test_picture_and_gradients_equal_the_rasterized_ones(layers: int | None, rng
 
 
 def test_many_layers_are_composited_in_chunks(rng: np.random.Generator) -> None:
-    """Catches chunks that start at the wrong hit: 50 faint triangles in front of each other."""
+    """Catches chunks that start at the wrong hit. The test composites 50 nearly transparent triangles behind each
+    other.
+    """
     corners = torch.tensor([[-1.0, -1, 0], [2, -1, 0], [-1, 2, 0]]).repeat(50, 1, 1)
     corners[:, :, 2] = torch.arange(50)[:, None] * 0.1
     tri = torch.arange(150, dtype=torch.int32).reshape(-1, 3)
@@ -78,7 +82,9 @@ def test_many_layers_are_composited_in_chunks(rng: np.random.Generator) -> None:
 
 
 def test_the_window_in_space_does_not_depend_on_the_ray(rng: np.random.Generator) -> None:
-    """Catches a window that changes with the viewing direction: alpha at a point of a triangle is always the same."""
+    """Catches a window function that depends on the viewing direction. The alpha of a point on a triangle must be equal
+    in all directions.
+    """
     xyz = torch.from_numpy(rng.normal(0, 1, (3, 3)).astype(np.float32))
     tri = torch.tensor([[0, 1, 2]], dtype=torch.int32)
     lengths = torch.stack([(xyz[2] - xyz[1]).norm(), (xyz[0] - xyz[2]).norm(), (xyz[1] - xyz[0]).norm()])
@@ -90,7 +96,7 @@ def test_the_window_in_space_does_not_depend_on_the_ray(rng: np.random.Generator
 
 
 def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
-    """Catches features of vertices in place of those of triangles."""
+    """Catches features with one row per vertex that are accepted although one row per triangle is needed."""
     camera = ring(1)[0]
     xyz, tri, _features, opacity, sigma = stacked_soup(rng, camera, 5)
     bvh = Bvh.build(xyz, tri)

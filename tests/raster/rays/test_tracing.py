@@ -36,14 +36,18 @@ def rays_for(rng: np.random.Generator, xyz: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def assert_same_hits(found: Hits, expected: Hits) -> None:
-    """Compare triangles exactly. t, u and v of the reference are solved in another way."""
+    """Assert that the triangles are equal. t, u and v have a tolerance, because the reference solves for them with a
+    different method.
+    """
     assert torch.equal(found.triangle, expected.triangle)
     assert torch.equal(torch.isinf(found.t), torch.isinf(expected.t))
 
 
 @pytest.mark.parametrize("layers", [1, 3, 16])
 def test_hits_are_those_of_a_loop_over_all_triangles(layers: int, kernels: str, rng: np.random.Generator) -> None:
-    """Catches boxes that are too small, a wrong order of equal t, and triangles that are lost at a common edge."""
+    """Catches bounding boxes that are too small, a wrong order of hits with equal t, and triangles that are missed at a
+    common edge.
+    """
     for xyz, tri in meshes(rng):
         bvh = Bvh.build(xyz, tri)
         origins, directions = rays_for(rng, xyz)
@@ -53,7 +57,9 @@ def test_hits_are_those_of_a_loop_over_all_triangles(layers: int, kernels: str, 
 
 
 def test_limits_of_t_are_those_of_a_loop(kernels: str, rng: np.random.Generator) -> None:
-    """Catches limits that are applied to scaled directions, and limits that exclude their own value."""
+    """Catches limits in units of length instead of multiples of the direction, and a hit exactly at a limit that is
+    missed.
+    """
     xyz, tri = random_soup(rng, 300)
     bvh = Bvh.build(xyz, tri)
     origins, directions = random_rays(rng, 600)
@@ -91,7 +97,7 @@ def test_chunks_continue_at_equal_t(kernels: str, rng: np.random.Generator) -> N
 
 
 def test_t_u_and_v_solve_the_equation_of_the_ray(kernels: str, rng: np.random.Generator) -> None:
-    """Catches swapped weights, and t of a normalised direction."""
+    """Catches swapped weights, and t in units of length instead of multiples of the direction."""
     xyz, tri = random_soup(rng, 300)
     origins, directions = random_rays(rng, 600)
     hits = trace(Bvh.build(xyz, tri), xyz, origins, directions, layers=2)
@@ -102,7 +108,9 @@ def test_t_u_and_v_solve_the_equation_of_the_ray(kernels: str, rng: np.random.Ge
 
 
 def test_gradients_equal_those_of_the_reference_in_float64(kernels: str, rng: np.random.Generator) -> None:
-    """Catches wrong signs and transposed matrices in the gradient, and hits that share a vertex or a ray."""
+    """Catches wrong signs and transposed matrices in the gradient, and wrong sums over hits that share a vertex or a
+    ray.
+    """
     xyz, tri = sphere(8)
     origins = torch.from_numpy(rng.uniform(-0.3, 0.3, (80, 3)).astype(np.float32))
     directions = torch.from_numpy(rng.normal(0, 1, (80, 3)).astype(np.float32))
@@ -121,7 +129,7 @@ def test_gradients_equal_those_of_the_reference_in_float64(kernels: str, rng: np
 
 
 def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) -> None:
-    """Catches a wrong equation, which kernel and reference could share."""
+    """Catches an error that the gradients of the kernel and of the reference have in common."""
     corners = torch.from_numpy(rng.uniform(-1, 1, (1, 3, 3)))
     corners[..., 2] = 1 + 0.2 * corners[..., 2]
     xyz = corners.reshape(3, 3).float().double()
@@ -162,7 +170,7 @@ def test_occlusion_is_a_hit_in_the_limits(kernels: str, rng: np.random.Generator
 
 
 def test_a_sphere_is_closed(kernels: str, rng: np.random.Generator) -> None:
-    """Catches gaps at edges and vertices: no ray from inside leaves a closed mesh."""
+    """Catches gaps at edges and vertices. No ray from inside a closed mesh may leave the mesh."""
     xyz, tri = sphere()
     aims = [rays_at_vertices(rng, xyz, 2000)[1], torch.from_numpy(rng.normal(0, 1, (2000, 3)).astype(np.float32))]
     targets = torch.cat([xyz[torch.from_numpy(rng.integers(len(xyz), size=2000))], *aims])
@@ -200,7 +208,7 @@ def test_results_do_not_depend_on_threads(rng: np.random.Generator) -> None:
 
 
 def test_a_refitted_tree_finds_the_hits_of_a_new_tree(rng: np.random.Generator) -> None:
-    """Catches boxes that are not moved, and triangles without a position when the tree was built."""
+    """Catches bounding boxes that are not updated, and triangles whose positions were NaN when the tree was built."""
     xyz, tri = hard_soup(rng)
     bvh = Bvh.build(xyz, tri)
     moved = torch.from_numpy(rng.uniform(-1, 1, xyz.shape).astype(np.float32))
@@ -215,7 +223,7 @@ def test_a_refitted_tree_finds_the_hits_of_a_new_tree(rng: np.random.Generator) 
 
 @pytest.mark.parametrize("count", [0, 1, 8, 9])
 def test_small_meshes(count: int, kernels: str, rng: np.random.Generator) -> None:
-    """Catches an empty tree that is read, and a root that is a block."""
+    """Catches reads from an empty tree, and wrong results for a tree whose root is a leaf block."""
     xyz, tri = random_soup(rng, max(count, 1))
     bvh = Bvh.build(xyz, tri[:count])
     origins, directions = random_rays(rng, 300)
@@ -226,7 +234,9 @@ def test_small_meshes(count: int, kernels: str, rng: np.random.Generator) -> Non
 
 
 def test_equal_triangles_and_far_scales(kernels: str) -> None:
-    """Catches a builder that cannot split equal centres, and a traversal whose stack is too small."""
+    """Catches a tree builder that cannot split triangles with equal centres, and a traversal whose stack is too
+    small.
+    """
     corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]).repeat(3000, 1, 1)
     corners[1000:2000] *= torch.logspace(-15, 15, 1000)[:, None, None]
     xyz, tri = corners.reshape(-1, 3), torch.arange(9000, dtype=torch.int32).reshape(-1, 3)
@@ -239,7 +249,7 @@ def test_equal_triangles_and_far_scales(kernels: str) -> None:
 
 
 def test_directions_without_a_length_hit_nothing(kernels: str, rng: np.random.Generator) -> None:
-    """Catches hangs and hits of zero, NaN and infinite rays."""
+    """Catches rays with zero, NaN or infinite directions that hang or report hits."""
     xyz, tri = random_soup(rng, 100, 1.0)
     bvh = Bvh.build(xyz, tri)
     bad = torch.tensor([[0.0, 0, 0], [np.nan, 0, 1], [np.inf, 0, 1], [1e-30, 0, 0], [0, 1e30, 0]])
@@ -250,7 +260,7 @@ def test_directions_without_a_length_hit_nothing(kernels: str, rng: np.random.Ge
 
 
 def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
-    """Catches wrong shapes that reach the kernel, and trees of other positions."""
+    """Catches tensors of wrong shape that reach the kernel, and a tree that was built for other positions."""
     xyz, tri = random_soup(rng, 20)
     bvh = Bvh.build(xyz, tri)
     rays = torch.zeros(4, 3), torch.ones(4, 3)
@@ -281,7 +291,7 @@ def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
 
 
 def test_the_operator_passes_opcheck(rng: np.random.Generator) -> None:
-    """Catches wrong fake shapes and gradients for torch.compile."""
+    """Catches a fake implementation that returns wrong shapes, and gradients that torch.compile cannot use."""
     xyz, tri = random_soup(rng, 20)
     bvh = Bvh.build(xyz, tri)
     origins, directions = (value.requires_grad_() for value in random_rays(rng, 30))

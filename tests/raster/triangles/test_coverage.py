@@ -1,4 +1,4 @@
-"""Which pixels triangles cover, compared with exact integer arithmetic."""
+"""Tests which pixels triangles cover, by a comparison with exact integer arithmetic."""
 
 from __future__ import annotations
 
@@ -77,8 +77,9 @@ def test_shared_edges_are_covered_once(backend: str, size: tuple[int, int], rng:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_shared_edges_behind_the_camera_are_covered_once(backend: str, rng: np.random.Generator) -> None:
-    """Catches neighbours that are clipped differently. A plane passes below the camera and behind it. Every pixel below
-    the horizon is covered once, no pixel above."""
+    """Catches adjacent triangles that are clipped differently. A plane extends below and behind the camera. Every pixel
+    below the horizon must be covered once, and no pixel above the horizon may be covered.
+    """
     xy, tri = grid(rng, 8)
     ground = 40 * xy
     pos = torch.stack([ground[:, 0], torch.ones(len(xy)), 0.5 * ground[:, 1], ground[:, 1]], 1)
@@ -113,7 +114,7 @@ def test_only_depths_between_the_planes_are_visible(backend: str) -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_equal_depths_go_to_the_smaller_index(backend: str) -> None:
-    """Catches ties that depend on the order of processing."""
+    """Catches results at equal depths that depend on the order in which triangles are processed."""
     pos = with_w(torch.tensor([[-1.0, -1], [3, -1], [-1, 3]]))[None]
     tri = torch.tensor([[0, 1, 2]] * 5, dtype=torch.int32)
     for first in range(5):

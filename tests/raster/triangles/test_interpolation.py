@@ -29,8 +29,9 @@ def normal(rng: np.random.Generator, *shape: int) -> Tensor:
 
 
 def results(attr: Tensor, images: tuple[Tensor, Tensor, Tensor], diff: Diff, backend: str) -> list[Tensor]:
-    """Return the outputs and the gradients of attr, rast and rast_db, for upstream gradients that depend on shapes
-    alone."""
+    """Return the outputs and the gradients of attr, rast and rast_db. The upstream gradients depend only on the shapes
+    of the outputs.
+    """
     rast, rast_db, tri = images
     leaves = [tensor.clone().requires_grad_() for tensor in (attr, rast, rast_db)]
     outputs = interpolate(leaves[0], leaves[1], tri, leaves[2], diff, backend=backend)
@@ -54,8 +55,9 @@ def assert_close(found: list[Tensor], expected: list[Tensor]) -> None:
 def test_kernel_equals_the_reference(
     channels: int, shared: str, simd: str, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches swapped vertices, gradients that do not add up over images that share attributes, and channels that are
-    mixed up in derivatives."""
+    """Catches swapped vertices, gradients that are not summed over images with common attributes, and derivatives of
+    the wrong channel.
+    """
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -85,7 +87,9 @@ def test_gpu_equals_the_reference(
 
 
 def test_gradient_equals_finite_differences(rng: np.random.Generator) -> None:
-    """Catches an error that kernel and reference have in common. The outputs are linear in each input."""
+    """Catches an error that the kernel and the reference have in common. The outputs are linear in each input, so
+    finite differences are exact.
+    """
     rast, rast_db, tri = drawn(rng, 1)
     attr = normal(rng, 1, 40, 3)
     inputs = [attr, rast, rast_db]

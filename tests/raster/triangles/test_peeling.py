@@ -50,7 +50,9 @@ def test_coincident_triangles_are_in_consecutive_layers(backend: str) -> None:
 
 
 def test_a_layer_behind_has_gradients(rng: np.random.Generator) -> None:
-    """Catches layers that are detached from pos, and layers that start again with the nearest one."""
+    """Catches layers that pass no gradient to pos, and a peeler that does not start with the nearest layer when it is
+    used again.
+    """
     pos, tri = soup(rng, images=2)
     pos.requires_grad_()
     with DepthPeeler(pos, tri, SIZE, output_db=False) as peeler:

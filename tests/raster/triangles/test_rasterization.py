@@ -57,8 +57,9 @@ def assert_close_except_slivers(found: Tensor, expected: Tensor, rtol: float, at
 def test_kernel_equals_the_reference(
     simd: str, behind: bool, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches wrong planes, wrong signs of gradients and pixels that are skipped at the borders of tiles. Depths and
-    ids have the reference's bits."""
+    """Catches wrong interpolation planes, wrong signs of gradients and pixels that are skipped at the borders of tiles.
+    Depths and ids must have the same bits as those of the reference.
+    """
     if not load_native().simd_available(simd):
         pytest.skip(f"this machine does not run {simd}")
     monkeypatch.setenv("FOURD_SIMD", simd)
@@ -95,7 +96,7 @@ def test_gpu_equals_the_cpu(
 
 
 def test_range_mode_equals_the_reference(rng: np.random.Generator) -> None:
-    """Catches ids that count from the start of the range, and gradients that do not add up over images."""
+    """Catches ids that are counted from the start of the range, and gradients that are not summed over images."""
     pos, tri = soup(rng, images=1)
     ranges = torch.tensor([[0, 20], [15, 45], [60, 0], [3, 1]], dtype=torch.int32)
     upstream = random_upstream(rng, len(ranges))
@@ -166,7 +167,7 @@ def test_derivatives_can_be_left_out(rng: np.random.Generator) -> None:
 
 
 def test_any_number_of_threads_gives_the_same_bits(rng: np.random.Generator) -> None:
-    """Catches sums whose order depends on the threads, and pieces that are merged in another order."""
+    """Catches sums whose order depends on the threads, and partial sums that are merged in the wrong order."""
     pos, tri = soup(rng, images=3, vertices=200, triangles=3000)
     results = []
     for threads in (1, 2, 5):
@@ -214,7 +215,7 @@ def test_vertices_that_are_not_finite_are_culled(rng: np.random.Generator) -> No
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 @pytest.mark.parametrize("counts", [(0, 40, 60), (2, 0, 0), (2, 40, 0)])
 def test_empty_meshes_give_the_background(backend: str, counts: tuple[int, int, int]) -> None:
-    """Catches crashes without images, vertices or triangles."""
+    """Catches crashes for inputs without images, vertices or triangles."""
     images, vertices, triangles = counts
     pos = torch.ones(images, vertices, 4, requires_grad=True)
     tri = torch.zeros(triangles, 3, dtype=torch.int32)

@@ -70,8 +70,9 @@ def relative_difference(got: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 def test_gradients_in_float64_are_those_of_one_process(gradients: Path) -> None:
-    """Catches a sum in place of a mean, parameters in different orders, and gradients that are lost because one rank
-    has none."""
+    """Catches gradients that are summed instead of averaged, parameters whose order differs between ranks, and
+    gradients that are lost because one rank has no gradient.
+    """
     model, expected = small_model(), dict[str, torch.Tensor]()
     for frame in range(2):
         frame_gradients(model, frame)
@@ -104,7 +105,9 @@ def test_a_training_step_has_the_mean_gradient_of_its_views(gradients: Path, tmp
 
 
 def test_each_rank_samples_all_views_of_its_own_frames(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a frame that two ranks train, views that are left out, and a single rank whose samples changed."""
+    """Catches a frame that two ranks train, views that are never sampled, and a run with one rank whose samples differ
+    from those of training without ranks.
+    """
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     views, frames = len(run.training), run.capture.frame_count
 
@@ -149,7 +152,7 @@ def test_a_run_resumes_with_another_number_of_ranks(ball_capture: Path, tmp_path
 
 @pytest.mark.slow
 def test_a_run_of_one_rank_resumes_with_three(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a run that only the ranks that started it can continue, and steps beyond the budget."""
+    """Catches a run that cannot be resumed with another number of ranks, and steps beyond the budget."""
     trained_run(ball_capture, tmp_path / "run", replace(SMALL, max_steps=4))
     again = torchrun(3, "train", str(ball_capture), "-o", str(tmp_path / "run"), "--resume", "--max-steps", "9")
     assert again.returncode == 0, again.stderr
@@ -172,7 +175,9 @@ def test_ranks_with_different_configs_are_refused(ball_capture: Path, tmp_path: 
 
 
 def test_work_that_ranks_cannot_share_is_refused() -> None:
-    """Catches a rank without frames, a background that each rank trains by itself, and one message per rank."""
+    """Catches a rank without frames, ranks that train separate copies of the background, and a message that every rank
+    prints.
+    """
     two = ProcessGroup(0, 2)
     with pytest.raises(
         UserError, match=r"torchrun: expected at most one rank per frame, got 2 ranks and 1 frames; set"

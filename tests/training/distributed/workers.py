@@ -55,7 +55,7 @@ def train_step(group: ProcessGroup, out: Path) -> None:
 
 
 def record_gradients(trainer: Trainer, file: Path) -> None:
-    """Save the gradients of the dense parameters when the optimizer uses them."""
+    """Save the gradients of the dense parameters at the moment when the optimizer uses them."""
     update = trainer.stepper.optimizer.step
 
     def record() -> None:

@@ -69,7 +69,7 @@ def test_a_pair_of_wrong_pixels_is_one_speck() -> None:
 
 
 def test_a_jump_is_measured_against_the_median_step() -> None:
-    """Catches a ratio to the mean step, which the jump itself would raise."""
+    """Catches a ratio to the mean step instead of the median step. The jump itself would increase the mean."""
     levels = [0.0, 0.1, 0.2, 0.5, 0.6, 0.7]
     images = [np.full((4, 4, 3), level, np.float32) for level in levels]
     assert jump_ratio(images) == pytest.approx(3.0, rel=1e-4)

@@ -44,15 +44,16 @@ def test_the_share_of_the_next_segment_grows_evenly() -> None:
 
 @pytest.mark.parametrize("selection", [None, "3:40", "5:90:7", "99:100"])
 def test_the_range_of_a_segment_selects_its_frames(selection: str | None) -> None:
-    """Catches a segment that trains on other frames than its own, if the run uses only every S-th frame."""
+    """Catches a segment that trains on frames of other segments if the run uses only every S-th frame."""
     numbers = parse_frame_range(selection, 100)
     for frames in SegmentPlan.divide(len(numbers), SegmentConfig(frames=9, overlap=2)).ranges:
         assert list(parse_frame_range(frame_range(numbers, frames), 100)) == [numbers[frame] for frame in frames]
 
 
 def test_a_fade_keeps_the_number_of_points_and_spreads_them() -> None:
-    """Catches a fade that thins out the points of a surface, leaves holes in it, or takes points of both segments at
-    the same place."""
+    """Catches a cross-fade that changes the number of points, leaves gaps in the sequence of points, or keeps a point
+    with the same index from both segments.
+    """
     for share in (0.2, 0.5, 0.8):
         first = kept_points(10_000, 1 - share, is_first=True)
         second = kept_points(10_000, share, is_first=False)
@@ -77,6 +78,6 @@ def test_impossible_segments_are_refused(values: dict[str, int], message: str) -
 
 
 def test_whole_scenes_have_no_segments() -> None:
-    """Catches a scene whose background changes at the border of two segments."""
+    """Catches full scenes that are trained in segments. Their background would change between segments."""
     with pytest.raises(ValueError, match=r"segments.frames: expected scene: object"):
         TrainConfig(scene="full", segments=SegmentConfig(frames=24))
