@@ -1,4 +1,5 @@
-"""Make long videos for long-running tests: play a short capture forwards and backwards repeatedly.
+"""Make long videos for long-running tests. The videos show a short capture that is repeatedly played forwards and
+backwards.
 
     python tools/long_set.py CAPTURE OUT --seconds 180 --cameras 8 --size 160
 

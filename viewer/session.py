@@ -135,8 +135,8 @@ class Session:
     def choose_shade_map(self, path: Path) -> None:
         """Use a PNG as the shade map of the current style.
 
-        If the style has no shade map, or the PNG has another shape than the style needs, the current style stays and
-        ``message`` contains the reason.
+        If the style has no shade map, or if the PNG does not have the shape that the style needs, the current style
+        stays and ``message`` contains the reason.
         """
         style = self.settings.style
         if style is None or style.shading not in ("toon", "xtoon"):
@@ -149,8 +149,8 @@ class Session:
     def set_style(self, style: Style) -> None:
         """Draw the scene in a changed style.
 
-        If the shade map of the style has another shape than the style needs, the current style stays and ``message``
-        contains the reason.
+        If the shade map does not have the shape that the style needs, the current style stays and ``message`` contains
+        the reason.
         """
         before = self.settings.style
         if before is None or (before.shading, before.ramp.map) != (style.shading, style.ramp.map):

@@ -16,7 +16,9 @@ from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererN
 from fourd.viewer.window import Window
 
 _FAINT = 0.01
-"""Share of the final strength of a line that may still be missing when no further images are drawn."""
+"""Relative tolerance of the strength of lines. Drawing stops when the strength of each line differs from its final
+value by at most this share.
+"""
 
 
 class WindowRenderer:

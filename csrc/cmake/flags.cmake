@@ -34,7 +34,7 @@ if(MSVC)
   target_compile_definitions(fourd_options INTERFACE NOMINMAX _CRT_SECURE_NO_WARNINGS)
 else()
   set(FOURD_WARNINGS -Wall -Wextra -Wpedantic)
-  # prfchw prefetches for writing. Processors that do not support it ignore it.
+  # The instruction prfchw prefetches for writing. Processors without prfchw ignore the instruction.
   set(FOURD_FLAGS_avx2 -mavx2 -mfma -mf16c -mprfchw)
   set(FOURD_FLAGS_avx512 -mavx512f -mavx512dq -mavx512vl -mfma)
   set(FOURD_EXACT -ffp-contract=off)

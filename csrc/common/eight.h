@@ -1,6 +1,6 @@
-// Vectors of eight floats for any instruction set. These vectors serve loops that compilers do not vectorise by
-// themselves. Functions take and return vectors by pointer, because the calling convention for vectors depends on the
-// instruction set.
+// Vectors of eight floats for any instruction set. They are for loops that compilers do not vectorise automatically.
+// Functions take and return vectors by pointer, because the calling convention for vectors depends on the instruction
+// set.
 #pragma once
 
 #include <cstddef>

@@ -22,7 +22,8 @@
 #define FOURD_RESTRICT
 #endif
 
-// Write this macro before a loop over the lanes of a vector. GCC otherwise unrolls the loop before it can vectorise it.
+// Write this macro before a loop over the lanes of a vector. Without the macro, GCC unrolls the loop and then does not
+// vectorise it.
 #if defined(__GNUC__) && !defined(__clang__)
 #define FOURD_KEEP_LOOP _Pragma("GCC unroll 1")
 #else

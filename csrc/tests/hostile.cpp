@@ -161,7 +161,7 @@ void run_play(unsigned seed, const char* simd) {
         std::sort(order.begin(), order.end());
         const bool valid = order.empty() || order.back() < count;
         if (!valid || std::adjacent_find(order.begin(), order.end()) != order.end()) {
-            std::fprintf(stderr, "seed %u: the order holds a point twice, or one that is none\n", seed);
+            std::fprintf(stderr, "seed %u: the order contains a point twice, or an index out of range\n", seed);
             std::exit(1);
         }
     }

@@ -117,6 +117,6 @@ def _is_for_stored(calibration: Camera, index: VideoIndex, meant: CalibratedFram
     width, height = calibration.width, calibration.height
     stored_width, stored_height = index.stored_size
     if index.turn % 180 == 0 or width == height or stored_width == stored_height:
-        return False, "both have its orientation; change this with --calibrated-frames stored"
+        return False, "stored and turned frames have its orientation; change this with --calibrated-frames stored"
     is_stored = (width > height) == (stored_width > stored_height)
     return is_stored, f"its images are {width} x {height}"

@@ -299,7 +299,9 @@ def _write(
     *,
     with_calibration: bool,
 ) -> list[str]:
-    """Write the files that ``out`` lacks and, if ``with_calibration``, the calibration. Returns notes for the user."""
+    """Write the files that are missing in ``out``. If ``with_calibration`` is true, also write the calibration. Returns
+    notes for the user.
+    """
     if not with_calibration:
         imported = replace(imported, cameras=tuple(replace(camera, calibration=None) for camera in imported.cameras))
     return write_capture(imported, indices, out, ImportSettings(options.copy, options.unpack, offsets), track)

@@ -52,13 +52,13 @@ class Outcome:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run a job in a process of its own, which has done no other work."""
+    """Run a job. The process must have run no other job."""
     node = platform.node()
     if job.version != __version__:
         return Outcome(
             node, error=f"expected fourd {job.version}, got {__version__}; install the same version on all nodes"
         )
-    # torch reads the number of threads when it is imported, which is later.
+    # torch reads the number of threads when it is imported. The stage imports torch later.
     for name in ("OMP_NUM_THREADS", "FOURD_THREADS"):
         os.environ[name] = str(job.cores)
     text = io.StringIO()
@@ -117,7 +117,7 @@ class Cluster:
 
     def _start(self, stage: AnyStage) -> Any:
         cores = self._segment_cores if stage.is_parallel else self._node_cores
-        # With max_calls=1, each stage has a new process: its number of threads is its own, and no memory stays behind.
+        # With max_calls=1, each stage runs in a new process, which has its own number of threads and frees its memory.
         task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=1)(run_job)
         return task.options(name=stage.name).remote(Job(stage, cores, Path.cwd(), __version__))
 
@@ -142,8 +142,8 @@ def join_cluster(address: str, segment_cores: int) -> Iterator[Cluster]:
     """Connect to a Ray cluster for the duration of the ``with`` block.
 
     Args:
-        address: HOST:PORT of a running cluster, or "auto" for the cluster that runs on this machine. If none runs,
-            a cluster of this machine is started, and ends with the block.
+        address: HOST:PORT of a running cluster, or "auto" for the cluster that runs on this machine. If no cluster
+        runs, one is started on this machine, and is stopped at the end of the block.
         segment_cores: see :class:`Cluster`.
 
     Raises:

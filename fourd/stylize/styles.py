@@ -192,7 +192,8 @@ class Style:
             if the shading is none.
         base: colour with the share ``1 - albedo`` in the surface colours if the shading is none.
         paper: colour behind the scene, or None for the background colour of the picture.
-        persistence: weight of the previous depth, normals and fainter lines while the camera rests, from 0 to 0.95.
+        persistence: weight of the previous depth, normals and fainter lines while the camera does not move, from 0 to
+        0.95.
         hysteresis: share by which the thresholds of lines are reduced where the previous picture has a line.
     """
 

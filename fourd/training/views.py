@@ -19,9 +19,10 @@ from fourd.training.memory import array_outside_heap
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
-"""Multiple, in pixels, to which the sides of crops are rounded up. Because of the rounding, crops have few different
-sizes. Convolutions are therefore set up only once for each crop size, and a new crop fits into the memory that an older
-crop has freed."""
+"""The sides of crops are rounded up to a multiple of this number of pixels. Because of the rounding, crops have few
+different sizes. Convolutions are therefore set up only once for each crop size, and a new crop fits into the memory
+that an older crop has freed.
+"""
 EMPTY_CROP_PX = 16
 """Side of the crop for an empty matte, in pixels."""
 

@@ -71,8 +71,8 @@ def test_turned_videos_give_the_same_pictures(unpack: bool, plain: list[float], 
     for name, angle in zip(NAMES, (90, 180, 270), strict=True):
         assert f"{name}: frames are turned {angle} degrees clockwise (rotation metadata)" in lines
     assert "a, c: the calibration belongs to the turned frames (its images are 64 x 48)" in lines
-    text = "b: the calibration belongs to the turned frames (both have its orientation; change this with "
-    assert text + "--calibrated-frames stored)" in lines
+    reason = "stored and turned frames have its orientation; change this with --calibrated-frames stored"
+    assert f"b: the calibration belongs to the turned frames ({reason})" in lines
     for ours, theirs in zip(capture.cameras, calibrations(), strict=True):
         assert np.allclose(ours.intrinsics, theirs.intrinsics)
 

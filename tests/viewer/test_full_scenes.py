@@ -73,8 +73,9 @@ def truth(camera: str, layers: int) -> NDArray[np.float32]:
 @pytest.mark.parametrize("name", RENDERERS)
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_ball_in_a_room_matches_reference(name: RendererName, camera: str, context: moderngl.Context) -> None:
-    """Catches clip planes, depth ranges or point sizes that suit only the ball. The walls would be clipped, in front of
-    the ball, or have holes."""
+    """Catches clip planes, depth ranges or point sizes that suit only the ball. The walls would then be clipped, hide
+    the ball, or have holes.
+    """
     # The sorted renderer composites all layers, and views along a wall have more than 12 layers.
     layers = MAX_LAYERS if name == "sorted" else 12
     request = request_from(camera)

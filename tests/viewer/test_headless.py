@@ -89,8 +89,9 @@ def test_videos_along_paths(kind: str, scene: Path, tmp_path: Path) -> None:
 
 
 def test_a_video_along_a_recorded_path(scene: Path, tmp_path: Path) -> None:
-    """Catches a video with other poses or frames than the recorded path, and an error for recorded frames that the
-    scene does not have."""
+    """Catches a video whose poses or frames differ from the recorded path, and an error for recorded frames that the
+    scene does not have.
+    """
     with open_scene(scene) as opened:
         focus, cameras = opened.manifest.focus, opened.manifest.cameras[:3]
         poses = [pose_from_camera(camera, focus, np.array([0.0, 0, 1]), (48, 48)) for camera in cameras]

@@ -92,7 +92,9 @@ class SlowSource:
 
 
 def test_a_slow_source_does_not_block_the_viewer(tmp_path: Path) -> None:
-    """Catches a window that freezes until a frame is read, and playback that continues while no frame is there."""
+    """Catches a window that freezes until a frame is read, and playback that continues while the current frame is not
+    loaded.
+    """
     source = SlowSource()
     session = Session(DisplaySettings())
     session.show(LoadedScene(tmp_path / "slow.4dv", source), LoadedScene(tmp_path, SlowSource()).initial_pose(SIZE))
@@ -126,7 +128,9 @@ def test_unchanged_requests_reuse_their_objects(scene: Path) -> None:
 
 
 def test_the_user_s_layers_override_the_scene_s(tmp_path: Path) -> None:
-    """Catches a number of layers from the previous scene, and a user's number of layers that the next scene resets."""
+    """Catches a scene that is drawn with the number of layers of the previous scene, and a number chosen by the user
+    that the next scene resets.
+    """
     write_scene(tmp_path / "one.4dv")
     session = Session(DisplaySettings(layers=0))
     open_scene(session, tmp_path / "one.4dv")
@@ -179,7 +183,7 @@ def test_a_run_shows_its_newest_checkpoint(ball_capture: Path, tmp_path: Path, m
 
 
 def test_a_run_s_frames_equal_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a live view of a run with other cameras, colours or shading than the exported scene."""
+    """Catches a live view of a run whose cameras, colours or shading differ from those of the exported scene."""
     from fourd.baking.bake import bake_run
     from fourd.training.run import load_run
     from tests.training.small import quiet

@@ -40,7 +40,9 @@ class Case:
 
 
 def main(out: tyro.conf.Positional[Path]) -> None:
-    """Make a synthetic capture, carve it without and with mistakes, and write the figure to ``out``."""
+    """Make a synthetic capture, carve it with and without errors in its calibration and mattes, and write the figure to
+    ``out``.
+    """
     with tempfile.TemporaryDirectory() as folder:
         make_synthetic(Path(folder) / "capture", frames=FRAMES, cameras=CAMERAS, size=SIZE)
         make_synthetic(Path(folder) / "other", frames=FRAMES, cameras=CAMERAS, size=SIZE, seed=7)
@@ -53,7 +55,7 @@ def main(out: tyro.conf.Positional[Path]) -> None:
 
 
 def cases(capture: Capture, other: Capture) -> list[Case]:
-    """The correct capture, and five captures with one mistake each."""
+    """The correct capture, and five captures with one error each."""
     cameras = list(capture.cameras)
     masks = [matte(capture, camera, 0) for camera in range(CAMERAS)]
 

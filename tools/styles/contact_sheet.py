@@ -28,7 +28,9 @@ from fourd.viewer.output.video import write_video
 
 BACKGROUND = (0.93, 0.93, 0.93)
 STEADY_PICTURES = 12
-"""Pictures of a resting camera before the one that is shown, so that lines have their full strength."""
+"""Number of pictures that are drawn from the same camera before the picture in the sheet. Lines then have their full
+strength.
+"""
 
 
 @dataclass(frozen=True)

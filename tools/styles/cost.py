@@ -3,7 +3,7 @@
     python tools/styles/cost.py                      # 262,144 points at 1920 x 1080
     python tools/styles/cost.py scene.4dv --frame 3
 
-Each round draws one image without a style and one image in each style, from a resting camera. The program prints the
+Each round draws one image without a style and one image in each style, from a static camera. The program prints the
 median time of an image without a style, and for each style
 
 - the median of the time that the style adds, over the rounds,

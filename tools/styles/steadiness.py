@@ -1,4 +1,4 @@
-"""Measure how many line pixels of styles flicker while the camera rests and the true surface does not change.
+"""Measure how many line pixels of styles flicker while neither the camera nor the true surface moves.
 
     fourd mesh captures/fox_run -o meshes
     python tools/styles/steadiness.py fox.4dv meshes
@@ -59,7 +59,7 @@ class Arguments:
     styles: tuple[str, ...] = ("toon", "xtoon", "gooch", "ink")
     """Names of presets, or style files."""
     views: tuple[str, ...] = ("00", "05", "10", "15")
-    """Names of the resting cameras."""
+    """Names of the static cameras."""
     renderer: RendererName = "cpu"
     """The renderer that draws the lines."""
     size: tuple[int, int] = (960, 540)

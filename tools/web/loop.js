@@ -5,7 +5,8 @@
 
 const nextImage = () => new Promise((resolve) => requestAnimationFrame(resolve));
 
-/** Draws from one camera for a while, so that the depth order follows, and returns the canvas as a PNG file. */
+/** Draws from one camera for three seconds, so that the depth order is that of this camera. Returns the canvas as a PNG
+ * file in base64. */
 window.picture = async (camera) => {
   const { draw, canvas } = await window.viewer;
   const end = performance.now() + 3000;
@@ -17,7 +18,7 @@ window.picture = async (camera) => {
   return canvas.toDataURL("image/png").split(",")[1];
 };
 
-/** Images per second while the camera moves along a path. Each image is finished before the next is started. */
+/** Images per second while the camera moves along a path. Each image is finished before the next image is started. */
 window.imagesPerSecond = async (cameras, seconds) => {
   const { draw, canvas } = await window.viewer;
   const gl = canvas.getContext("webgl2");

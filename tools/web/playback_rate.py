@@ -92,7 +92,7 @@ class Arguments:
     """Rate at which the page is served, in megabits per second. The default is the rate of the connection. With a high
     rate, the program shows whether this machine decodes and draws fast enough."""
     latency: float = 0.02
-    """Seconds until the server answers."""
+    """Delay of each response in seconds."""
     seconds: float = 10.0
     """Seconds of playback."""
     tier: Tier | None = None
@@ -106,7 +106,7 @@ class Arguments:
 
 
 class SlowHandler(SiteHandler):
-    """Answers late, and shares the rate of the server among all connections."""
+    """Sends each response with a delay, and shares the data rate of the server among all connections."""
 
     server: SlowServer
 
@@ -124,7 +124,7 @@ class SlowHandler(SiteHandler):
 
 
 class SlowServer(SiteServer):
-    """Serves a folder at ``mbps`` megabits per second. Each answer starts ``latency`` seconds late."""
+    """Serves a folder at ``mbps`` megabits per second. Each response starts after a delay of ``latency`` seconds."""
 
     handler = SlowHandler
 

@@ -32,8 +32,8 @@ class Compositor(Protocol):
         """Composite :attr:`discs` and write the result into ``target``, with the top of the image at the top.
 
         A picture is composited over the background colour of the request, filtered with the pixel filter, and limited
-        to [0, 1]. Without ``is_picture``, the result is alpha, and the weighted sum of the quantity (colour, normal or
-        depth) that the discs are painted with.
+        to [0, 1]. If ``is_picture`` is False, the result is the composited quantity (colour, normal or depth)
+        multiplied by alpha, and alpha. It is neither filtered nor limited.
         """
 
     def release(self) -> None:
@@ -224,8 +224,8 @@ class DualDepthPeeling:
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
         """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        With ``clear_back``, layers count even if the layers in front hide them. ``clear_back`` also clears the layers
-        composited from the back, in each pixel where the pass has found a layer.
+        If ``clear_back`` is True, the result also counts layers that the layers in front hide. In each pixel where the
+        pass has found a layer, the layers composited from the back are then cleared.
         """
         targets = self._targets
         previous = 1 - index % 2

@@ -29,8 +29,8 @@ Project = Callable[[Paint], None]
 class SurfaceBuffer:
     """The visible surface of points, drawn by any compositor.
 
-    The compositor runs three times: for colours, for normals and for depths. All quantities therefore have the weights
-    of the colours.
+    The compositor runs three times: for colours, for normals and for depths. The weights of the discs are therefore
+    equal for all three quantities.
     """
 
     def __init__(self, context: moderngl.Context) -> None:

@@ -24,7 +24,7 @@ class Group:
 
     Attributes:
         title: title of the group.
-        draw: draws the widgets and returns the changed style. Raises ValueError if the style refuses a value.
+        draw: draws the widgets and returns the changed style. Raises ValueError if a value is not valid for the style.
         applies: whether the fields have an effect on a style.
     """
 
@@ -166,7 +166,7 @@ def edit_style(style: Style, report: Callable[[str], None]) -> Style:
     Without input, the style is returned unchanged, because each widget returns its old value exactly.
 
     Args:
-        report: receives one line if the style refuses a value. The values of that group then stay unchanged.
+        report: receives one line if a value is not valid for the style. The values of that group then stay unchanged.
     """
     for group in GROUPS:
         if not group.applies(style) or not imgui.tree_node(group.title):

@@ -165,7 +165,7 @@ export class FourdPlayer extends HTMLElement {
     change.catch(() => this.panel.showNote("The browser does not allow full screen here."));
   }
 
-  /** Shows the scene in a headset, or ends this. The browser allows the start only while it handles a click. */
+  /** Starts or ends the display of the scene in a headset. Browsers allow the start only while they handle a click. */
   async toggleVr() {
     if (this.vr) return this.vr.end();
     const { stage } = this;

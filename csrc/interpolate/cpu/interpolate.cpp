@@ -12,7 +12,7 @@
 namespace fourd::interpolate {
 namespace {
 
-static_assert(kTile == meshes::kTile, "gradients are computed by tiles of the same size");
+static_assert(kTile == meshes::kTile, "the interpolation and the sums of gradients need tiles of equal size");
 
 void prefer_huge(float* values, std::size_t count) {
     if (values != nullptr) prefer_huge_pages(values, count * sizeof(float));

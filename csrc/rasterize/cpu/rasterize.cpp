@@ -13,7 +13,7 @@
 namespace fourd::rasterize {
 namespace {
 
-static_assert(kTile == meshes::kTile, "gradients are computed by tiles of the same size");
+static_assert(kTile == meshes::kTile, "the rasterizer and the sums of gradients need tiles of equal size");
 
 // The memory of one worker.
 struct Scratch {

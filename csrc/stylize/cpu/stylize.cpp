@@ -8,7 +8,8 @@
 namespace fourd::stylize {
 namespace {
 
-// The rows that a task reads fit in the L1 cache, so that a run of pixels finds the edges of its neighbours there.
+// The rows that a task reads fit into the L1 cache, so that the pixels that successive runs both read stay in the
+// cache.
 constexpr std::size_t kRowsPerTask = 8;
 
 }  // namespace

@@ -33,7 +33,7 @@ class _Picture:
 class StyledPlayer:
     """Draws baked frames in a style. Only one thread may use an instance.
 
-    While the camera rests, depths and normals are averaged over successive pictures, lines fade in, and a line
+    While the camera does not move, depths and normals are averaged over successive pictures, lines fade in, and a line
     disappears only when it is clearly below its threshold. This reduces flickering of lines due to the noise of the
     points. Where a surface moves, its depth or normal differs from that of the previous picture, and no average is
     computed. The first picture in a style has all its lines at full strength.

@@ -72,7 +72,7 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
 
 
 def require_divisible(config: TrainConfig, group: ProcessGroup) -> None:
-    """Refuse a scene that several ranks cannot train together. All ranks call this function."""
+    """End all ranks with an error if the scene cannot be trained by several ranks. All ranks call this function."""
     if group.size > 1 and config.scene == "full":
         group.refuse(
             f"torchrun: expected --scene object with several ranks, got --scene full and {group.size} ranks; start "
@@ -81,7 +81,7 @@ def require_divisible(config: TrainConfig, group: ProcessGroup) -> None:
 
 
 def require_frames(frames: int, group: ProcessGroup) -> None:
-    """Refuse a run in which a rank would own no frame. All ranks call this function."""
+    """End all ranks with an error if a rank would own no frame. All ranks call this function."""
     if group.size > frames:
         group.refuse(
             f"torchrun: expected at most one rank per frame, got {group.size} ranks and {frames} frames; set "

@@ -112,8 +112,9 @@ class ProcessGroup:
                 dist.barrier()
 
     def require_same(self, what: str, text: str) -> None:
-        """End all ranks if one of them passes another text than rank 0. The message names this rank and the first line
-        that differs. All ranks call this method."""
+        """End all ranks if the text of any rank differs from that of rank 0. The message names this rank and the first
+        line that differs. All ranks call this method.
+        """
         if self.size == 1:
             return
         digest = torch.frombuffer(bytearray(hashlib.sha256(text.encode()).digest()), dtype=torch.uint8)

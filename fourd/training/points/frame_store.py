@@ -62,8 +62,9 @@ class FrameStore:
         self._saved = folder
 
     def close(self) -> None:
-        """Remove the scratch folder. Without this call, the folder is removed when this object is deleted. Python then
-        loses a Ctrl-C."""
+        """Remove the scratch folder. Without this call, the folder is removed when this object is deleted. If Ctrl-C is
+        pressed during such a deletion, Python ignores it.
+        """
         self._scratch.close()
 
     def _write(self, frame: int, target: Path) -> None:

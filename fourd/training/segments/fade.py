@@ -12,9 +12,9 @@ def kept_points(count: int, share: float, *, is_first: bool) -> NDArray[np.int64
     """Indices of the points that a segment contributes to a frame, in ascending order.
 
     Both segments describe the same surface, and each of them covers it with points. A segment contributes ``share`` of
-    its points, spread evenly over the surface. The number of points of the frame therefore stays the same, and with it
-    the number of points along each viewing ray. Points in Morton order are close in space if their indices are close,
-    so the multiples of the golden ratio modulo 1 choose indices at even distances.
+    its points, spread evenly over the surface. The number of points of the frame and the number of points along each
+    viewing ray therefore do not change. Points in Morton order are close in space if their indices are close, so the
+    multiples of the golden ratio modulo 1 choose indices at even distances.
 
     Args:
         count: number of points of the segment in this frame, in Morton order.

@@ -1,4 +1,4 @@
-"""Sites that follow a run."""
+"""Sites that are updated while a run trains."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.training.small import SMALL, train, trained_run, with_steps
 
 
 def test_a_site_follows_a_run(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a page that keeps the first checkpoint of a run that trains."""
+    """Catches a page that still shows the first checkpoint of a run after training has written a new one."""
     run = trained_run(ball_capture, tmp_path / "run")
     live = LiveSite(run.folder, tmp_path / "site", "light", Console(quiet=True))
     assert is_site(tmp_path / "site")

@@ -55,7 +55,7 @@ def test_ranges(server: SiteServer, asked: str, start: int, end: int) -> None:
 
 
 def test_whole_files(server: SiteServer) -> None:
-    """Catches wrong types, with which browsers refuse modules, and HEAD requests that send content."""
+    """Catches wrong MIME types, with which browsers do not load modules, and HEAD requests that send content."""
     status, headers, content = get(server, "/")
     assert (status, content, headers["Content-Type"]) == (200, b"page", "text/html; charset=utf-8")
     status, headers, content = get(server, "/scene.4dv", method="HEAD")
@@ -89,12 +89,12 @@ def test_other_paths_are_not_found(server: SiteServer, path: str) -> None:
 
 
 def test_paths_are_normalised(server: SiteServer) -> None:
-    """Catches a check that also refuses valid paths."""
+    """Catches a check of paths that also rejects valid paths."""
     assert find_file(server.folder, "/player/../index.html?x=1") == server.folder / "index.html"
 
 
 def test_a_changed_file_has_another_tag(server: SiteServer) -> None:
-    """Catches a client that cannot see that a file has changed."""
+    """Catches a changed file that has the ETag of the old file, so that clients do not detect the change."""
     before = get(server, "/scene.4dv")[1]["ETag"]
     assert get(server, "/scene.4dv")[1]["ETag"] == before
     (server.folder / "new").write_bytes(bytes(1000))

@@ -44,7 +44,7 @@ def test_files_of_a_site(tmp_path: Path) -> None:
 
 
 def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
-    """Catches points that are quantised a second time, and members that stay in Zstandard."""
+    """Catches points that are quantised a second time, and members that are still compressed with Zstandard."""
     write_full_scene(tmp_path / "scene.4dv")
     pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", "full")
     transcode_scene(tmp_path / "packed.4dv", tmp_path / "web.4dv", Storage("zlib", (2, 0, 1)))
@@ -62,8 +62,9 @@ def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tier", ["stream", "video", "light"])
 def test_sites_have_normals(tier: Tier, tmp_path: Path) -> None:
-    """Catches normals in another order than the points, a scene that loses its normals, and members that are not
-    adjacent although every player fetches them."""
+    """Catches normals whose order differs from that of the points, a scene that loses its normals, and a file in which
+    the members that every player fetches are not adjacent.
+    """
     write_shells(tmp_path / "scene.4dv", frames=1, points=3000)
     write_site(tmp_path / "scene.4dv", tmp_path / "site", tier)
     pack_scene(tmp_path / "scene.4dv", tmp_path / "packed.4dv", tier)
@@ -75,7 +76,8 @@ def test_sites_have_normals(tier: Tier, tmp_path: Path) -> None:
         reader.close()
         assert frame.normals is not None
         outwards = frame.xyz / np.linalg.norm(frame.xyz, axis=1, keepdims=True)
-        # Normals of points that no camera sees from the front are turned to the cameras, so that they are less exact.
+        # Normals of points that no camera sees from the front are flipped towards the cameras, so their error is
+        # larger.
         assert np.median(np.abs((decode_octahedral(frame.normals) * outwards).sum(1))) > 0.85
         with zipfile.ZipFile(path) as archive:
             assert archive.namelist()[-1] == "frames/000000/optional/normals"
@@ -99,7 +101,7 @@ def test_errors_of_zlib_members() -> None:
 
 
 def test_other_folders_are_kept(tmp_path: Path) -> None:
-    """Catches a site that replaces a folder with other files."""
+    """Catches a site that overwrites a folder that contains other files."""
     write_scene(tmp_path / "scene.4dv")
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "file").write_text("x")
@@ -127,7 +129,9 @@ def test_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_styles_of_a_page(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a style that the page lacks, and wrong style files that end with a traceback or an old page."""
+    """Catches a style that is missing in the page, and wrong style files that cause a traceback or leave an outdated
+    page.
+    """
     write_scene(tmp_path / "scene.4dv", frames=1)
     for name, text in (("blue", "shading: gooch"), ("toon", ""), ("wrong", "shadin: toon")):
         (tmp_path / f"{name}.yaml").write_text(text)
@@ -167,7 +171,7 @@ def test_a_connection_chooses_the_level(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_serving_a_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a command that serves another folder than the site, and that leaves its temporary files."""
+    """Catches a command that serves a folder other than the site, and temporary files that are not removed."""
     write_scene(tmp_path / "scene.4dv")
     opened, folders = [], []
     monkeypatch.setattr("webbrowser.open", opened.append)

@@ -58,8 +58,9 @@ def read(texture: moderngl.Texture, dtype: type = np.uint8) -> NDArray[np.generi
 def require_equal_pictures(
     context: moderngl.Context, surface: Surface, parameters: StyleParameters, rng: np.random.Generator
 ) -> None:
-    """Assert that two pictures equal those of the reference: a first picture, and a picture after random previous
-    lines."""
+    """Assert that two pictures equal those of the reference. One picture is the first of a camera. The other picture
+    follows a picture with random lines.
+    """
     height, width = surface.size
     textures, stylizer = upload(context, surface), GLStylizer(context)
     stylizer.resize((width, height))
@@ -68,7 +69,7 @@ def require_equal_pictures(
         expected = stylize_reference(surface, parameters, state)
         found = read(stylizer.draw(surface=textures, parameters=parameters))
         found_state = np.ascontiguousarray(read(stylizer.line_state, np.uint32)[..., 0])
-        # Rounding may move a tone to the next column of the table, which is another colour.
+        # Rounding may move a tone to the next column of the table. This column has an unrelated colour.
         differs = (np.abs(found.astype(int) - expected.rgba) > 2).any(2)
         assert differs.mean() < 0.02 + 2 / (height * width)
         differs = np.abs((found_state & 255).astype(int) - expected.lines) > 2
@@ -92,7 +93,7 @@ def test_shaders_equal_the_reference(
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_equal_the_reference(name: str, rng: np.random.Generator, context: moderngl.Context) -> None:
-    """Catches a part of a preset that the shaders lack, and an image that is upside down."""
+    """Catches a part of a preset that the shaders do not implement, and an image that is upside down."""
     surface = make_sphere(96)
     surface.albedo[..., :3] = rng.integers(0, 256, (96, 96, 3))
     style = load_style(name)
@@ -104,8 +105,9 @@ def test_presets_equal_the_reference(name: str, rng: np.random.Generator, contex
 
 @pytest.mark.parametrize("kind", [SortedBlending, DepthPeeling, DualDepthPeeling])
 def test_surfaces_equal_those_of_the_cpu(kind: type, rng: np.random.Generator, context: moderngl.Context) -> None:
-    """Catches normals in world axes, depths without division by alpha, other weights than those of the colours, and
-    averages with the surface of another camera."""
+    """Catches normals in world axes, depths that are not divided by alpha, weights that differ from those of the
+    colours, and averages with the surface of a previous camera.
+    """
     frames = [add_normals(shell_frame(1500, int(rng.integers(1000))), MANIFEST) for _ in range(2)]
     camera, player, orders = small_camera(1), StyledPlayer(), ExactOrders()
     compositor = kind(context) if kind is SortedBlending else kind(context, "float32")
@@ -156,7 +158,7 @@ def requests_of(frames: list[BakedFrame], scene: SceneManifest, styles: list[Sty
 def test_pictures_in_a_style_resemble_those_of_the_cpu(
     name: RendererName, style: str, context: moderngl.Context
 ) -> None:
-    """Catches pictures that are upside down, a light in the wrong frame, and paper of another colour."""
+    """Catches pictures that are upside down, a light in the wrong coordinate system, and paper of the wrong colour."""
     frames = [shell_frame(3000, seed) for seed in range(2)]
     requests = requests_of(frames, MANIFEST, [load_style(style)] * 2)
     for expected, found in zip(draw(context, "cpu", requests), draw(context, name, requests), strict=True):
@@ -165,7 +167,9 @@ def test_pictures_in_a_style_resemble_those_of_the_cpu(
 
 @pytest.mark.parametrize("name", GL_RENDERERS)
 def test_style_can_be_switched_off_and_on(name: RendererName, context: moderngl.Context) -> None:
-    """Catches old normals of the background after frames without a style, whose upload leaves the normals out."""
+    """Catches outdated normals of the background after frames that are drawn without a style. For such frames, no
+    normals are uploaded.
+    """
     room, scene = room_frame(3000, 6, seed=1), full_manifest()
     frames = [combine_frames(shell_frame(count, count), room) for count in (300, 900, 500)]
     style = load_style("toon")

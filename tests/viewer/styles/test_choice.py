@@ -1,4 +1,4 @@
-"""The choice of a style in a viewer session, and the mistakes of the user."""
+"""The choice of a style in a viewer session, and user errors."""
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ def test_presets_and_files_can_be_chosen(session: Session, tmp_path: Path) -> No
 
 
 def test_changes_can_be_saved_and_reset(session: Session, tmp_path: Path) -> None:
-    """Catches a change that changes the preset, and a saved style that is another style."""
+    """Catches a change of a style that also changes the preset, and a saved style that differs from the style in the
+    session.
+    """
     session.choose_style("toon")
     preset = session.settings.style
     assert preset is not None
@@ -107,7 +109,9 @@ def test_a_style_file_with_a_mistake_keeps_the_style(text: str, message: str, se
 
 
 def test_shade_maps_can_be_chosen(session: Session, tmp_path: Path) -> None:
-    """Catches a map of another shape that is used, and a map for a style that has none."""
+    """Catches a shade map of the wrong shape that is accepted, and a shade map that is accepted for a style without
+    shade map.
+    """
     for rows in (1, 3):
         write_map(tmp_path / f"{rows}.png", rows, 8)
     session.choose_shade_map(tmp_path / "1.png")
@@ -130,7 +134,7 @@ def test_shade_maps_can_be_chosen(session: Session, tmp_path: Path) -> None:
 
 
 def test_saved_styles_keep_their_shade_map(session: Session, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a saved style whose map is searched in a folder inside the folder of the style."""
+    """Catches a saved style whose shade map cannot be found, because its path is relative to the wrong folder."""
     (tmp_path / "styles").mkdir()
     monkeypatch.chdir(tmp_path)
     write_map(tmp_path / "styles" / "map.png", 1, 8)
@@ -143,7 +147,9 @@ def test_saved_styles_keep_their_shade_map(session: Session, tmp_path: Path, mon
 
 
 def test_a_scene_without_normals_is_drawn_and_announced_once(session: Session, tmp_path: Path) -> None:
-    """Catches a viewer that stutters without a reason, and a scene that is not drawn."""
+    """Catches a viewer that does not tell the user why playback is slow, and a scene without normals
+    that is not drawn.
+    """
     session.choose_style("toon")
     assert session.message == ""
     write_shell(tmp_path / "old.4dv", normals=False)

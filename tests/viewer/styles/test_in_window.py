@@ -56,8 +56,9 @@ def drop_style(viewer: Viewer, path: Path, text: str) -> None:
 
 
 def test_keys_and_dropped_files_choose_styles(viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a style that changes nothing in the window, mistakes in a style that end the viewer or remove the
-    picture, and a missing notice."""
+    """Catches a style that has no effect in the window, errors in a style file that end the viewer or remove the
+    picture, and a missing notice.
+    """
     plain = picture(viewer)
     viewer.key("t")
     viewer.until(lambda: has_notice(viewer), "the notice that the scene has no normals")
@@ -85,7 +86,9 @@ def test_keys_and_dropped_files_choose_styles(viewer: Viewer, tmp_path: Path) ->
 
 @pytest.mark.parametrize("name", ["cpu", "sorted"])
 def test_a_shade_map_that_vanishes_switches_the_style_off(name: str, viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a viewer that ends, or that blames the renderer, when a new renderer cannot read the shade map."""
+    """Catches a viewer that ends, or that reports an error of the renderer, when a new renderer cannot read the shade
+    map.
+    """
     plain = picture(viewer)
     write_map(tmp_path / "map.png", 1, 8)
     drop_style(viewer, tmp_path / "mine.yaml", "shading: toon\nramp: {map: map.png}")
@@ -117,7 +120,9 @@ def test_lines_have_their_strength_when_playback_is_paused(viewer: Viewer, tmp_p
 
 
 def test_the_panel_changes_saves_and_resets_a_style(display: Screen, tmp_path: Path) -> None:
-    """Catches widgets of the panel that have no effect on the picture, and saved files that are another style."""
+    """Catches widgets of the panel that have no effect on the picture, and saved files that differ from the style in
+    the window.
+    """
     write_shells(tmp_path / "ball.4dv", frames=2)
     viewer = Viewer(display, tmp_path, "ball.4dv", "--style", "toon", "--size", str(SIZE[0]), str(SIZE[1]))
     viewer.until(lambda: "ball.4dv" in viewer.title and foreground_share(viewer) > 0.005, "the scene in its window")

@@ -1,4 +1,4 @@
-"""A page with a player, driven by tests."""
+"""A page with a player that tests control."""
 
 from __future__ import annotations
 

@@ -55,12 +55,12 @@ def with_manifest(content: bytes, change: Callable[[dict[str, Any]], object]) ->
 
 
 def test_a_truncated_scene(content: bytes, show: Show) -> None:
-    """Catches a page that waits for bytes which the file does not have."""
+    """Catches a page that waits for bytes past the end of the file."""
     assert "copy the file again" in show(content[: len(content) // 8])
 
 
 def test_other_files(show: Show) -> None:
-    """Catches a page that reads any file as a scene."""
+    """Catches a page that reads files of other formats as scenes."""
     assert "got another kind of file" in show(b"<html></html>" * 100)
     assert "got another kind of file" in show(b"")
 
@@ -72,7 +72,7 @@ def test_an_unpacked_scene(show: Show, tmp_path: Path) -> None:
 
 
 def test_a_scene_in_zstandard(show: Show, tmp_path: Path) -> None:
-    """Catches an unclear message for a compression that browsers do not have."""
+    """Catches an unclear message for a compression that browsers do not support."""
     write_scene(tmp_path / "plain.4dv")
     pack_scene(tmp_path / "plain.4dv", tmp_path / "packed.4dv", "full")
     assert show((tmp_path / "packed.4dv").read_bytes()).endswith("which browsers cannot decompress; use fourd web")
@@ -108,5 +108,5 @@ def test_a_damaged_member(content: bytes, show: Show) -> None:
 def test_a_manifest_that_lies(
     change: Callable[[dict[str, Any]], object], expected: str, content: bytes, show: Show
 ) -> None:
-    """Catches counts and sizes of the file that the page trusts."""
+    """Catches counts and sizes in the manifest that the page uses without a check."""
     assert expected in show(with_manifest(content, change))

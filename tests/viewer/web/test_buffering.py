@@ -23,7 +23,7 @@ PLAN = """
 
 
 class CountingHandler(SiteHandler):
-    """Answers ranges of the scene after a while, and counts the answers that wait at the same time."""
+    """Answers range requests of the scene with a delay, and counts the requests that wait at the same time."""
 
     server: CountingServer
 
@@ -61,14 +61,18 @@ def long_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_wait_before_playback(play: PlayerPage) -> None:
-    """Catches a start that is too early for a later frame, and one that waits for frames that are already here."""
+    """Catches a start of playback that is too early for a later frame, and a start that is delayed although all frames
+    are loaded.
+    """
     script = "return [[1000, [0, 0, 100, 0]], [1000, [0, 0, 500, 0]], [1000, [50, 200, 200]], [10, [0, 0, 0]]]"
     waits = play.run(PLAN + script + ".map(([rate, missing]) => requiredWait(buffer(rate, missing), 1));")
     assert waits == pytest.approx([0, 0.3, 0.25, 0])
 
 
 def test_the_stride_is_the_smallest_that_the_connection_carries(play: PlayerPage) -> None:
-    """Catches pauses where playback could skip frames, and skipped frames where a short wait is enough."""
+    """Catches pauses although playback could skip frames, and skipped frames although a short wait
+    would be sufficient.
+    """
     script = """
         const long = Array(1000).fill(100), short = Array(20).fill(100);
         const rates = [2000, 600, 400, 1];
@@ -79,7 +83,7 @@ def test_the_stride_is_the_smallest_that_the_connection_carries(play: PlayerPage
 
 
 def test_the_stride_follows_the_rate_during_playback(play: PlayerPage) -> None:
-    """Catches a stride that stays large on a fast connection, and one that grows before it is necessary."""
+    """Catches a stride that stays large on a fast connection, and a stride that increases before this is necessary."""
     script = """
         const long = [0, ...Array(999).fill(100)], here = long.map((bytes, i) => (i < 50 ? 0 : bytes));
         return [
@@ -91,7 +95,7 @@ def test_the_stride_follows_the_rate_during_playback(play: PlayerPage) -> None:
 
 
 def test_the_rate_of_a_connection(play: PlayerPage) -> None:
-    """Catches a rate that counts the time between requests, and one that never forgets."""
+    """Catches a measured rate that includes the time between requests, and a rate that never drops old measurements."""
     script = """
         const {LineRate} = await import('/player/scene/line_rate.js');
         let now = 0;
@@ -109,7 +113,7 @@ def test_the_rate_of_a_connection(play: PlayerPage) -> None:
 
 
 def test_a_stride_shows_every_second_frame(play: PlayerPage) -> None:
-    """Catches frames of another number, and a pause that moves the time."""
+    """Catches frames whose numbers are not multiples of the stride, and a pause that changes the current frame."""
     script = """
         const {Clock} = await import('/player/play/clock.js');
         const clock = new Clock(7, 10);
@@ -124,7 +128,9 @@ def test_a_stride_shows_every_second_frame(play: PlayerPage) -> None:
 
 
 def test_several_frames_are_requested_at_the_same_time(open_page: Callable[..., PlayerPage], long_site: Path) -> None:
-    """Catches a connection that is idle between the answers, and a first image that waits for other frames."""
+    """Catches a connection that is idle between responses, and a first image that is delayed by the download of other
+    frames.
+    """
     with serving(long_site, CountingServer) as server:
         assert isinstance(server, CountingServer)
         page = open_page(server.url)
@@ -137,7 +143,7 @@ def test_several_frames_are_requested_at_the_same_time(open_page: Callable[..., 
 def test_a_loop_is_downloaded_once_and_plays_without_pauses(
     open_page: Callable[..., PlayerPage], long_site: Path
 ) -> None:
-    """Catches frames that are downloaded in each loop, and playback that starts before it can go on."""
+    """Catches frames that are downloaded again in each loop, and playback that starts too early and pauses again."""
     with serving(long_site, CountingServer) as server:
         assert isinstance(server, CountingServer)
         page = open_page(server.url)
@@ -156,7 +162,7 @@ def test_a_loop_is_downloaded_once_and_plays_without_pauses(
 
 
 def test_compressed_frames_in_memory_are_bounded(play: PlayerPage) -> None:
-    """Catches memory that grows without limit, frames that are forgotten before they are due, and endless downloads."""
+    """Catches memory that grows without limit, frames that are dropped before they are due, and endless downloads."""
     script = """
         const {Downloads} = await import('/player/play/downloads.js');
         const reads = [], sizes = [];

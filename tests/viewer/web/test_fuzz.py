@@ -16,7 +16,7 @@ from tests.baking.scenes import write_scene as write_random_scene
 
 PROGRAM = Path(__file__).parent / "fuzz" / "run.mjs"
 MOST_MEMORY = 2**30
-"""Bytes. The largest damaged member expands to 64 MiB."""
+"""Limit of the memory in bytes. The largest damaged member expands to 64 MiB."""
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def fuzz(scenes: list[Path], seed: int, cases: int) -> None:
     assert [line for line in lines if "problem" in line] == [], repeat
     total = lines[-1]
     assert total["read"] + total["refused"] == cases
-    # Some damage does no harm, and the rest reaches many different checks.
+    # Some damaged scenes are still valid. The other scenes reach many different checks.
     assert total["read"] > 0.03 * cases
     assert total["messages"] > 30
     assert total["peakMemory"] < MOST_MEMORY
@@ -59,12 +59,12 @@ def test_damaged_scenes_end_with_a_clear_message(scenes: list[Path], rng: np.ran
 
 @pytest.mark.slow
 def test_many_damaged_scenes_end_with_a_clear_message(scenes: list[Path], rng: np.random.Generator) -> None:
-    """Catches the same as the test with 500 scenes, for rarer damage."""
+    """Catches the errors of :func:`test_damaged_scenes_end_with_a_clear_message`, with 10,000 scenes instead of 500."""
     fuzz(scenes, int(rng.integers(2**31)), 10_000)
 
 
 def test_the_program_reports_problems(scenes: list[Path], tmp_path: Path) -> None:
-    """Catches a program that reports no problem because it finds none, whatever the reader does."""
+    """Catches a fuzz program that reports no problem for a faulty reader."""
     root = PROGRAM.parents[4]
     for folder in ("viewer/web", "tests/viewer/web/fuzz"):
         shutil.copytree(root / folder, tmp_path / folder, ignore=shutil.ignore_patterns("node_modules"))

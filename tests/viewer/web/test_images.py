@@ -29,7 +29,9 @@ def video_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_page_samples_the_same_colours(video_site: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches another projection, rounding, conversion or chroma position than in Python."""
+    """Catches a projection, rounding, colour conversion or chroma position that differs from that of
+    the Python reader.
+    """
     reader = SceneReader(video_site / SCENE_NAME)
     with serving(video_site) as server:
         page = open_page(server.url)
@@ -90,7 +92,7 @@ def with_image(content: bytes, change: Callable[[bytearray], object]) -> bytes:
 def test_an_image_that_lies(
     field: int, value: int, expected: str, video_site: Path, open_page: Callable[..., PlayerPage]
 ) -> None:
-    """Catches sizes of images that the page trusts."""
+    """Catches declared sizes of images that the page uses without a check."""
     path = video_site / SCENE_NAME
     content = path.read_bytes()
 
@@ -110,7 +112,7 @@ def test_an_image_that_lies(
 
 
 def test_a_damaged_frame(video_site: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches a page that waits for ever for a frame that cannot be decoded."""
+    """Catches a page that waits forever for a frame that cannot be decoded."""
     path = video_site / SCENE_NAME
     content = path.read_bytes()
 

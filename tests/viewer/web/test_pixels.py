@@ -87,7 +87,7 @@ def test_tiers(tier: Tier, tmp_path: Path, open_page: Callable[..., PlayerPage])
 
 
 def test_orbit_equals_the_viewer(play: PlayerPage) -> None:
-    """Catches a drag that moves the view in another way than in the viewer's window."""
+    """Catches a drag whose effect on the view differs from that in the viewer's window."""
     from fourd.viewer.navigation.pose import Pose
 
     page = play

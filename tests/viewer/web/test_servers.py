@@ -19,7 +19,7 @@ from tests.viewer.web.page import PlayerPage
 
 
 class WholeFileHandler(SiteHandler):
-    """Sends the whole file, whatever range is asked for."""
+    """Sends the whole file for every requested range."""
 
     def do_GET(self) -> None:
         del self.headers["Range"]
@@ -82,7 +82,7 @@ class CuttingServer(SiteServer):
 
 
 def test_a_server_without_ranges(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
-    """Catches a player that takes the start of the file for the requested range."""
+    """Catches a player that reads the start of the file as the requested range."""
     with serving(object_site, WholeFileServer) as server:
         page = open_page(server.url)
         page.pause(4)
@@ -102,7 +102,7 @@ def test_the_first_image_needs_no_source_views(open_page: Callable[..., PlayerPa
 
 
 def test_a_server_that_stalls(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
-    """Catches a player that waits for ever."""
+    """Catches a player that waits forever for a server that sends no data."""
     with serving(object_site, StallingServer) as server:
         page = open_page(server.url + "index.html")
         page.run("player.setAttribute('timeout', '0.2'); player.setAttribute('src', 'scene.4dv');")
@@ -110,7 +110,7 @@ def test_a_server_that_stalls(open_page: Callable[..., PlayerPage], object_site:
 
 
 def test_a_connection_that_ends_early(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
-    """Catches a player that draws half a frame."""
+    """Catches a player that draws a partly received frame."""
     with serving(object_site, CuttingServer) as server:
         page = open_page(server.url)
         assert page.error().startswith(server.url + SCENE_NAME)
@@ -118,7 +118,7 @@ def test_a_connection_that_ends_early(open_page: Callable[..., PlayerPage], obje
 
 
 def test_a_scene_that_changes(open_page: Callable[..., PlayerPage], object_site: Path, tmp_path: Path) -> None:
-    """Catches a player that mixes the frames of two scenes."""
+    """Catches a player that mixes frames of the old and the new scene."""
     site = tmp_path / "site"
     shutil.copytree(object_site, site)
     with serving(site) as server:
@@ -141,7 +141,7 @@ def test_a_missing_scene(open_page: Callable[..., PlayerPage], object_site: Path
 
 
 def test_a_live_page_shows_changes(open_page: Callable[..., PlayerPage], tmp_path: Path) -> None:
-    """Catches a page that keeps the old scene, or loses the view or the time when it opens the new one."""
+    """Catches a page that keeps the old scene, or that loses the view or the time when it opens the new scene."""
     scene = tmp_path / "scene.4dv"
     write_random_scene(scene, frames=3, points=50)
     live = LiveSite(scene, tmp_path / "site", "light", Console(quiet=True))

@@ -40,8 +40,9 @@ CHOOSE = "await player.styleMenu.choose(argument); await player.settled();"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a site of shells, and with the style that the page offers besides the presets. Tests must not
-    change it."""
+    """A folder with a site of shells, and with the style that the page offers in addition to the presets. Tests must
+    not change this folder.
+    """
     folder = tmp_path_factory.mktemp("styled")
     write_shells(folder / "scene.4dv", frames=2)
     (folder / "mixed.yaml").write_text(MIXED)
@@ -87,7 +88,7 @@ def test_pictures_resemble_those_of_the_cpu(name: str, folder: Path, open_page: 
 
 
 def test_numbers_equal_those_of_the_viewer(folder: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches lengths, lights and rays that the page computes in another way than the viewer's window."""
+    """Catches lengths, lights and rays that differ between the page and the viewer's window."""
     script = """
         const { loadStyles } = await import("/player/stylize/style_file.js");
         const { viewStyle } = await import("/player/stylize/view_style.js");
@@ -117,7 +118,7 @@ def test_numbers_equal_those_of_the_viewer(folder: Path, open_page: Callable[...
 
 
 def test_the_list_and_the_attribute_select_a_style(folder: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches a list that does nothing, and a style that stays after it is switched off."""
+    """Catches a list of styles without effect, and a style that is still drawn after it is switched off."""
     scene = folder / "site" / SCENE_NAME
     with serving(folder / "site") as server:
         page = open_page(server.url, (SIZE, SIZE))
@@ -144,7 +145,9 @@ def test_the_list_and_the_attribute_select_a_style(folder: Path, open_page: Call
 
 
 def test_the_attribute_in_the_page(folder: Path, tmp_path: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches an attribute that is ignored when the scene is opened, and a style that is lost with the context."""
+    """Catches an attribute that is ignored when the scene is opened, and a style that is lost when the WebGL context is
+    lost.
+    """
     shutil.copytree(folder / "site", tmp_path / "site")
     text = (tmp_path / "site" / "index.html").read_text()
     (tmp_path / "site" / "index.html").write_text(text.replace(" autoplay", ' autoplay stylize="toon"'))

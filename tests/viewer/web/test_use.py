@@ -1,4 +1,4 @@
-"""What users do with the web player: play, scrub, move, share, resize; and a lost WebGL context."""
+"""Tests of what users do with the web player (play, seek, move, share a link, resize), and of a lost WebGL context."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_it_plays_loops_and_pauses(open_page: Callable[..., PlayerPage], object_
 
 
 def test_keys_and_the_time_bar_select_frames(play: PlayerPage) -> None:
-    """Catches keys that do nothing, and a time bar that shows another frame than the image."""
+    """Catches keys without effect, and a time bar whose frame differs from that of the image."""
     play.run("player.focus();")
     for key, frame in (("End", 5), ("ArrowRight", 0), ("ArrowRight", 1), ("Home", 0), ("ArrowLeft", 5)):
         play.page.keyboard.press(key)
@@ -67,7 +67,7 @@ def test_mouse_wheel_and_keys_move_the_view(play: PlayerPage) -> None:
 
 
 def test_touch_moves_the_view(open_page: Callable[..., PlayerPage], object_site: Path) -> None:
-    """Catches a page that scrolls or zooms instead of the scene."""
+    """Catches touch gestures that scroll or zoom the page instead of moving the view of the scene."""
     with serving(object_site) as server:
         page = open_page(server.url, has_touch=True)
         page.pause(0)
@@ -98,7 +98,7 @@ def test_the_image_follows_the_size_of_the_page(play: PlayerPage) -> None:
 
 
 def test_a_link_holds_view_and_time(play: PlayerPage, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches a link that opens another view or another frame, and a damaged link that stops the page."""
+    """Catches a link that opens the wrong view or frame, and a damaged link that stops the page."""
     play.run("player.moveToCamera(2); player.seek(4);")
     play.run("const {orbit} = await import('/player/navigate/pose.js'); stage.setPose(orbit(stage.pose, 0.4, 0.1));")
     link, pose = play.run("return [player.shareLink, stage.pose];")
@@ -143,7 +143,7 @@ def test_screenshots_show_the_image(play: PlayerPage) -> None:
 
 @pytest.mark.parametrize("count", [1, 2])
 def test_cameras_can_be_selected(count: int, play: PlayerPage) -> None:
-    """Catches a list of cameras that moves to another camera than the selected one."""
+    """Catches a list of cameras that moves the view to a camera other than the selected one."""
     play.run(
         "player.panel.camera.value = argument; player.panel.camera.dispatchEvent(new Event('change'));", str(count)
     )

@@ -105,7 +105,7 @@ def psnr(got: NDArray[np.uint8], expected: NDArray[np.uint8]) -> float:
 
 
 def test_the_button_is_hidden_without_a_headset(play: PlayerPage) -> None:
-    """Catches a button that can only fail."""
+    """Catches a VR button that is visible although there is no headset."""
     assert play.run("return player.panel.vr.hidden;") is True
 
 

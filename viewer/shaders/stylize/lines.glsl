@@ -11,12 +11,13 @@ uniform bool has_state;               // Whether the previous image has the same
 uniform float hysteresis;
 uniform float persistence;
 
-// The largest relative difference between the summed taps of a surface that rests, as in csrc/stylize/cpu/lines.inc.
+// The surface at a pixel counts as unchanged if the summed taps of this and the previous image have at most this
+// relative difference, as in csrc/stylize/cpu/lines.inc.
 const float SAME_TAPS = 0.03;
 
 vec4 unpack_normal(vec4 texel) { return vec4((floor(255.0 * texel.xyz + 0.5) - 128.0) / 127.0, texel.w); }
 
-// Linear ramp: 0 up to the threshold, 1 from 1.5 times the threshold on.
+// Linear ramp from 0 at the threshold to 1 at 1.5 times the threshold.
 float ramp(float value, float threshold) { return clamp(2.0 * (value / threshold - 1.0), 0.0, 1.0); }
 
 ivec2 tap_pixel(ivec2 pixel, ivec2 steps) {
@@ -83,7 +84,7 @@ uint summed_taps(ivec2 pixel) {
 }
 
 // Returns the strength of the line at a pixel in [0, 1], and the state for the next image. Where the previous image has
-// a line, the thresholds are lower than elsewhere. Where the surface rests, lines gain strength slowly.
+// a line, the thresholds are lower than elsewhere. Where the surface has not changed, lines gain strength slowly.
 float find_line(ivec2 pixel, out uint state) {
     state = 0u;
     if (line_filter == 0) return 0.0;

@@ -19,7 +19,7 @@ import { damaged, inflate } from "./inflate.js";
 
 /** Size of the header in bytes: left, top, width and height in texels (16 bits), and the size of the VP9 frame (32 bits). */
 const HEADER = 12;
-/** Texels with this value stand for the difference 0. */
+/** A texel with this value encodes the difference 0. */
 const ZERO = 128;
 /** Profile 0, level 5.1, 8 bits. */
 const CODEC = "vp09.00.51.08";

@@ -2,20 +2,21 @@
 const STRIDES = [1, 2, 3, 4, 5, 6];
 /** Largest time in seconds that playback waits so that it can show all frames. */
 export const LONGEST_WAIT = 3;
-/** Rates vary, so playback is planned with this fraction of the measured rate. */
+/** Playback is planned with this fraction of the measured data rate, because the rate varies. */
 const RATE_MARGIN = 0.9;
-/** The same fraction for a change to a smaller stride, which is not urgent. */
+/** A change to a smaller stride is planned with this fraction of the measured data rate. */
 const FINER_MARGIN = 0.8;
 /** If playback would pause within this time in seconds, it changes to a larger stride. */
 const FORESIGHT = 2;
-/** Shorter pauses, in seconds, do not change the stride. They occur when the view moves and needs another source view. */
+/** Pauses that are shorter than this time in seconds do not change the stride. Such pauses occur when the view moves
+ * and needs a source view that is not loaded. */
 const SHORT_PAUSE = 0.25;
 
 /**
- * The frames that are due, and what is missing of them.
+ * The frames that are due, and their data that has not been downloaded.
  * @typedef {object} Buffer
  * @property {number[]} frames Successive frames in the order of playback.
- * @property {number[]} missing For each frame, the bytes that have not been downloaded.
+ * @property {number[]} missing For each frame, the number of bytes that have not been downloaded.
  * @property {number} interval Seconds between two frames.
  * @property {number} rate Rate of the connection in bytes per second.
  */
@@ -37,8 +38,8 @@ export function requiredWait({ frames, missing, interval, rate }, stride) {
 }
 
 /**
- * The smallest stride with which playback starts within some time, and the time that remains to be waited. If there is no
- * such stride, the stride with the shortest time.
+ * Returns the smallest stride with which playback can start within `patience` seconds, and the remaining waiting time.
+ * If there is no such stride, returns the stride with the shortest waiting time.
  * @param {Buffer} buffer
  * @param {number} patience In seconds.
  * @returns {{stride: number, wait: number}}

@@ -25,7 +25,7 @@ export class Clock {
     return this.isPlaying ? exactFrame - (exactFrame % this.stride) : exactFrame;
   }
 
-  /** Index of the frame at the time, whatever the stride. */
+  /** Index of the frame at the current time, without regard to the stride. */
   get exactFrame() {
     return Math.min(Math.floor(this.seconds * this.fps + 1e-6), this.frames - 1);
   }

@@ -5,13 +5,14 @@ import { BACKGROUND } from "../scene/members.js";
 const MOST_BYTES = 512 << 20;
 const BYTES_PER_GB = 64 << 20;
 const SUPPOSED_GB = 4;
-/** The requests that run at the same time ask for the data that arrives in this time. */
+/** Simultaneous requests together ask for the amount of data that arrives in this time. */
 const SECONDS_IN_FLIGHT = 0.3;
-/** With fewer requests, the connection is idle between the last byte of an answer and the first byte of the next one. */
+/** Minimum number of simultaneous requests. With a single request, the connection is idle between the last byte of a
+ * response and the first byte of the next response. */
 const FEWEST_JOBS = 2;
 const MOST_JOBS = 8;
 
-/** A request that runs. @typedef {{number: number, names: string[], bytes: number, abort: AbortController}} Job */
+/** A request in progress. @typedef {{number: number, names: string[], bytes: number, abort: AbortController}} Job */
 
 /** Downloads the members of frames in order of urgency, several frames at a time, and keeps them compressed. */
 export class Downloads {
@@ -69,13 +70,13 @@ export class Downloads {
     this.failures.clear();
   }
 
-  /** Forgets the members of a frame, such as members that cannot be decoded. @param {number} number */
+  /** Drops the members of a frame from memory, such as members that cannot be decoded. @param {number} number */
   forget(number) {
     for (const member of this.members.get(number)?.values() ?? []) this.bytes -= member.length;
     this.members.delete(number);
   }
 
-  /** Aborts all requests and forgets all members. */
+  /** Aborts all requests and drops all members from memory. */
   release() {
     this.wanted = [];
     for (const job of this.jobs) job.abort.abort();
@@ -146,7 +147,8 @@ export class Downloads {
     }
   }
 
-  /** Whether members can be kept without loss of a frame that is due earlier. @param {number} number @param {string[]} names */
+  /** Whether members fit into memory without dropping a frame that is due earlier. @param {number} number @param
+   * {string[]} names */
   #hasRoom(number, names) {
     const excess = this.bytes + this.#bytesInFlight() + this.#sizeOf(names) - this.limit;
     if (number === BACKGROUND || excess <= 0) return true;
@@ -158,7 +160,7 @@ export class Downloads {
     return later >= excess;
   }
 
-  /** The frame in memory that is due last, if playback loops. */
+  /** The frame in memory that is due last. Playback is assumed to loop. */
   #latest() {
     let latest = null;
     let most = 0;

@@ -30,7 +30,8 @@ const CONCURRENT = 4;
  * @property {boolean} isPlaying Otherwise, the first frame is downloaded before all others.
  */
 
-/** Downloads and decodes frames, nearest first, and keeps the most recently used frames decoded. */
+/** Downloads and decodes frames in the order in which they are due, and keeps the most recently used frames in decoded
+ * form. */
 export class FrameStore {
   /**
    * @param {SceneFile} file
@@ -167,7 +168,7 @@ export class FrameStore {
   }
 
   /**
-   * Names of the members of which the decoded parts are missing.
+   * Names of the members that are not decoded yet.
    * @param {number} number
    * @param {number[]} views
    */

@@ -10,7 +10,7 @@ import { FrameStore } from "./frame_store.js";
 
 /** Playback starts when this number of frames after the current frame are decoded. */
 const BUFFERED_FRAMES = 3;
-/** Frames ahead of the current frame: size of the decoded frames, and of the compressed frames. */
+/** Memory limits for the frames that follow the current frame: for decoded frames, and for compressed frames. */
 const DECODED_BYTES = 96 << 20;
 const DOWNLOADED_BYTES = 64 << 20;
 const MAX_DECODED = 24;
@@ -37,7 +37,7 @@ export class Playback {
     this.clock = new Clock(this.manifest.points.length, this.manifest.fps);
     /** Whether the frame that is due cannot be shown yet. */
     this.isWaiting = true;
-    /** Whether playback waits until it can go on without a pause. */
+    /** Whether playback waits until enough frames are loaded to continue without a pause. */
     this.isBuffering = true;
     /** Seconds since playback began to wait. */
     this.waited = 0;
@@ -194,7 +194,7 @@ export class Playback {
 }
 
 /**
- * The numbers that determine the depth order and the visible points, independent of the resolution.
+ * Numbers of a camera that determine the depth order and the visible points. They do not depend on the resolution.
  * @param {Camera} camera
  */
 function signature({ rotation, translation, intrinsics, width, height }) {
@@ -202,7 +202,7 @@ function signature({ rotation, translation, intrinsics, width, height }) {
 }
 
 /**
- * Mean compressed size of a frame in bytes, as fetched for one viewer.
+ * Mean number of compressed bytes that one player downloads per frame.
  * @param {import("../scene/scene_file.js").SceneFile} file
  */
 function meanBytes({ manifest }) {

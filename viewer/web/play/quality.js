@@ -26,7 +26,7 @@ export class Quality {
     else if (this.mean < FAST_MS && this.scale < 1) this.#change(Math.min(this.scale / STEP, 1));
   }
 
-  /** Starts a new measurement. Called after a time in which the view did not move. */
+  /** Starts a new measurement. The player calls this function in each time step in which nothing moves. */
   rest() {
     this.count = 0;
     this.mean = 0;

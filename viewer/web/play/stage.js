@@ -37,7 +37,8 @@ export class Stage {
     this.background = [0, 0, 0];
     /** @type {import("../draw/renderer.js").ReadyStyle | null} */
     this.style = null;
-    /** Number of images that are still drawn of a paused frame, because lines of a resting camera fade in. */
+    /** Number of further images to draw of a paused frame. Lines fade in over these images while the camera does not
+     * move. */
     this.fading = 0;
     this.isDirty = true;
     /** Whether another program draws the scene, so that nothing is drawn into the canvas. */

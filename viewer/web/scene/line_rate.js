@@ -1,4 +1,4 @@
-/** Older measurements than this are forgotten, in milliseconds with running requests. */
+/** Measurements that are older than this time are dropped. Only milliseconds in which a request is running count. */
 const WINDOW_MS = 2000;
 
 /** Measures the data rate of a connection, over the times in which requests are running. */

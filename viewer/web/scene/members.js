@@ -6,7 +6,7 @@ import { frameFolder } from "./manifest.js";
 export const BACKGROUND = -1;
 
 /**
- * What is stored about the points of a frame or of the background.
+ * Returns the folder, the number of points and the encoding of a frame or of the background.
  * @param {Manifest} manifest
  * @param {number} number
  */

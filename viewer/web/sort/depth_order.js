@@ -11,7 +11,8 @@
  * @property {number} border Pixels around the image in which points are also kept.
  */
 
-/** Factor on the bound of radius divided by depth: the camera can move nearer to the points before the next sort. */
+/** Factor on the bound of radius divided by depth, because the camera can move nearer to the points before the next
+ * sort. */
 const RATIO_MARGIN = 1.1;
 const BITS = 11;
 const BUCKETS = 1 << BITS;

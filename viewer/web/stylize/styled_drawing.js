@@ -18,8 +18,8 @@ import { distanceTo, viewStyle } from "./view_style.js";
 const TONES = 256;
 
 /**
- * Draws pictures in a style, with the fragment shaders of the viewer's window. Successive pictures from one camera have
- * steady lines.
+ * Draws pictures in a style, with the fragment shaders of the viewer's window. In successive pictures from one camera,
+ * lines do not flicker.
  */
 export class StyledDrawing {
   /**

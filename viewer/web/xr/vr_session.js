@@ -136,7 +136,7 @@ export class VrSession {
       return viewport && viewport.width > 0 && viewport.height > 0 ? [{ view, viewport }] : [];
     });
     if (eyes.length === 0) return;
-    // Both eyes have one depth order and one selection of source views: those of the head.
+    // Both eyes use the depth order and the selection of source views of the head's pose.
     const { view, viewport } = eyes[0];
     const headMatrix = multiply4(viewer.transform.inverse.matrix, matrix);
     const head = hostCamera(headMatrix, view.projectionMatrix, viewport.width, viewport.height).camera;

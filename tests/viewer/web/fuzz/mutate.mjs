@@ -42,7 +42,7 @@ export function splitScene(bytes) {
   return { start, header: bytes.slice(0, start), size: size + ROOM, manifest, body: bytes.slice(start + size) };
 }
 
-/** Joins a scene whose manifest may be changed, or replaced by a text. */
+/** Joins a manifest, or a text in its place, with the remaining bytes of a scene. */
 export function joinScene({ start, header, size, body }, manifest) {
   const text = Buffer.from(typeof manifest === "string" ? manifest : JSON.stringify(manifest));
   const length = Math.max(size, text.length);
@@ -92,7 +92,7 @@ function changeValue(root, random) {
   }
 }
 
-/** Also adds keys such as __proto__, which an assignment does not add. */
+/** This also adds keys such as __proto__, which an assignment would not add. */
 function addKey(node, key, child) {
   const options = { enumerable: true, writable: true, configurable: true };
   Object.defineProperty(node, key, { value: structuredClone(child), ...options });
@@ -126,7 +126,7 @@ function changeBytes(bytes, random) {
   }
 }
 
-/** Changes the content of a member and compresses it again, so that its checksum is right. */
+/** Changes the content of a member and compresses it again, so that the checksum of the member is correct. */
 function changeContent(scene, manifest, random) {
   const name = random.pick(Object.keys(manifest.members));
   const [offset, size] = manifest.members[name];
@@ -149,7 +149,7 @@ function appendMember(scene, manifest, name, member) {
 
 let madeBombs = null;
 
-/** Members that expand to much more than their size, or never end. */
+/** Members that expand to much more than their declared size, and members that are truncated. */
 function bombs() {
   const large = () => deflateSync(Buffer.alloc(1 << 26), { level: 9 });
   madeBombs ??= [large(), deflateSync(Buffer.alloc(1 << 20)), large().subarray(0, 30000), Buffer.alloc(0), Buffer.from([0x78])];

@@ -10,7 +10,7 @@ import { DepthOrder } from "../../../../viewer/web/sort/depth_order.js";
 const MAX_FRAMES = 4;
 const MAX_VIEWS = 8;
 
-/** The bytes of a file, with the interface of ByteSource. */
+/** A file in memory with the interface of ByteSource. */
 class MemorySource {
   constructor(bytes) {
     this.bytes = bytes;

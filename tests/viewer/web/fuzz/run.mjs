@@ -4,9 +4,10 @@
  *   node run.mjs SEED COUNT SCENE...    reads COUNT damaged scenes
  *   node run.mjs SEED =CASE SCENE...    reads one of them again, and prints the error
  *
- * Prints a JSON object for each case that ends with something else than a scene or a SceneError, and at the end the
- * numbers of scenes that were read and that were refused, the number of different messages, and the largest resident size
- * in bytes. The resident size is read after each case: the maximum that the system reports includes the parent process.
+ * Prints a JSON object for each case that ends with neither a scene nor a SceneError. At the end, it prints the number
+ * of scenes that were read, the number that were rejected, the number of different messages, and the largest resident
+ * set size in bytes. The resident set size is read after each case, because the maximum that the system reports
+ * includes the parent process.
  */
 
 import { readFileSync } from "node:fs";
@@ -22,7 +23,7 @@ const scenes = paths.map((path) => splitScene(new Uint8Array(readFileSync(path))
 const first = count.startsWith("=") ? Number(count.slice(1)) : 0;
 const end = count.startsWith("=") ? first + 1 : Number(count);
 const result = { read: 0, refused: 0, peakMemory: 0 };
-/** Numbers of refused scenes by the first words of the message. */
+/** Numbers of rejected scenes by the first words of the message. */
 const messages = {};
 for (let index = first; index < end; index++) {
   const random = new Random(Math.imul(Number(seed), 0x9e3779b1) + index);
@@ -41,7 +42,7 @@ for (let index = first; index < end; index++) {
   }
   clearTimeout(watchdog);
   result.peakMemory = Math.max(result.peakMemory, process.memoryUsage.rss());
-  // Garbage of earlier cases would otherwise count as memory of later ones.
+  // Without this call, garbage of earlier cases would count as memory of later cases.
   globalThis.gc?.();
 }
 result.messages = Object.keys(messages).length;
