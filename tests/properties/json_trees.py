@@ -30,10 +30,12 @@ def changed_trees(draw: st.DrawFn, valid: Tree) -> Tree:
     for _ in range(draw(st.integers(1, 3))):
         places = list(_places(tree))
         if not places:
-            return draw(st.sampled_from(UNUSUAL))
+            return copy.deepcopy(draw(st.sampled_from(UNUSUAL)))
         parent, key = places[draw(st.integers(0, len(places) - 1))]
         how = draw(st.sampled_from(("unusual", "any", "remove", "repeat", "scale")))
-        _change(parent, key, how, draw(st.sampled_from(UNUSUAL)) if how == "unusual" else draw(trees()))
+        # Without the copy, a later change would change the list or dictionary in UNUSUAL itself.
+        value = copy.deepcopy(draw(st.sampled_from(UNUSUAL) if how == "unusual" else trees()))
+        _change(parent, key, how, value)
     return tree
 
 
