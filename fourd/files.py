@@ -148,6 +148,14 @@ def remove_unfinished_folder(target: Path) -> None:
         shutil.rmtree(path, ignore_errors=True)
 
 
+def resolved(path: Path | str) -> Path:
+    """The absolute path without symbolic links, also of missing files.
+
+    Path.resolve raises RuntimeError for links that form a loop (before Python 3.13). This function keeps such links.
+    """
+    return Path(os.path.realpath(path))
+
+
 def is_unused(folder: Path | str) -> bool:
     """Whether a folder is missing, or contains no files except temporary files of killed processes."""
     folder = Path(folder)

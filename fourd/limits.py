@@ -54,16 +54,18 @@ def open_regular(path: Path | str) -> BufferedReader:
         OSError: if ``path`` is missing, is a folder, or cannot be opened.
     """
     # The file is examined before and after it is opened. Opening a device can have effects, and another process may
-    # replace the file between the two calls.
+    # replace the file between the two calls. The stream owns the descriptor from the start: if Ctrl-C arrived between
+    # opening and owning, the descriptor would be closed twice, and the second time could be that of another thread.
     _require_regular_mode(path, os.stat(path).st_mode)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
-    descriptor = os.open(path, flags)
+    # Opening raises IsADirectoryError for folders.
+    stream = open(path, "rb", opener=lambda name, _: os.open(name, flags))  # noqa: SIM115
     try:
-        _require_regular_mode(path, os.fstat(descriptor).st_mode)
-        return os.fdopen(descriptor, "rb")  # raises IsADirectoryError for folders
+        _require_regular_mode(path, os.fstat(stream.fileno()).st_mode)
     except BaseException:
-        os.close(descriptor)
+        stream.close()
         raise
+    return stream
 
 
 def read_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,14 +13,13 @@ from numpy.typing import NDArray
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
+from fourd.formats.opencv_yaml import OpenCvYaml
 from fourd.limits import MAX_CALIBRATION_BYTES, read_text_limited
 
 Array = NDArray[np.float64]
 
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
-MAX_DEPTH = 1000
-"""Maximum depth of nested content in a calibration file."""
 MAX_ROTATION_DIFFERENCE = 1e-3
 """Maximum difference between elements of the rotation matrix Rot_c and of the matrix from the Rodrigues vector R_c."""
 
@@ -93,34 +91,34 @@ def read_calibration(folder: Path | str) -> dict[str, Calibration]:
 def check_calibration(folder: Path | str) -> CalibrationReport:
     """Read the calibrations like :func:`read_calibration`, but collect all errors instead of raising the first."""
     errors: list[UserError] = []
-    with ExitStack() as stack:
-        storages = []
-        for file in (INTRINSICS_NAME, EXTRINSICS_NAME):
-            try:
-                storages.append(stack.enter_context(_Storage(Path(folder) / file)))
-            except UserError as error:
-                errors.append(error)
-        if len(storages) < 2:
-            return CalibrationReport((), {}, tuple(errors))
-        intri, extri = storages
+    storages = []
+    for file in (INTRINSICS_NAME, EXTRINSICS_NAME):
         try:
-            names, others = intri.names(), extri.names(required=False)
+            storages.append(_Storage(Path(folder) / file))
         except UserError as error:
-            return CalibrationReport((), {}, (error,))
-        for name in others:
-            if name not in names:
-                message = (
-                    f"expected camera '{name}', which is in {EXTRINSICS_NAME}, got no such camera; add the camera "
-                    f"or remove it from {EXTRINSICS_NAME}"
-                )
-                errors.append(UserError(f"{intri.path}: {message}"))
-        calibrations = {}
-        for name in names:
-            try:
-                calibrations[name] = _read_camera(name, intri, extri)
-            except UserError as error:
-                errors.append(error)
-        return CalibrationReport(tuple(names), calibrations, tuple(errors))
+            errors.append(error)
+    if len(storages) < 2:
+        return CalibrationReport((), {}, tuple(errors))
+    intri, extri = storages
+    try:
+        names, others = intri.names(), extri.names(required=False)
+    except UserError as error:
+        return CalibrationReport((), {}, (error,))
+    known = set(names)
+    for name in others:
+        if name not in known:
+            message = (
+                f"expected camera '{name}', which is in {EXTRINSICS_NAME}, got no such camera; add the camera "
+                f"or remove it from {EXTRINSICS_NAME}"
+            )
+            errors.append(UserError(f"{intri.path}: {message}"))
+    calibrations = {}
+    for name in names:
+        try:
+            calibrations[name] = _read_camera(name, intri, extri)
+        except UserError as error:
+            errors.append(error)
+    return CalibrationReport(tuple(names), calibrations, tuple(errors))
 
 
 def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
@@ -130,18 +128,18 @@ def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
         UserError: like :func:`read_calibration`, or if a camera has no image size.
     """
     lenses = {}
-    with _Storage(Path(folder) / INTRINSICS_NAME) as intri:
-        for name in intri.names():
-            width, height = intri.count(f"W_{name}"), intri.count(f"H_{name}")
-            if width is None or height is None:
-                raise UserError(f"{intri.path}: expected W_{name} and H_{name} in pixels, got none; add the image size")
-            lens = Calibration(
-                intri.matrix(f"K_{name}", (3, 3)), np.eye(3), np.zeros(3), _read_distortion(name, intri), width, height
-            )
-            try:
-                lenses[name] = lens.camera(width, height)
-            except ValueError as error:
-                raise UserError(f"{intri.path}: camera '{name}': {error}; calibrate that camera again") from error
+    intri = _Storage(Path(folder) / INTRINSICS_NAME)
+    for name in intri.names():
+        width, height = intri.count(f"W_{name}"), intri.count(f"H_{name}")
+        if width is None or height is None:
+            raise UserError(f"{intri.path}: expected W_{name} and H_{name} in pixels, got none; add the image size")
+        lens = Calibration(
+            intri.matrix(f"K_{name}", (3, 3)), np.eye(3), np.zeros(3), _read_distortion(name, intri), width, height
+        )
+        try:
+            lenses[name] = lens.camera(width, height)
+        except ValueError as error:
+            raise UserError(f"{intri.path}: camera '{name}': {error}; calibrate that camera again") from error
     return lenses
 
 
@@ -220,29 +218,8 @@ def _read_rotation(name: str, extri: _Storage) -> Array:
     return rotation
 
 
-def _check_depth(path: Path, text: str) -> None:
-    """Raise UserError for nested content, because OpenCV's parser overflows the stack on deeply nested content.
-
-    Calibration files have lists in lists of at most three levels. The check uses upper bounds of the depth. A closing
-    bracket is not counted if it may be part of a string or a comment. OpenCV also reads JSON and XML, which are refused
-    here.
-    """
-    depth = 0
-    for number, line in enumerate(text.split("\n"), 1):
-        depth += line.count("[") + line.count("{")
-        nested = max(depth, len(line) - len(line.lstrip()), line.count("-"), line.count(":"))
-        if nested > MAX_DEPTH:
-            raise UserError(
-                f"{path}, line {number}: expected matrices and names, got deeply nested content; export the file again"
-            )
-        certain = line if '"' not in line and "'" not in line and "#" not in line else ""
-        depth = max(0, depth - certain.count("]") - certain.count("}"))
-    if not text.startswith("%YAML"):
-        raise ValueError
-
-
 class _Storage:
-    """An OpenCV FileStorage that is open for reading. Its error messages contain the file and the key."""
+    """The content of a calibration file. Its error messages contain the file and the key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -252,37 +229,25 @@ class _Storage:
                 f"(a capture consists of images/CAM/, {INTRINSICS_NAME} and {EXTRINSICS_NAME})"
             )
         try:
-            text = read_text_limited(path, MAX_CALIBRATION_BYTES)
-            _check_depth(path, text)
-            self._storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-            # If a file is truncated within its first key, OpenCV opens it as a string without nodes.
-            opened = self._storage.isOpened() and (self._storage.root().isMap() or self._storage.root().empty())
-        except (cv2.error, SystemError, ValueError):
-            opened = False
-        if not opened:
+            self._content = OpenCvYaml(read_text_limited(path, MAX_CALIBRATION_BYTES))
+        except ValueError as error:
+            got = "another format" if isinstance(error, UnicodeDecodeError) else error
             raise UserError(
-                f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got another format; export the file again"
-            )
-
-    def __enter__(self) -> _Storage:
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        self._storage.release()
+                f"{path}: expected OpenCV FileStorage YAML (%YAML:1.0), got {got}; export the file again"
+            ) from error
 
     def has(self, key: str) -> bool:
-        return not self._storage.getNode(key).empty()
+        return key in self._content
 
     def names(self, required: bool = True) -> list[str]:
-        node = self._storage.getNode("names")
-        if node.empty() and not required:
+        if "names" not in self._content and not required:
             return []
-        entries = [node.at(i) for i in range(node.size())] if node.isSeq() else []
-        if not entries or not all(entry.isString() for entry in entries):
+        entries = self._content.items("names") if "names" in self._content else None
+        names = [entry for entry in entries or [] if isinstance(entry, str)]
+        if not names or entries is None or len(names) < len(entries):
             raise UserError(
                 f'{self.path}: names: expected a list of quoted camera names such as "00", got no list; add the list'
             )
-        names = [entry.string() for entry in entries]
         if len(set(names)) != len(names):
             raise UserError(
                 f"{self.path}: names: expected each camera once, got {', '.join(names)}; remove the duplicates"
@@ -291,38 +256,32 @@ class _Storage:
 
     def matrix(self, key: str, shape: tuple[int, ...] | None) -> Array:
         """Read a finite matrix of the given shape; if the shape is None, read any matrix and flatten it."""
-        node = self._storage.getNode(key)
-        if node.empty():
+        if key not in self._content:
             raise UserError(f"{self.path}: {key}: expected a matrix, got no such key; add the key or remove the camera")
         try:
-            matrix = node.mat()
-        except cv2.error as error:
+            matrix = self._content.matrix(key)
+        except ValueError as error:
             raise UserError(
                 f"{self.path}: {key}: expected a complete matrix, got a truncated one; copy the file again"
             ) from error
-        if matrix is None and node.isSeq():
-            matrix = np.array([node.at(i).real() for i in range(node.size())])
         if matrix is None or (shape is not None and matrix.size != int(np.prod(shape))):
             got = "another type" if matrix is None else " x ".join(map(str, matrix.shape))
             required = "a matrix" if shape is None else " x ".join(map(str, shape))
             raise UserError(
                 f"{self.path}: {key}: expected {required} numbers, got {got}; correct the value or remove the camera"
             )
-        values = matrix.astype(np.float64)
-        if not np.isfinite(values).all():
+        if not np.isfinite(matrix).all():
             raise UserError(
-                f"{self.path}: {key}: expected finite numbers, got {values.ravel().tolist()}; calibrate again"
+                f"{self.path}: {key}: expected finite numbers, got {matrix.ravel().tolist()}; calibrate again"
             )
-        return values.reshape(-1 if shape is None else shape)
+        return matrix.reshape(-1 if shape is None else shape)
 
     def count(self, key: str) -> int | None:
         """Read a whole number of pixels; return None if the key is missing or the number is 0."""
-        node = self._storage.getNode(key)
-        if node.empty():
+        if key not in self._content:
             return None
-        value = node.real() if node.isReal() or node.isInt() else float("nan")
-        if not (np.isfinite(value) and value == round(value) and 0 <= value <= 1 << 20):
-            raise UserError(
-                f"{self.path}: {key}: expected a number of pixels, got {value:g}; correct or remove the value"
-            )
+        value = self._content.number(key)
+        if value is None or not (np.isfinite(value) and value == round(value) and 0 <= value <= 1 << 20):
+            got = "another type" if value is None else f"{value:g}"
+            raise UserError(f"{self.path}: {key}: expected a number of pixels, got {got}; correct or remove the value")
         return int(value) or None

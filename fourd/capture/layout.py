@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from fourd.errors import UserError
+from fourd.files import resolved
 
 PICTURE_SUFFIXES = (".jpg", ".jpeg", ".png")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v", ".mts")
@@ -186,4 +187,4 @@ def link_entries(capture: Path, target: Path, *, left_out: Set[str]) -> None:
     for name in sorted(os.listdir(capture)):
         link = target / name
         if name not in left_out and not link.is_symlink():
-            link.symlink_to((capture / name).resolve())
+            link.symlink_to(resolved(capture / name))

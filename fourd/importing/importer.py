@@ -16,7 +16,7 @@ from fourd.capture.layout import DERIVED, refuse_symlinks, sample_indices
 from fourd.capture.video import VideoIndex
 from fourd.capture.video_index import cached_indices
 from fourd.errors import UserError
-from fourd.files import remove_unfinished
+from fourd.files import remove_unfinished, resolved
 from fourd.importing.detection import Format
 from fourd.importing.frame_geometry import CalibratedFrames, match_calibrations, reduced_indices
 from fourd.importing.given_calibration import apply_calibration, is_metric_calibration
@@ -134,7 +134,7 @@ def import_source(
         for line in before.warnings:
             warn(line)
         return
-    started = before or ImportRecord(str(source.resolve()), source_format.name, "", files, {}, {}, False, False, ())
+    started = before or ImportRecord(str(resolved(source)), source_format.name, "", files, {}, {}, False, False, ())
     record = replace(started, calibration=calibration, options=asked, done=False, warnings=())
     check_unpacked(out, started, files, started.offsets, options.reduce)
     write_record(out, record)

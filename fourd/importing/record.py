@@ -11,7 +11,7 @@ from typing import Any
 
 from fourd.capture.layout import DERIVED
 from fourd.errors import UserError
-from fourd.files import is_unused, write_text_atomically
+from fourd.files import is_unused, resolved, write_text_atomically
 from fourd.importing.imported import EncodedPictures, Imported, PictureFiles
 from fourd.limits import read_json
 
@@ -86,7 +86,7 @@ def _is_number(value: object) -> bool:
 
 def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) -> None:
     """Raise UserError when the folder contains an import of another source."""
-    if (before.source, before.format) != (str(source.resolve()), name):
+    if (before.source, before.format) != (str(resolved(source)), name):
         raise UserError(
             f"{out}: expected a new folder or an import of {source} ({name}), got an import of {before.source} "
             f"({before.format}); name another folder"

@@ -19,7 +19,7 @@ from fourd.capture.layout import VIDEOS, frame_name
 from fourd.capture.video import VideoIndex, VideoReader
 from fourd.capture.video_list import Video, align_videos, common_frames, common_rate, write_video_list
 from fourd.errors import UserError
-from fourd.files import atomic_path, write_bytes_atomically
+from fourd.files import atomic_path, resolved, write_bytes_atomically
 from fourd.formats.picture import write_picture
 from fourd.importing.clock import describe_clock, describe_pictures
 from fourd.importing.imported import (
@@ -158,9 +158,9 @@ def _unpack(video: Video, folder: Path, count: int, track: Track) -> None:
 
 def _link_or_copy(source: Path, target: Path, copy: bool) -> None:
     """Link ``target`` to ``source``, or copy ``source`` to ``target``, unless the same link or copy already exists."""
-    source = source.resolve()
+    source = resolved(source)
     if target.is_symlink() or target.exists():
-        is_link = target.resolve() == source
+        is_link = resolved(target) == source
         if (is_link and not (copy and target.is_symlink())) or (
             copy and not target.is_symlink() and _same_size(source, target)
         ):

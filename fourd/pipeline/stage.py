@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 from rich.console import Console
 
+from fourd.files import resolved
 from fourd.progress import Log, Terminal, Track, Tracker, console_log
 
 if TYPE_CHECKING:
@@ -73,9 +74,12 @@ class Artefact:
         files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
         if not self.patterns and self.path.exists():
             files = [self.path]
-        entries = [str(self.path.resolve())]
+        entries = [str(resolved(self.path))]
         for file in files:
-            status = file.stat()
+            try:
+                status = file.stat()
+            except OSError:  # A link to a missing file, or to itself. The stage reports it.
+                status = file.lstat()
             entries.append(f"{file.relative_to(self.path)} {status.st_size} {status.st_mtime_ns}")
         return _digest(entries)
 

@@ -204,6 +204,16 @@ DAMAGES: list[tuple[str, Callable[[Path], object], str]] = [
         r"intri.yml: K_03: expected a complete matrix, got a truncated one; copy",
     ),
     (
+        "a matrix without a number of rows",
+        lambda c: edit(c / "intri.yml", r"(K_03: !!opencv-matrix\n)\s+rows: 3\n", r"\1"),
+        r"intri.yml: K_03: expected a complete matrix, got a truncated one; copy",
+    ),
+    (
+        "a matrix with a negative number of columns",
+        lambda c: edit(c / "extri.yml", r"(T_01: (?:.*\n)\s+rows: )3(\n\s+cols: )1", r"\g<1>-1\g<2>-3"),
+        r"extri.yml: T_01: expected a complete matrix, got a truncated one; copy",
+    ),
+    (
         "a camera in intri.yml without pictures",
         lambda c: shutil.rmtree(c / "images" / "06"),
         r"images/06: expected images of camera '06', which is in intri.yml, got none",

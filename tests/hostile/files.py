@@ -85,7 +85,7 @@ class HostileFiles:
             yield Case(f"config of a {kind}", words)
 
     def _calibrations(self) -> Iterator[Case]:
-        """Content that overflows the stack of OpenCV's parser, and content in other formats."""
+        """Content that overflows the stack of OpenCV's parser or corrupts memory, and content in other formats."""
         many = 300_000
         contents = {
             "flow lists": YAML + "a: " + "[" * many + "]" * many,
@@ -107,6 +107,19 @@ class HostileFiles:
                 written = content.encode("utf-8", "surrogateescape")
                 broken = self._broken(f"{name} {file}", file, lambda path, it=written: path.write_bytes(it))
                 yield Case(f"check of {name} as {file}", ("check", broken))
+        matrix = "K_00: !!opencv-matrix\n   cols: 3\n   dt: d\n   data: [" + "1., " * 100_000 + "1.]\n"
+        for name, content in (("overflowing", matrix), ("empty", matrix.replace("cols: 3", "sizes: []"))):
+            text = YAML + 'names: ["00", "01", "02", "03"]\n' + content
+            broken = self._broken(f"{name} matrix", "intri.yml", lambda path, it=text: path.write_text(it))
+            yield Case(f"check of a matrix that is {name}", ("check", broken))
+        for name in ("absent", "extri.yml"):
+            linked = self._broken(f"link to {name}", "extri.yml", lambda path, it=name: path.symlink_to(it))
+            yield Case(f"carve of a calibration that links to {name}", ("carve", linked, "--out", self._out()))
+        (self.folder / "loop").symlink_to("loop")
+        for command in ("carve", "mesh", "train", "make"):
+            line = (command, str(self.folder / "loop"), "-o", self._out())
+            yield Case(f"{command} of a link to itself", line)
+        yield Case("matte of a link to itself", ("matte", str(self.folder / "loop")))
 
     def _pictures(self) -> Iterator[Case]:
         """Files of other formats that are named as images, and images that declare a huge size."""

@@ -96,3 +96,14 @@ def test_a_key_depends_on_settings_files_and_earlier_stages(tmp_path: Path) -> N
     assert copy_stage(source, tmp_path / "b", "x", after=("a", "absent")).key({"a": "1"}) != key
     os.utime(source, (1, 1))
     assert stage.key({"a": "1"}) != key
+
+
+def test_links_without_a_file_have_a_fingerprint(tmp_path: Path) -> None:
+    """Catches a traceback for links to missing files and for links to themselves, which strangers may have packed."""
+    os.symlink("absent", tmp_path / "missing.yml")
+    os.symlink("loop.yml", tmp_path / "loop.yml")
+    os.symlink("folder", tmp_path / "folder")
+    linked = Artefact(tmp_path, ("*.yml",)).fingerprint()
+    assert Artefact(tmp_path / "loop.yml").fingerprint() != Artefact(tmp_path / "folder", ("*.yml",)).fingerprint()
+    (tmp_path / "absent").write_text("found")
+    assert Artefact(tmp_path, ("*.yml",)).fingerprint() != linked

@@ -17,6 +17,7 @@ from fourd.calibration.scale import Distance
 from fourd.capture.frame_rate import check_rate
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.errors import UserError
+from fourd.files import resolved
 from fourd.importing.detection import FORMATS, pick_format
 from fourd.importing.frame_geometry import CalibratedFrames
 from fourd.importing.given_calibration import VIDEOS_FORMAT
@@ -157,7 +158,7 @@ def _options(arguments: Arguments) -> ImportOptions:
         resize=arguments.resize,
         centres=arguments.centres,
         calibrate=arguments.calibrate,
-        calibration=None if arguments.calibration is None else str(arguments.calibration.resolve()),
+        calibration=None if arguments.calibration is None else str(resolved(arguments.calibration)),
         reduce=reduce,
         calibrated_frames=arguments.calibrated_frames,
         distance=distance,

@@ -14,6 +14,7 @@ from fourd.capture.frame_rate import check_rate
 from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.training_options import TrainingOptions
+from fourd.files import resolved
 from fourd.importing.importer import ImportOptions
 from fourd.pipeline.cluster import join_cluster
 from fourd.pipeline.make import make_scene
@@ -64,7 +65,7 @@ def run(arguments: Arguments) -> None:
     config = options.train_config(DEFAULT_SECONDS)
     # Loading the LPIPS weights here reports invalid weights before any stage runs.
     load_lpips(options.lpips_weights)
-    given = None if arguments.calibration is None else str(arguments.calibration.resolve())
+    given = None if arguments.calibration is None else str(resolved(arguments.calibration))
     with nullcontext() if arguments.ray is None else join_cluster(arguments.ray, arguments.ray_cores) as cluster:
         make_scene(
             arguments.capture,

@@ -18,7 +18,7 @@ from fourd.capture import open_capture
 from fourd.capture.layout import DERIVED, link_entries
 from fourd.carving import Bounds
 from fourd.carving.sequence import BOUNDS_NAME
-from fourd.files import write_text_atomically
+from fourd.files import resolved, write_text_atomically
 from fourd.formats.picture import write_picture
 from fourd.formats.ply import write_ply
 from fourd.pipeline.stage import Artefact, Context, Leftovers, NoSettings, Stage
@@ -72,7 +72,7 @@ def run_still(files: StillFiles, settings: NoSettings, context: Context) -> None
             folder.mkdir(parents=True, exist_ok=True)
             for frame in capture.frame_names:
                 write_picture(folder / f"{frame}.png", np.zeros((lens.height, lens.width), np.uint8))
-    write_text_atomically(files.still / DONE, json.dumps({"capture": str(files.capture.resolve())}) + "\n")
+    write_text_atomically(files.still / DONE, json.dumps({"capture": str(resolved(files.capture))}) + "\n")
 
 
 def no_points_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[NoPointFiles, DataSelection]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from fourd.background.contraction import contraction_around
 from fourd.carving import read_bounds
 from fourd.configs import save_config
+from fourd.files import resolved
 from fourd.formats.ply import read_ply
 from fourd.pipeline.stage import Context, Leftovers, Stage
 from fourd.training.cameras.selection import DataSelection, open_run_views
@@ -104,5 +105,5 @@ def start_run(capture_path: Path, folder: Path, train: TrainConfig) -> Run:
         frame_count=max(capture.total_frames, 1),
         reach=contraction_around(capture.cameras, bounds.centre).radius,
     )
-    save_config(RunConfig(capture_path.resolve(), scene, train), folder / CONFIG_NAME)
+    save_config(RunConfig(resolved(capture_path), scene, train), folder / CONFIG_NAME)
     return open_run(folder)
