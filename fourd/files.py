@@ -24,7 +24,7 @@ UNFINISHED = ".unfinished-"
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``. On success, rename the temporary file to ``target``.
 
-    A named pipe, a socket or a device in the place of ``target`` is refused, because renaming would replace it.
+    If ``target`` is a named pipe, a socket or a device, UserError is raised, because renaming would replace it.
 
     The temporary file is synced to disk before it is renamed. The context manager is meant for file writers
     that take a path. If the ``with`` block raises an exception, the temporary file is removed and ``target`` is

@@ -1,4 +1,5 @@
-"""Limits for files that strangers may have written: kinds of files, sizes and nesting, and safe text for the terminal.
+"""Limits for untrusted files (their kind, size and nesting), and conversion of their texts to safe text for the
+terminal.
 
 All readers of fourd open files through this module, or call :func:`require_regular` before a library opens the file.
 """

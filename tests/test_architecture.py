@@ -18,14 +18,14 @@ MAX_FOLDER_FILES = 14
 
 
 def test_files_are_short() -> None:
-    """Catches a file that is too long to read in one sitting."""
+    """Catches a file with too many lines."""
     suffixes = {".py", ".cpp", ".h", ".cu", ".inc", ".cuh", ".js"}
     lengths = {path: len(path.read_text().splitlines()) for path in source_files() if path.suffix in suffixes}
     assert not {name(path): lines for path, lines in lengths.items() if lines > MAX_FILE_LINES}
 
 
 def test_folders_are_small() -> None:
-    """Catches a folder that collects unrelated files."""
+    """Catches a folder with too many files, which are probably unrelated."""
     counts: dict[str, int] = {}
     for path in source_files():
         counts[name(path.parent)] = counts.get(name(path.parent), 0) + 1

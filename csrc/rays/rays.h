@@ -54,8 +54,8 @@ struct TreeView {
 // coordinate that is not finite or above kMaxMagnitude are never hit.
 Tree build(const Mesh& mesh, int threads);
 
-// Moves the triangles of a tree to the positions of `mesh`, which has the triangles that the tree was built for.
-// Returns the new magnitude.
+// Updates a tree after the vertices of its triangles have moved. `mesh` must have the triangles for which the tree was
+// built. Returns the new magnitude.
 float refit(const Mesh& mesh, Node* nodes, std::size_t node_count, Block* blocks, std::size_t block_count, int threads);
 
 // The expected number of nodes and blocks that a random ray visits if it hits the box of the root.

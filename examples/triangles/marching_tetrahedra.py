@@ -89,7 +89,9 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Input of a fit: the views, other views for the score, a box around the object, and the true mesh if known."""
+    """Input of a fit: the views to fit, the views for the score, a box around the object, and the true mesh if it is
+    known.
+    """
 
     views: list[View]
     others: list[View]

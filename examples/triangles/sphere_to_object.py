@@ -3,9 +3,10 @@
     python examples/triangles/sphere_to_object.py
 
 The soft rasterizer (SoftRas, Liu et al. 2019) gives each vertex a gradient from the pixels around it. The sphere can
-therefore grow into the wings, which it does not cover at first. The loss is 1 minus the intersection over union of the
-soft and the given silhouettes. A Laplacian term and a term for the angles between neighbouring triangles keep the
-surface smooth. The width of the soft edges shrinks during the fit. The program compares the result with the true
+therefore be deformed into the wings, which its silhouettes do not cover at first. The loss is 1 minus the intersection
+over union of the soft and the given silhouettes. A Laplacian term and a term for the angles between neighbouring
+triangles keep the surface smooth. The width of the soft edges shrinks during the fit. The program compares the result
+with the true
 aeroplane: by the silhouettes from other viewpoints, and by the Chamfer distance.
 """
 

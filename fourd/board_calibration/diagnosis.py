@@ -217,7 +217,9 @@ def _families() -> list[str]:
 
 
 def _distinct_dictionaries() -> list[str]:
-    """Dictionaries from small to large, so that a small one is preferred to a large one with the same markers."""
+    """Dictionaries from small to large. A small dictionary is thus preferred to a large dictionary with the same
+    markers.
+    """
     names = [name for name in dictionary_names() if name == name.upper()]
     return sorted(names, key=lambda name: (len(load_dictionary(name).bytesList), name))
 

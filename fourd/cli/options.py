@@ -73,7 +73,11 @@ StyleName = Annotated[
 
 PageStyles = Annotated[
     tyro.conf.UseAppendAction[tuple[Path, ...]],
-    option("FILE.yaml", "none", "A style that the page offers besides the presets. Write the option once per style."),
+    option(
+        "FILE.yaml",
+        "none",
+        "A style that the page offers in addition to the presets. Repeat the option for several styles.",
+    ),
 ]
 
 

@@ -106,7 +106,7 @@ class ThinLens:
 
     Attributes:
         aperture: diameter of the lens in world units, at least 0.
-        focus: depth of the sharp plane in world units, above 0.
+        focus: depth of the plane in focus in world units, above 0.
         rays_per_pixel: number of rays per pixel, at least 1. The rays are spread over the lens and over the pixel.
         seed: seed of the random positions of the rays. All images of a video have the same positions.
     """

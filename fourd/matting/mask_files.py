@@ -1,4 +1,4 @@
-"""Masks of another program as mattes: FOLDER/CAM/FRAME.png, aligned with the recorded images."""
+"""Masks from other programs, used as mattes. The files are FOLDER/CAM/FRAME.png, aligned with the recorded images."""
 
 from __future__ import annotations
 

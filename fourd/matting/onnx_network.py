@@ -81,7 +81,7 @@ class OnnxNetwork:
     def _run(self, outputs: tuple[str, ...], feed: dict[str, Any]) -> list[NDArray[np.float32]]:
         try:
             return list(self._session.run(outputs, feed))
-        except Exception as error:  # onnxruntime's exceptions have no common base class of their own
+        except Exception as error:  # onnxruntime's exceptions have no common base class except Exception
             raise UserError(
                 f"{self.path}: expected a network that runs on images, got '{_reason(error)}'; {EXPECTED}"
             ) from error
@@ -132,7 +132,7 @@ def load_onnx(path: Path | str) -> OnnxNetwork:
         ) from error
     try:
         session = onnxruntime.InferenceSession(str(path), providers=onnxruntime.get_available_providers())
-    except Exception as error:  # onnxruntime's exceptions have no common base class of their own
+    except Exception as error:  # onnxruntime's exceptions have no common base class except Exception
         raise UserError(
             f"{path}: expected an ONNX network, got '{_reason(error)}'; export the network again"
         ) from error

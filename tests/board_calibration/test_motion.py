@@ -25,7 +25,7 @@ def test_motion_is_the_derivative_of_the_poses() -> None:
 
 
 def test_distant_frames_say_nothing_about_the_motion() -> None:
-    """Catches a motion computed across a gap in which the board may have moved in any way."""
+    """Catches a motion that is computed across a gap between frames, where the motion of the board is unknown."""
     frames = [0, 1, 2, 3, 50]
     motion = board_motion(frames, poses(np.array(frames, float)))
     assert np.abs(motion[3, 3:] - (0.06, 0.02, 0)).max() < 1e-9

@@ -111,8 +111,9 @@ def test_black_borders_have_subpixel_accuracy(rng: np.random.Generator, bar: flo
 
 
 def test_mirrored_principal_points_are_found(rng: np.random.Generator) -> None:
-    """Catches a search that mirrors all cameras in the same way, and a correct calibration that is reported as
-    mirrored."""
+    """Catches a search that mirrors the principal points of all cameras along the same axis, and a correct calibration
+    that is reported as mirrored.
+    """
     cameras = _off_centre_cameras()
     matches = _project_to_matches(rng, cameras)
     fine = choose_principal_points(matches, cameras)

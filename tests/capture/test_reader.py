@@ -94,7 +94,7 @@ def write_dots(folder: Path, camera: Camera, xyz: np.ndarray) -> None:
 
 
 def test_undistortion_agrees_with_the_pinhole(tmp_path: Path) -> None:
-    """Catches undistortion to other intrinsics than those of the cameras, and half-pixel shifts."""
+    """Catches undistortion to intrinsics that differ from those of the cameras, and half-pixel shifts."""
     pinhole = ring_cameras(1, 200)[0]
     camera = Camera(pinhole.intrinsics, pinhole.rotation, pinhole.translation, 200, 160, BARREL)
     grid = np.stack(np.meshgrid([-0.5, 0, 0.5], [-0.6, 0.05, 0.6], [-0.4, 0.3]), axis=-1).reshape(-1, 3)

@@ -11,8 +11,9 @@ from tests.capture.phone_videos import make_frame, moving_picture
 
 @pytest.mark.parametrize("transfer", ["HLG", "PQ"])
 def test_hdr_frames_show_the_colours_of_the_scene(transfer: str) -> None:
-    """Catches a wrong transfer function, colour matrix or value range. Without an encoder, the picture is almost
-    unchanged."""
+    """Catches a wrong transfer function, colour matrix or value range. The test uses no encoder, so the conversion to
+    HDR and back must hardly change the picture.
+    """
     picture = moving_picture(0.3)
     shown = to_rgb(make_frame(picture, transfer), 0, transfer, 1.0)
     assert -10 * np.log10(np.square(shown.astype(np.float64) - picture).mean() / 255**2) > 36

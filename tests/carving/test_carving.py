@@ -143,8 +143,9 @@ def test_an_empty_hull_names_the_disagreeing_views(one_ball: MemoryCapture) -> N
 
 
 def test_colours_come_from_unoccluded_views(one_ball: MemoryCapture) -> None:
-    """Catches colours from views that do not see a point. Views from the right show the ball in another colour than
-    views from the left."""
+    """Catches colours from views that do not see a point. In views from the right and in views from the left, the ball
+    has different colours.
+    """
     images = []
     for camera in one_ball.cameras:
         red = 220 if camera.centre[0] > 0 else 20

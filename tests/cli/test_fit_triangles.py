@@ -86,7 +86,7 @@ def test_separate_triangles_share_no_vertices(ball_capture: Path, tmp_path: Path
 def test_an_interrupted_fit_writes_its_mesh(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, percent: int
 ) -> None:
-    """Catches a Ctrl-C that loses the work, in the soft and in the opaque phase."""
+    """Catches results that are lost after Ctrl-C, in the soft and in the opaque phase."""
     original = frame._FrameFit.run
 
     def interrupted(self: frame._FrameFit) -> Iterator[int]:

@@ -79,7 +79,7 @@ def test_the_soft_rectangle_reaches_its_target(tmp_path: Path) -> None:
 
 
 def test_the_cameras_are_adjusted(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches rotations that turn the wrong way, and an alignment that hides or invents errors."""
+    """Catches rotations in the wrong direction, and an alignment that hides errors or adds errors."""
     options = ("--size", 64, "--steps", 150, "--seed", int(rng.integers(1000)))
     printed = run("bundle_adjustment.py", *options, "--picture", tmp_path / "cameras.png")
     found = re.search(r"rotation error of the cameras: (\S+) degrees before, (\S+) degrees after", printed)
@@ -90,7 +90,7 @@ def test_the_cameras_are_adjusted(tmp_path: Path, rng: np.random.Generator) -> N
 
 
 def test_the_sphere_becomes_an_aeroplane(tmp_path: Path) -> None:
-    """Catches a sphere that shrinks or folds instead of growing wings."""
+    """Catches a sphere that shrinks or folds instead of approaching the shape of the aeroplane."""
     options = ("--size", 32, "--views", 12, "--steps", 80, "--batch", 2, "--subdivisions", 2)
     printed = run("sphere_to_object.py", *options, "--picture", tmp_path / "aeroplane.png")
     overlaps = [float(value) for value in re.findall(r"intersection over union (\S+),", printed)]

@@ -1,7 +1,7 @@
 """Fuzz the readers of files with coverage feedback (atheris): python -m tests.hostile.fuzz [--seconds N] [READER ...]
 
 Each reader runs in its own process for its share of the time. The corpora, which grow, are in build/fuzz/. An input on
-which a reader raises another error than UserError, hangs for 10 seconds or needs 2 GB is written to
+which a reader raises an exception other than UserError, hangs for 10 seconds or needs 2 GB is written to
 build/fuzz/READER-crash-HASH. Fix the reader, and add a case with an input of this kind to tests/hostile/.
 """
 

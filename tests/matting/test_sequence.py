@@ -125,7 +125,7 @@ def test_models_are_learned_from_the_whole_recording(made: Path, tmp_path: Path)
 
 
 def test_a_capture_without_motion_is_an_error(tmp_path: Path) -> None:
-    """Catches mattes of noise, or a traceback, for a capture without a moving subject."""
+    """Catches mattes that show only noise, and a traceback, for a capture without a moving subject."""
     capture = write_capture_without_masks(tmp_path, frames=4, size=64)
     for folder in (capture / "images").iterdir():
         first = (folder / "000000.png").read_bytes()

@@ -74,7 +74,7 @@ def test_degenerate_meshes_have_finite_gradients() -> None:
 
 
 def test_crumbs_and_cavities_are_removed() -> None:
-    """Catches floating crumbs and inner surfaces in the exported meshes."""
+    """Catches small detached parts and inner surfaces in the exported meshes."""
     body, crumb, cavity = (trimesh.creation.icosphere(radius=radius) for radius in (1.0, 0.05, 0.5))
     crumb.apply_translation([2, 0, 0])
     cavity.invert()

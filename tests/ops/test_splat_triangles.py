@@ -85,7 +85,7 @@ def test_images_and_gradients_equal_the_reference(
 @pytest.mark.parametrize("channels", [1, 2, 3, 4, 7, 32])
 @pytest.mark.parametrize("geometry", [False, True])
 def test_channel_counts(channels: int, geometry: bool) -> None:
-    """Catches a wrong stride in the general loop. 3 channels with and without geometry have loops of their own."""
+    """Catches a wrong stride in the general loop. There are separate loops for 3 channels with and without geometry."""
     soup = random_soup(np.random.default_rng(channels), 60, channels)
     outputs = OUTPUTS if geometry else ("features", "alpha")
     got = run(soup, (19, 18), "cpu", geometry=geometry, outputs=outputs)

@@ -1,4 +1,4 @@
-"""Compare ways to decide which views see a texel: rays, rasterized depths, and no test.
+"""Compare methods that decide which views see a texel: rays, rasterized depths, and no test.
 
     fourd mesh CAPTURE -o meshes/ --frames 0:1 --test-views 03,09,14
     python tools/rays/texture_visibility.py CAPTURE meshes/000000.glb --test-views 03,09,14

@@ -1,4 +1,4 @@
-"""Three ways to composite depth-sorted discs."""
+"""Three methods to composite depth-sorted discs."""
 
 from __future__ import annotations
 

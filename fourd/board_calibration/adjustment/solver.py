@@ -40,16 +40,22 @@ DAMPING = 1e-3
 MIN_RELATIVE_DECREASE = 1e-6
 """The solver stops when a step decreases the cost by less than this fraction of the cost."""
 PRIOR_ASPECT = 0.005
-"""Standard deviation of the logarithm of fx / fy around 0, because most cameras have square pixels."""
+"""Standard deviation of the prior on log(fx / fy). The mean of the prior is 0, because most cameras
+have square pixels.
+"""
 PRIOR_CENTRE = 0.015
-"""Standard deviation of the principal point around the image's centre, as a share of the image's longer side."""
+"""Standard deviation of the prior on the principal point, as a share of the image's longer side. The mean of the prior
+is the image's centre.
+"""
 PRIOR_DISTORTION = np.array([0.3, 0.3, 0.005, 0.005, 0.3])
-"""Standard deviations of k1, k2, p1, p2 and k3 around 0. This prior matters if corners cover only a small part of the
-image or the board has only a few orientations. Some combinations of the coefficients are then undetermined."""
+"""Standard deviations of the prior on k1, k2, p1, p2 and k3, whose mean is 0. This prior matters if corners cover only
+a small part of the image or the board has only a few orientations. Some combinations of the coefficients are then
+undetermined.
+"""
 PRIOR_TIME = np.array([0.5, 0.5])
-"""Standard deviations of the delay and of the readout around 0, in frames."""
+"""Standard deviations of the prior on the delay and on the readout, in frames. The mean of the prior is 0."""
 PRIOR_THICKNESS_M = 0.005
-"""Standard deviation of the board's thickness around 0."""
+"""Standard deviation of the prior on the board's thickness. The mean of the prior is 0."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ CHUNK = 128
 
 @dataclass(frozen=True, eq=False)
 class Free:
-    """The unknowns that are adjusted, besides the positions of the board.
+    """The unknowns that are adjusted in addition to the positions of the board.
 
     Attributes:
         cameras: (C, 17) mask of the cameras' parameters.

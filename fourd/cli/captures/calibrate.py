@@ -41,7 +41,9 @@ PRINT_HELP = "Print the board to a PDF file at true scale, and stop. VIDEOS and 
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes intrinsics, distortion and poses in metres. fourd import and fourd make read them with --calibration."""
+    """The command writes intrinsics, distortion and poses in metres. fourd import and fourd make read them with
+    --calibration.
+    """
 
     board: Path
     """TOML file that describes the board."""

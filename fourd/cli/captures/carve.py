@@ -23,8 +23,9 @@ FOLDER = Path(".fourd") / "hulls"
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes the points of each frame to FRAME.ply and the bounds to bounds.json. Run an interrupted command again to
-    resume it."""
+    """The command writes the points of each frame to FRAME.ply and the bounds to bounds.json. Run an interrupted
+    command again to resume it.
+    """
 
     capture: CapturePath
     """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""

@@ -67,8 +67,9 @@ class MatteOptions:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes CAPTURE/.fourd/mattes/, CAPTURE/.fourd/plates/ and the contact sheet CAPTURE/.fourd/mattes.png. Run an
-    interrupted command again to resume it."""
+    """The command writes CAPTURE/.fourd/mattes/, CAPTURE/.fourd/plates/ and the contact sheet
+    CAPTURE/.fourd/mattes.png. Run an interrupted command again to resume it.
+    """
 
     capture: CapturePath
     """Capture folder: images/ or videos/, intri.yml and extri.yml."""

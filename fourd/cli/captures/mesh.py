@@ -34,8 +34,9 @@ from fourd.training.run_layout import CONFIG_NAME
 
 @dataclass(frozen=True)
 class Arguments:
-    """Writes FRAME.glb for each frame and animation.glb. The mesh of a frame starts as the visual hull of the mattes,
-    and is fitted to mattes and images. Run an interrupted command again to resume it."""
+    """The command writes FRAME.glb for each frame and animation.glb. The mesh of a frame starts as the visual hull of
+    the mattes, and is fitted to mattes and images. Run an interrupted command again to resume it.
+    """
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="CAPTURE|RUN")]]
     """A capture folder that contains masks/ or the output of fourd matte, or a run folder. For a run folder, the meshes

@@ -36,7 +36,7 @@ PLATES_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """Prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box."""
+    """The command prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box."""
 
     run: RunPath
     """Run folder."""

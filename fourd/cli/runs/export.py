@@ -27,8 +27,9 @@ SCRATCH = ".export"
 
 @dataclass(frozen=True)
 class Arguments:
-    """Without --to, bakes the newest checkpoint of a run into a .4dv file. With --to, writes files for other
-    programs."""
+    """Without --to, the command bakes the newest checkpoint of a run into a .4dv file. With --to, the command writes
+    files for other programs.
+    """
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
     """Run folder. With --to, a .4dv file or a file of Gaussian splats is also accepted."""

@@ -40,8 +40,9 @@ CALIBRATION_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """First prints the stages and the expected duration. The result of every stage is cached. Run an interrupted
-    command again to resume it."""
+    """The command first prints the stages and the expected duration. The result of every stage is cached. Run an
+    interrupted command again to resume it.
+    """
 
     capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]]
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]

@@ -21,7 +21,7 @@ _FLOOR_RADII = 2.5
 
 @dataclass(frozen=True)
 class LensOptions:
-    """A lens that a rasterizer does not have. Images through a lens are made by tracing rays on the CPU."""
+    """Images through a lens are made by tracing rays on the CPU, because a rasterizer supports only pinhole cameras."""
 
     lens: Annotated[
         Literal["pinhole", "fisheye", "panorama", "thin-lens"] | None, option("LENS", "none: images are rasterized")
@@ -33,14 +33,15 @@ class LensOptions:
     aperture: Annotated[float | None, option("FLOAT", "5% of the distance to the focus")] = None
     """Diameter of the thin lens in world units. A larger lens blurs more."""
     focus_distance: Annotated[float | None, option("FLOAT", "the distance to the scene's focus")] = None
-    """Depth of the sharp plane of the thin lens in world units."""
+    """Depth of the plane in focus of the thin lens, in world units."""
     lens_samples: Annotated[int | None, option("INT", "2; 32 for thin-lens")] = None
     """Rays in each pixel: along rows and along columns, and in total for thin-lens. 1 to 64."""
     mirror_floor: bool = False
-    """Lay a round mirror under the subject."""
+    """Add a round mirror under the subject."""
     glass_ball: Annotated[str | None, option("auto|X,Y,Z,R", "none")] = None
-    """Put a glass ball into the scene, with its centre and radius in world units. auto puts the ball on the floor
-    beside the subject."""
+    """Add a glass ball to the scene, with its centre and radius in world units. auto places the ball on the floor
+    beside the subject.
+    """
 
     @property
     def is_used(self) -> bool:

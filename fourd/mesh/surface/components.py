@@ -21,7 +21,7 @@ def drop_crumbs(
         min_share: minimum area of a part that is kept, as a share in [0, 1] of the area of the largest part.
 
     Returns:
-        the remaining vertices and triangles, in the same order as before. Unused vertices are removed. Parts with
+        the remaining vertices and triangles, in their original order. Unused vertices are removed. Parts with
         negative volume are cavities. If all parts have negative volumes, nothing is removed as a cavity.
 
     Raises:

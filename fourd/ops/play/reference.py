@@ -15,7 +15,7 @@ MAX_FLOAT32 = np.finfo(np.float32).max
 RADIUS_MARGIN = 1 + 1e-6
 """The kernels enlarge the disc of a point by this factor before they search for the pixels that the disc covers.
 
-The factor makes sure that rounding errors do not omit a covered pixel.
+Without this factor, rounding errors could omit a covered pixel.
 """
 
 

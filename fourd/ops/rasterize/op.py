@@ -31,7 +31,7 @@ def rasterize_triangles(
     """Rasterize the vertices ``pos``: (B, V, 4), or (1, V, 4) with ``ranges`` (B, 2), a CPU tensor.
 
     ``previous`` is the ``rast`` of the previous depth layer. Returns rast (B, H, W, 4) and rast_db, which has the same
-    shape, or (B, H, W, 0) without ``output_db``.
+    shape, or (B, H, W, 0) if ``output_db`` is false.
     """
     rast, rast_db = _empty_images(pos, ranges, height, width, output_db)
     inputs = (pos, tri, ranges, previous)

@@ -36,8 +36,9 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
 
 @torch.library.custom_op("fourd::similarity", mutates_args=(), device_types="cpu")
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    """Return the similarity and its gradient (H, W, C) in the prediction. Without ``with_gradient``, the gradient is an
-    empty tensor."""
+    """Return the similarity and its gradient (H, W, C) in the prediction. If ``with_gradient`` is false, the gradient
+    is an empty tensor.
+    """
     gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())
     out = as_array(gradient) if with_gradient else None

@@ -112,8 +112,9 @@ def _sample_backward(
     gradient: Tensor,
     needs_features: bool,
 ) -> tuple[Tensor, Tensor]:
-    """Compute the gradients of ``xyz`` and ``features``. Without ``needs_features``, the gradient of ``features`` is an
-    empty tensor."""
+    """Compute the gradients of ``xyz`` and ``features``. If ``needs_features`` is false, the gradient of ``features``
+    is an empty tensor.
+    """
     grad_xyz, grad_features = _empty_gradients(xyz, features, needs_features)
     feature_rows = _channels_last(grad_features) if needs_features else None
     if uses_gpu_kernels(xyz):

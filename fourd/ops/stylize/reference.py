@@ -189,7 +189,7 @@ def _rays(size: tuple[int, int], numbers: Numbers) -> Image:
 
 
 def _ramp(value: Image, threshold: Image) -> Image:
-    """Linear ramp: 0 up to the threshold, 1 from 1.5 times the threshold on."""
+    """Linear ramp from 0 at the threshold to 1 at 1.5 times the threshold."""
     return _clamp(2 * (value / threshold - 1))
 
 

@@ -45,7 +45,8 @@ def project(direction: Tensor, face: Tensor) -> Tensor:
 
 
 def pad_cube(level: Tensor) -> Tensor:
-    """Surround each face (items, 6, N, N, C) by one row of texels of its neighbours: (items, 6, N + 2, N + 2, C).
+    """Extend each face (items, 6, N, N, C) by one texel on each side, from the neighbouring faces: (items, 6, N + 2, N
+    + 2, C).
 
     A cube has no texel beyond a corner of a face. The mean of the three texels that meet at the corner replaces it.
     """

@@ -125,7 +125,7 @@ def _sample_level(faces: Tensor, face: Tensor, st: Tensor, is_nearest: bool, bou
 
 
 def _pad(faces: Tensor, boundary_mode: str) -> Tensor:
-    """Surround each image by one row of texels, as the boundary mode defines them."""
+    """Extend each image by one texel on each side. The boundary mode defines the values of the added texels."""
     if boundary_mode == "cube":
         return pad_cube(faces)
     if boundary_mode == "zero":

@@ -32,7 +32,7 @@ ISOLATION_SPACINGS = 4.0
 """Distance to the neighbour of rank ISOLATION_RANK, in point spacings, beyond which a point is isolated. On an even
 surface, this distance is about 2 spacings."""
 MAX_SHARE = 0.5
-"""In one step, at most this share of the distance beyond the tolerance is removed."""
+"""Maximum share of the distance beyond the tolerance that one step removes."""
 
 
 def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:

@@ -22,7 +22,7 @@ from fourd.training.segments.plan import SegmentPlan
 
 @dataclass(frozen=True)
 class SegmentFrame:
-    """A frame of a run as one of its segments describes it.
+    """A frame of a run, and a segment that contains the frame.
 
     Attributes:
         trained: the segment.

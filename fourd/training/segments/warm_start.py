@@ -26,7 +26,8 @@ PREFIX = "model."
 
 
 def write_warm_start(run: Run, previous: Path) -> None:
-    """Write a checkpoint at step 0 with the networks of the previous segment. Points and optimizer start untrained.
+    """Write a checkpoint at step 0 with the networks of the previous segment. The points and the optimizer are those of
+    an untrained segment.
 
     A row of a time plane belongs to one frame. In the frames that both segments share, the rows are copied. The rows of
     later frames are copies of the previous segment's last row.

@@ -182,7 +182,7 @@ def test_damaged_files_are_reported(source: Path, rng: np.random.Generator) -> N
 
 
 def test_photos_of_a_static_scene_are_cameras(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a folder of photos that is not read, although each photo is a camera of its own."""
+    """Catches a folder of photos that is not read, although each photo belongs to a separate camera."""
     cameras = uneven_cameras(3)
     write_text(tmp_path / "sparse" / "0", [(f"IMG_{i}.jpg", camera) for i, camera in enumerate(cameras)], "PINHOLE")
     write_pictures(tmp_path / "images", ["IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg"])

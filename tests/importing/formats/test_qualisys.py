@@ -101,8 +101,9 @@ def test_videos_of_other_names_are_refused(source: Path) -> None:
 
 
 def test_real_calibration_agrees_with_pose2sim() -> None:
-    """Catches a pose that agrees only with the writer of these tests. The expected numbers are from Pose2Sim's
-    Calib_qualisys.toml."""
+    """Catches a pose convention that fits the files that these tests write, but not real files. The expected numbers
+    are from Pose2Sim's Calib_qualisys.toml.
+    """
     if not BALANCE.is_file():
         pytest.skip(f"{BALANCE} is not there")
     cameras = read_cameras(BALANCE)

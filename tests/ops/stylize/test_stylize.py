@@ -206,7 +206,7 @@ def test_lines_fade_in_where_the_surface_rests() -> None:
 
 
 def test_lines_vanish_at_once() -> None:
-    """Catches lines that remain at pixels where there is no surface any more, or where the surface has become flat."""
+    """Catches lines that remain at pixels where the surface has disappeared or has become flat."""
     flat = make_surface(np.full((40, 40), 2.0), np.broadcast_to([0.0, 0, -1], (40, 40, 3)))
     for surface in (flat, Surface.empty(40, 40)):
         state = np.zeros((40, 40), np.uint32)

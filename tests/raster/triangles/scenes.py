@@ -29,7 +29,7 @@ def grid(rng: np.random.Generator, cells: int, jitter: float = 0.24) -> tuple[Te
     """Return a triangulated square with corners at +-1.2 and with shifted vertices: xy (V, 2) and tri (T, 3).
 
     The triangles have a random order, a random first vertex and a random orientation. With a ``jitter`` below 0.25
-    cells, no triangle folds over its neighbours.
+    cells, no triangles overlap.
     """
     steps = np.arange(cells + 1)
     xy = np.stack(np.meshgrid(steps, steps), -1).astype(np.float64)
@@ -46,7 +46,7 @@ def grid(rng: np.random.Generator, cells: int, jitter: float = 0.24) -> tuple[Te
 
 
 def each_alone(tri: Tensor) -> Tensor:
-    """Return ranges (T, 2) that draw every triangle in an image of its own."""
+    """Return ranges (T, 2) that draw every triangle in a separate image."""
     return torch.stack([torch.arange(len(tri)), torch.ones(len(tri), dtype=torch.int64)], 1).int()
 
 

@@ -77,7 +77,7 @@ def test_gpu_equals_the_cpu(
     """Catches images whose bits depend on the backend, also behind the first layer and in range mode, and gradients
     that are not cleared."""
     pos, tri = soup(rng, triangles=30, behind=behind)
-    pos[:, :20, :2] *= 0.2  # Small and large triangles have kernels of their own.
+    pos[:, :20, :2] *= 0.2  # Small and large triangles have separate kernels.
     upstream = random_upstream(rng, len(pos))
     ranges = torch.tensor([[5, 20], [0, 7]], dtype=torch.int32)
 

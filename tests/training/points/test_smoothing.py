@@ -78,7 +78,7 @@ def test_only_the_given_points_move(rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("saved", [False, True])
 def test_planes_are_fitted_again_after_some_steps(saved: bool, rng: np.random.Generator) -> None:
-    """Catches planes that a resumed run fits at other steps than an uninterrupted run."""
+    """Catches planes that a resumed run and an uninterrupted run fit at different steps."""
     points = cloud(sphere(rng, noise=0.6))
     smooth(points, rate_spacings=0.3, steps=REFIT_STEPS // 2)
     first = points.local_planes

@@ -58,7 +58,7 @@ def test_focus_and_order_of_a_ring() -> None:
 
 
 def test_fit_camera_keeps_the_whole_image() -> None:
-    """Catches an image that is stretched or cropped if a video has another aspect ratio than the camera."""
+    """Catches an image that is stretched or cropped if the aspect ratios of the video and the camera differ."""
     camera = fit_camera(ring_cameras(1, 64)[0], 200, 100)
     assert (camera.width, camera.height) == (200, 100)
     assert camera.intrinsics[0, 0] == camera.intrinsics[1, 1]

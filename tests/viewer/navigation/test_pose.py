@@ -100,7 +100,7 @@ def image_rectangle(camera: Camera, size: tuple[int, int]) -> tuple[Array, Array
 
 
 def test_the_pivot_is_the_axis_point_nearest_to_the_focus() -> None:
-    """Catches a pivot off the camera axis, or at another depth than the focus point."""
+    """Catches a pivot that is off the camera axis, or whose depth differs from that of the focus point."""
     camera, focus = capture_camera(64, 48), np.array([0.3, -0.4, 0.1])
     pose = pose_from_camera(camera, focus, UP, (64, 48))
     assert abs((focus - pose.pivot) @ camera.forward) < 1e-12

@@ -183,7 +183,7 @@ def assert_rejected(path: Path) -> None:
 
 
 def test_invalid_poses_raise_a_value_error() -> None:
-    """Catches an invalid pose that is accepted, and an exception of another type than documented."""
+    """Catches an invalid pose that is accepted, and an exception whose type differs from the documented type."""
     for content in (None, 3, [], {}, "pose", {**pose_to_json(make_pose(0)), "up": "z"}):
         with pytest.raises(ValueError, match=r"expected|could not convert"):
             pose_from_json(content)
