@@ -221,6 +221,8 @@ def _run(command: str, words: list[str]) -> int:
 
     import tyro
 
+    from fourd.cli.locations import refuse_urls
+
     if command not in COMMANDS:
         near = difflib.get_close_matches(command, COMMANDS, n=1)
         hint = f"did you mean '{near[0]}'?" if near else "see fourd --help"
@@ -234,6 +236,7 @@ def _run(command: str, words: list[str]) -> int:
             description=_wrap(f"{module.__doc__} {module.Arguments.__doc__}"),
             config=(tyro.conf.OmitArgPrefixes,),
         )
+    refuse_urls(arguments, words)
     code = module.run(arguments)
     return 0 if code is None else int(code)
 

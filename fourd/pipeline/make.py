@@ -19,25 +19,29 @@ from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Runner, run_here
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.check import check_stage
+from fourd.pipeline.stages.fetch import fetch_stage, fetched_path
 from fourd.pipeline.stages.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.still import still_stage
 from fourd.pipeline.stages.train import start_run
 from fourd.pipeline.still_scenes import stands_still, still_config
 from fourd.processes import locked_folder
+from fourd.storage import Location, StorageUrl, check_writable, upload_changed
 from fourd.training.config import TrainConfig
 from fourd.training.run import Run
-from fourd.training.run_layout import CONFIG_NAME, PREPARATION
+from fourd.training.run_layout import CONFIG_NAME, PREPARATION, SOURCE
 
 RECORD = "stages.json"
 CAPTURE = "capture"
 REPAIRED = "repaired"
 STILL = "still"
 RUN = "run"
+UPLOADED = "uploaded.json"
+"""File with the state of the scene file and of the object in the store after the last upload."""
 
 
 def make_scene(
-    source: Path,
-    out: Path,
+    source: Location,
+    out: Location,
     train: TrainConfig,
     mattes: MatteSettings,
     context: Context,
@@ -47,18 +51,18 @@ def make_scene(
     imports: ImportOptions | None = None,
     accept_mattes: bool = False,
     cluster: Cluster | None = None,
+    work: Path | None = None,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
-    Intermediate results are kept in a folder beside ``out``. For ``scene.4dv``, this folder is ``scene.work/``. The
-    folder contains ``run/``, ``stages.json`` and, if ``source`` needs an import, ``capture/``. If a correction of the
-    calibration reduces the residuals, the folder also contains ``repaired/``, which is the capture with the corrected
-    calibration. After a change of an input or a setting, the next call repeats only the stages that depend on this
-    input or setting. A stage that was interrupted resumes.
+    Intermediate results are kept in the folder ``work``. This folder contains ``run/``, ``stages.json`` and, if
+    ``source`` needs an import, ``capture/``. If a correction of the calibration reduces the residuals, it also contains
+    ``repaired/``, which is the capture with the corrected calibration. After a change of an input or a setting, the
+    next call repeats only the stages that depend on this input or setting. A stage that was interrupted resumes.
 
     Args:
-        source: a capture, or any source that :mod:`fourd.importing` can read.
-        out: the .4dv file to write.
+        source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.
+        out: the .4dv file to write. For a URL, the file is written in ``work`` and then uploaded.
         train: the training config.
         mattes: settings of the mattes, which are made if the capture has no masks.
         context: console, and number of processes.
@@ -69,28 +73,50 @@ def make_scene(
             ``source`` needs no import. If None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
+        work: the folder for intermediate results. If None, it is ``scene.work/`` for ``scene.4dv``, beside a local
+            ``out``, or in the current folder if ``out`` is a URL.
 
     Raises:
-        UserError: if the input is invalid, or if the folder for intermediate results exists but was not created by
-            ``fourd make``.
+        UserError: if the input is invalid, if a store refuses, or if the folder for intermediate results exists but was
+            not created by ``fourd make``.
     """
-    work = _work_folder(out)
+    work = _work_folder(out, work)
+    if isinstance(out, StorageUrl):
+        check_writable(out)
     with locked_folder(work):
         execute = run_here if cluster is None else cluster.execute
         runner = Runner(context, work / RECORD, execute, is_parallel=cluster is not None)
-        request = RunRequest(source, work / RUN, train, points_from, lpips_weights, accept_mattes=accept_mattes)
-        _run_graph(request, out, mattes, imports or ImportOptions(), context, runner)
+        work.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(work, deep=True)
+        given = _local_source(source, work, runner)
+        request = RunRequest(given, work / RUN, train, points_from, lpips_weights, accept_mattes=accept_mattes)
+        scene = out if isinstance(out, Path) else work / out.name
+        _run_graph(request, work, scene, mattes, imports or ImportOptions(), context, runner)
+        if isinstance(out, StorageUrl):
+            upload_changed(scene, out, work / UPLOADED, context.track)
+
+
+def _local_source(source: Location, work: Path, runner: Runner) -> Path:
+    """The path of the source, which is copied first if it is a URL."""
+    if isinstance(source, Path):
+        return source
+    runner.run([fetch_stage(source, work / SOURCE)])
+    return fetched_path(source, work / SOURCE)
 
 
 def _run_graph(
-    source: RunRequest, out: Path, mattes: MatteSettings, options: ImportOptions, context: Context, runner: Runner
+    source: RunRequest,
+    work: Path,
+    out: Path,
+    mattes: MatteSettings,
+    options: ImportOptions,
+    context: Context,
+    runner: Runner,
 ) -> None:
     """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run,
     with the source in the place of the capture."""
-    work, given, train = _work_folder(out), source.capture, source.train
+    given, train = source.capture, source.train
     to_capture = stages_to_capture(given, work / CAPTURE, options)
-    work.mkdir(parents=True, exist_ok=True)
-    remove_unfinished(work, deep=True)
     remove_unfinished_file(out)
     context.log(describe_plan(given, train, context.workers, source.points_from is not None))
     if options.fps is not None and not to_capture:
@@ -111,12 +137,14 @@ def _run_graph(
         runner.run(stages_to_scene(request, mattes, out))
 
 
-def _work_folder(out: Path) -> Path:
+def _work_folder(out: Location, given: Path | None) -> Path:
     """The folder for the intermediate results of ``out``. Raises UserError if this folder contains other files."""
-    work = out.with_suffix(".work")
+    local = out if isinstance(out, Path) else Path(out.name)
+    work = local.with_suffix(".work") if given is None else given
     if not (work / RECORD).exists() and not is_unused(work):
         raise UserError(
-            f"{work}: expected a folder made by fourd make, got a folder with other files; move it or choose another -o"
+            f"{work}: expected a folder made by fourd make, got a folder with other files; move it or choose another "
+            "-o or --work"
         )
     return work
 

@@ -22,9 +22,11 @@ START = "start"
 CHECKPOINTS = "checkpoints"
 SCRATCH = "scratch"
 VALIDATION = "validation"
+SOURCE = "source"
+"""Folder with the copy of a capture that was given as a URL."""
 SEGMENTS = "segments"
 """Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
-PREPARATION = (HULL, BACKGROUND, CALIBRATION)
+PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)
 """Folders that are written before training. These folders may exist before ``config.yaml``, the file that marks a
 folder as a run."""
 

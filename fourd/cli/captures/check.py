@@ -14,10 +14,11 @@ from fourd.capture import open_capture
 from fourd.capture.check import Report, check_capture, first_lines
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.carving.matte_quality import MatteQuality, measure_mattes
-from fourd.cli.options import CapturePath
+from fourd.cli.locations import CaptureLocation, transfer_progress
 from fourd.errors import UserError
 from fourd.matting.contours import find_foreign_mattes
 from fourd.progress import Terminal, Tracker
+from fourd.storage import local_copy
 from fourd.sync.lateness import find_late_cameras
 
 MOST_LINES = 20
@@ -29,8 +30,8 @@ MEASURED_FRAMES = 12
 class Arguments:
     """The exit code is 0 if fourd can use the capture, else 2."""
 
-    capture: CapturePath
-    """Capture folder."""
+    capture: CaptureLocation
+    """Capture folder, or a URL such as s3://bucket/capture."""
     deep: bool = False
     """Decode all images to find damaged files."""
     quick: bool = False
@@ -40,30 +41,38 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Check the capture and print the report. Raises UserError for the first problem."""
+    with local_copy(arguments.capture, transfer_progress()) as capture:
+        _check(capture, arguments)
+
+
+def _check(capture: Path, arguments: Arguments) -> None:
     console = Terminal()
-    report = check_capture(arguments.capture, deep=arguments.deep, track=Tracker(Terminal(stderr=True)).track)
+    report = check_capture(capture, deep=arguments.deep, track=Tracker(Terminal(stderr=True)).track)
     agreement = quality = None
     found: list[str] = []
     if not (arguments.quick or report.problems):
         try:
-            agreement = _agreement(arguments.capture)
+            agreement = _agreement(capture)
             track = Tracker(Terminal(stderr=True)).track
-            found += find_late_cameras(arguments.capture, track)
-            found += find_foreign_mattes(arguments.capture, track)
-            quality = _quality(arguments.capture) if report.has_masks else None
+            found += find_late_cameras(capture, track)
+            found += find_foreign_mattes(capture, track)
+            quality = _quality(capture) if report.has_masks else None
         except UserError as error:
             # Feature matching decodes images, so it can find damage that the check without --deep misses.
             report = replace(report, problems=(str(error),))
-    console.print(_facts(arguments.capture, report, agreement, quality))
+    name = str(arguments.capture)
+    console.print(_facts(name, report, agreement, quality))
     poor = quality.warnings() if quality else ()
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()), *found, *poor)
     for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
         for line in first_lines(lines, MOST_LINES):
-            console.print(Text(f"{title}: ", style).append(line, "default"), soft_wrap=True)
+            # The copy of a capture in a store has another path, which the user does not know.
+            shown = line.replace(str(capture), name)
+            console.print(Text(f"{title}: ", style).append(shown, "default"), soft_wrap=True)
     if report.problems:
         more = len(report.problems) - 1
         raise UserError(report.problems[0] + (f" (and {more} more, listed above)" if more else ""))
-    next_command = f"next: fourd make {arguments.capture} -o scene.4dv"
+    next_command = f"next: fourd make {name} -o scene.4dv"
     console.print(Text("Good to use", "green"), next_command, sep="; ", soft_wrap=True)
 
 
@@ -76,9 +85,9 @@ def _quality(path: Path) -> MatteQuality | None:
         return measure_mattes(capture, max_frames=MEASURED_FRAMES, track=Tracker(Terminal(stderr=True)).track)
 
 
-def _facts(path: Path, report: Report, agreement: Agreement | None, quality: MatteQuality | None) -> Table:
+def _facts(name: str, report: Report, agreement: Agreement | None, quality: MatteQuality | None) -> Table:
     sizes = Counter(f"{width} x {height}" for width, height in report.sizes.values())
-    table = Table(title=Text(str(path)), title_justify="left", show_header=False, box=None, pad_edge=False)
+    table = Table(title=Text(name), title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_row("cameras", f"{len(report.cameras)}: {', '.join(report.cameras)}")

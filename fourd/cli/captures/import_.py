@@ -15,6 +15,7 @@ from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
 from fourd.capture.frame_rate import check_rate
+from fourd.cli.locations import require_path
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.errors import UserError
 from fourd.files import resolved
@@ -25,6 +26,7 @@ from fourd.importing.importer import ImportOptions, import_source
 from fourd.importing.time_offsets import SoundPosition, SyncMethod
 from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
+from fourd.storage import parse_location
 
 WORDS_HELP = (
     f"FORMAT: {', '.join(each.name for each in FORMATS)}; detected if omitted. "
@@ -126,6 +128,8 @@ def run(arguments: Arguments) -> None:
     if len(arguments.words) not in (2, 3):
         raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} arguments; see fourd import --help")
     *name, source, out = arguments.words
+    for word in (source, out):
+        require_path(parse_location(word), "fourd import")
     console = Terminal(stderr=True)
 
     def log(line: str) -> None:

@@ -16,9 +16,11 @@ from fourd.baking.packing.report import PackSettings
 from fourd.baking.playable import PlayableScene, select_frames
 from fourd.baking.rendering import Scene, open_scene
 from fourd.baking.scene import BAKED_LAYERS
+from fourd.cli.locations import OutLocation, require_path, transfer_progress
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.errors import UserError
 from fourd.progress import Terminal, Tracker
+from fourd.storage import local_output
 from fourd.training.points.scratch import Scratch
 
 SCRATCH = ".export"
@@ -33,8 +35,9 @@ class Arguments:
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE")]]
     """Run folder. With --to, a .4dv file or a file of Gaussian splats is also accepted."""
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """The .4dv file to write. With --to, a folder, or a file if one frame is exported."""
+    out: OutLocation
+    """The .4dv file to write, or its URL such as s3://bucket/scene.4dv. With --to, a folder, or a file if one frame is
+    exported."""
     layers: int = BAKED_LAYERS
     """Number of points composited per pixel (K), 1 to 64."""
     fps: Annotated[float | None, option("FLOAT", "the recording's frame rate, or 30 if it is not known")] = None
@@ -79,8 +82,9 @@ def run(arguments: Arguments) -> None:
         )
     if arguments.frames is not None or arguments.keep_axes:
         raise UserError("--frames, --keep-axes: expected also --to, got none; add --to FORMAT")
-    _bake(arguments, arguments.out, console)
-    size = arguments.out.stat().st_size / 2**20
+    with local_output(arguments.out, transfer_progress()) as out:
+        _bake(arguments, out, console)
+        size = out.stat().st_size / 2**20
     console.print(
         f"{arguments.out}: {size:.1f} MB; next: fourd render {arguments.out} --path orbit --out orbit.mp4",
         soft_wrap=True,
@@ -103,29 +107,28 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
         raise UserError("--to: expected no --tier and no --max-mbps, got at least one; they are for .4dv files")
     if not 0 <= arguments.degree <= 3:
         raise UserError(f"--degree: expected 0 to 3, got {arguments.degree}")
+    out = require_path(arguments.out, "--to")
     if not arguments.source.is_dir() or not (arguments.source / "config.yaml").exists():
         with open_scene(arguments.source) as scene:
-            _write(arguments, kind, scene, console)
+            _write(arguments, out, kind, scene, console)
         return
     # The folder is removed by the next command if this process is killed.
-    with closing(Scratch(arguments.out.parent / SCRATCH)) as scratch:
+    with closing(Scratch(out.parent / SCRATCH)) as scratch:
         baked = scratch.folder / "scene.4dv"
         _bake(arguments, baked, console)
         with open_scene(baked) as scene:
-            _write(arguments, kind, scene, console)
+            _write(arguments, out, kind, scene, console)
 
 
-def _write(arguments: Arguments, kind: Format, scene: Scene, console: Console) -> None:
+def _write(arguments: Arguments, out: Path, kind: Format, scene: Scene, console: Console) -> None:
     frames = select_frames(PlayableScene(scene), arguments.frames)
-    if arguments.out.suffix.lower() == SUFFIXES[kind] and len(frames) != 1:
+    if out.suffix.lower() == SUFFIXES[kind] and len(frames) != 1:
         raise UserError(
-            f"{arguments.out}: expected a folder for {len(frames)} frames, got the name of a file; "
+            f"{out}: expected a folder for {len(frames)} frames, got the name of a file; "
             "name a folder, or choose one frame with --frames"
         )
     settings = ExportSettings(kind, frames, arguments.degree, arguments.keep_axes)
-    report = export_scene(scene, arguments.out, settings, Tracker(console).track)
+    report = export_scene(scene, out, settings, Tracker(console).track)
     loss = "" if report.psnr is None else f"; PSNR of the colours against the scene: {report.psnr:.1f} dB"
     count = f"{len(frames)} frame{'s' if len(frames) > 1 else ''}"
-    console.print(
-        f"{arguments.out}: {count}, {report.bytes_per_frame / 1e6:.2f} MB each{loss}", soft_wrap=True, markup=False
-    )
+    console.print(f"{out}: {count}, {report.bytes_per_frame / 1e6:.2f} MB each{loss}", soft_wrap=True, markup=False)

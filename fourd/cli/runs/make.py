@@ -12,6 +12,7 @@ import tyro
 
 from fourd.capture.frame_rate import check_rate
 from fourd.cli.captures.matte import MatteOptions
+from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.files import resolved
@@ -20,6 +21,7 @@ from fourd.pipeline.cluster import join_cluster
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
 from fourd.progress import Terminal
+from fourd.storage import Location
 from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
@@ -30,7 +32,12 @@ RAY_HELP = (
 )
 SOURCE_HELP = (
     "A capture, or any input of fourd import, such as a folder of videos or a session with a calibration folder. To "
-    "set time offsets or the scale, run fourd import first."
+    "set time offsets or the scale, run fourd import first. Also a URL such as s3://bucket/videos."
+)
+WORK_DEFAULT = "scene.work beside scene.4dv"
+WORK_HELP = (
+    "Folder for intermediate results, on a local disk or on storage that is mounted. If -o is a URL, the default is "
+    "scene.work in the current folder."
 )
 CALIBRATION_HELP = (
     "Calibration of a folder of videos: a folder with intri.yml and extri.yml, "
@@ -44,14 +51,17 @@ class Arguments:
     interrupted command again to resume it.
     """
 
-    capture: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]]
-    out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+    capture: tyro.conf.Positional[
+        Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="VIDEOS|CAPTURE", help=SOURCE_HELP)]
+    ]
+    out: OutLocation
     """The .4dv file to write. Intermediate results of scene.4dv are kept in the folder scene.work/ beside the file."""
     training: TrainingOptions
     mattes: MatteOptions
     calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     fps: FramesPerSecond = None
     workers: Workers = None
+    work: Annotated[Path | None, option("FOLDER", WORK_DEFAULT, WORK_HELP)] = None
     ray: Annotated[str | None, option("{auto,HOST:PORT}", "none; all stages run in this process", RAY_HELP)] = None
     ray_cores: int = 1
     """With --ray: number of cores of each segment. Other stages use all cores of one node."""
@@ -79,6 +89,7 @@ def run(arguments: Arguments) -> None:
             imports=ImportOptions(calibration=given, fps=arguments.fps),
             accept_mattes=options.accept_mattes,
             cluster=cluster,
+            work=arguments.work,
         )
     console.print(
         f"{arguments.out}: written; next: fourd render {arguments.out} --path orbit --out orbit.mp4", soft_wrap=True

@@ -10,7 +10,8 @@ from typing import Annotated
 import tyro
 
 from fourd import __version__
-from fourd.cli.options import CapturePath, Workers, worker_count
+from fourd.cli.locations import CaptureLocation
+from fourd.cli.options import Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
 from fourd.errors import UserError
@@ -18,13 +19,16 @@ from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.fetch import fetch_stage, fetched_path
 from fourd.pipeline.stages.train import TrainFiles, require_divisible
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
+from fourd.storage import StorageUrl
 from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ProcessGroup, join_process_group
 from fourd.training.losses.lpips import load_lpips
 from fourd.training.run import open_run, remove_leftovers
+from fourd.training.run_layout import SOURCE
 
 
 @dataclass(frozen=True)
@@ -33,8 +37,9 @@ class Arguments:
     options require. Use --resume to continue interrupted training. To train with several processes, write: torchrun
     --nproc-per-node 2 -m fourd train CAPTURE -o RUN."""
 
-    capture: CapturePath
-    """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte."""
+    capture: CaptureLocation
+    """Capture folder: images/ or videos/, intri.yml, extri.yml, and masks/ or the output of fourd matte. A URL such as
+    s3://bucket/capture is copied to RUN/source/."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Run folder to write: a new folder, or an existing run with --resume."""
     training: TrainingOptions
@@ -60,7 +65,9 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     context = Context(console, worker_count(arguments.workers), group)
     # Loading the LPIPS weights here reports invalid weights before any stage runs.
     load_lpips(options.lpips_weights)
-    files = TrainFiles(arguments.capture, arguments.out, options.lpips_weights)
+    given, copies = arguments.capture, arguments.out / SOURCE
+    capture = given if isinstance(given, Path) else fetched_path(given, copies)
+    files = TrainFiles(capture, arguments.out, options.lpips_weights)
     if arguments.resume:
         config = _resumed_config(options, open_run(arguments.out).config.train)
     else:
@@ -73,8 +80,10 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     if arguments.resume or not group.is_first:
         stages = stages_to_resume(files, config)
     else:
+        if isinstance(given, StorageUrl):
+            Runner(context).run([fetch_stage(given, copies)])
         request = RunRequest(
-            arguments.capture,
+            capture,
             arguments.out,
             config,
             options.points_from,

@@ -17,10 +17,12 @@ from rich.text import Text
 
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
+from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.errors import UserError
 from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
 from fourd.processes.isolation import ParserProcess
 from fourd.progress import Terminal
+from fourd.storage import Location, local_copy
 from fourd.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
 
 if TYPE_CHECKING:
@@ -39,21 +41,24 @@ _MOST_TEXT = 1000
 class Arguments:
     """The type of the file or folder is detected from its content. No file is changed."""
 
-    path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FILE|DIR")]]
-    """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder."""
+    path: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="FILE|DIR")]]
+    """A .4dv, .ply, .safetensors or video file, a capture folder or a run folder, or the URL of one."""
 
 
 def run(arguments: Arguments) -> None:
     """Detect the type, read the headers and print a table."""
-    path = arguments.path
-    if not path.exists():
-        raise UserError(f"{path}: expected a file or a folder, got a path that does not exist; check the name")
-    title, rows = _describe_folder(path) if path.is_dir() else _describe_file(path)
-    table = Table(title=Text(f"{path}: {title}"), title_justify="left", show_header=False, box=None, pad_edge=False)
+    with local_copy(arguments.path, transfer_progress()) as path:
+        if not path.exists():
+            raise UserError(f"{path}: expected a file or a folder, got a path that does not exist; check the name")
+        title, rows = _describe_folder(path) if path.is_dir() else _describe_file(path)
+    location = str(arguments.path)
+    heading = Text(f"{location}: {title}")
+    table = Table(title=heading, title_justify="left", show_header=False, box=None, pad_edge=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
-        table.add_row(name, Text(value))
+        # The copy of an object in a store has another path, which the user does not know.
+        table.add_row(name, Text(value.replace(str(path), location)))
     Terminal().print(table)
 
 

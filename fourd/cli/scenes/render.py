@@ -17,11 +17,13 @@ from fourd.baking.meshes.playable import PlayableMeshes
 from fourd.baking.meshes.source import is_mesh
 from fourd.baking.playable import Playable, find_view, open_playable, select_frames, selected_rate
 from fourd.cameras import Camera
+from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.cli.scenes.lens_options import LensOptions, make_inserts, make_lens
 from fourd.errors import UserError
 from fourd.lenses.inserts import Insert
 from fourd.progress import Terminal
+from fourd.storage import Location, local_copy
 from fourd.stylize import load_style
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
@@ -35,8 +37,8 @@ class Arguments:
     """Writes the images OUT/CAM/FRAME.png with --views, and OUT/STEP.png with --path. If OUT ends in .mp4, the command
     writes a video instead of images."""
 
-    source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE|MESH")]]
-    """Run folder, .4dv file, mesh (.glb or .ply), or folder with a mesh for each frame."""
+    source: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|MESH")]]
+    """Run folder, .4dv file, mesh (.glb or .ply), or folder with a mesh for each frame. Also the URL of a .4dv file."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for PNG files, or an .mp4 file."""
     views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None
@@ -70,36 +72,40 @@ def run(arguments: Arguments) -> None:
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )
-    playable = _open(arguments)
-    frames = select_frames(playable, arguments.frames)
-    if arguments.optics.is_used:
-        playable = _through_lens(arguments, playable, frames)
-    fps = arguments.fps or selected_rate(playable, frames)
-    if arguments.views is not None:
-        written = _write_views(arguments, playable, frames, fps, console)
-    else:
-        written = _write_path(arguments, playable, frames, fps, console)
+    with local_copy(arguments.source, transfer_progress()) as source:
+        written = _render(arguments, source, console)
     console.print(f"{arguments.out}: {written} images", soft_wrap=True)
 
 
-def _open(arguments: Arguments) -> Playable:
+def _render(arguments: Arguments, source: Path, console: Console) -> int:
+    playable = _open(arguments, source)
+    frames = select_frames(playable, arguments.frames)
+    if arguments.optics.is_used:
+        playable = _through_lens(arguments, source, playable, frames)
+    fps = arguments.fps or selected_rate(playable, frames)
+    if arguments.views is not None:
+        return _write_views(arguments, playable, frames, fps, console)
+    return _write_path(arguments, playable, frames, fps, console)
+
+
+def _open(arguments: Arguments, source: Path) -> Playable:
     style = None if arguments.style is None else load_style(arguments.style)
-    if is_mesh(arguments.source):
-        return PlayableMeshes(arguments.source, style)
-    playable = open_playable(arguments.source)
+    if is_mesh(source):
+        return PlayableMeshes(source, style)
+    playable = open_playable(source)
     if style is None:
         return playable
-    return DrawnPlayable(playable, open_frame_source(arguments.source), StyleDrawer(style))
+    return DrawnPlayable(playable, open_frame_source(source), StyleDrawer(style))
 
 
-def _through_lens(arguments: Arguments, playable: Playable, frames: list[int]) -> Playable:
+def _through_lens(arguments: Arguments, path: Path, playable: Playable, frames: list[int]) -> Playable:
     """Return the scene seen through the lens of the arguments. The floor lies under the subject's lowest points of the
     first and the middle rendered frame."""
     if arguments.style is not None:
         raise UserError("--style, --lens: expected one of them, got both; styles are not drawn through a lens")
-    if is_mesh(arguments.source):
-        raise UserError(f"{arguments.source}: expected a run or a .4dv scene for --lens, got meshes")
-    source = open_frame_source(arguments.source)
+    if is_mesh(path):
+        raise UserError(f"{path}: expected a run or a .4dv scene for --lens, got meshes")
+    source = open_frame_source(path)
     views = list(playable.views.values())
     inserts: tuple[Insert, ...] = ()
     if arguments.optics.mirror_floor or arguments.optics.glass_ball is not None:
@@ -108,7 +114,7 @@ def _through_lens(arguments: Arguments, playable: Playable, frames: list[int]) -
         subject = np.concatenate([frame.xyz[: frame.dynamic_count] for frame in read])
         inserts = make_inserts(arguments.optics, views, subject)
     if not views:
-        raise UserError(f"{arguments.source}: expected a scene with cameras for --lens, got none")
+        raise UserError(f"{path}: expected a scene with cameras for --lens, got none")
     lens = make_lens(arguments.optics, views[0], playable.focus)
     return DrawnPlayable(playable, source, LensDrawer(lens, inserts))
 

@@ -8,8 +8,10 @@ from typing import Annotated
 
 import tyro
 
+from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.errors import UserError
 from fourd.progress import Terminal, Tracker
+from fourd.storage import Location, local_copy
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files, segment_folders
 
 
@@ -19,13 +21,17 @@ class Arguments:
     member of the file with its checksum (CRC-32) and decodes all frames. A capture: decodes every image, matte and
     video. No file is changed."""
 
-    path: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
-    """A run folder, a .4dv file or a capture folder."""
+    path: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
+    """A run folder, a .4dv file or a capture folder, or the URL of one."""
 
 
 def run(arguments: Arguments) -> None:
     """Verify the files and print their number and kind. Raises UserError for the first damaged file."""
-    path = arguments.path
+    with local_copy(arguments.path, transfer_progress()) as path:
+        _verify(path, str(arguments.path))
+
+
+def _verify(path: Path, name: str) -> None:
     if not path.exists():
         raise UserError(f"{path}: expected a run, a scene or a capture, got a path that does not exist; check the name")
     console, track = Terminal(), Tracker(Terminal(stderr=True))
@@ -35,7 +41,7 @@ def run(arguments: Arguments) -> None:
         line = _verify_run(path, console, track)
     else:
         line = _verify_capture(path, track)
-    console.print(f"{path}: {line}", soft_wrap=True)
+    console.print(f"{name}: {line}", soft_wrap=True)
 
 
 def _verify_scene(path: Path, track: Tracker) -> str:

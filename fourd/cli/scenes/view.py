@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
+from rich.console import Console
 
+from fourd.cli.locations import PATH_OR_URL, transfer_progress
 from fourd.cli.options import StyleName, check_rendering, describe, option
 from fourd.errors import UserError
 from fourd.progress import Terminal
+from fourd.storage import Location, local_copy
 from fourd.stylize import load_style
 from fourd.viewer.display import DisplaySettings
 from fourd.viewer.rendering.renderers import RendererName
@@ -20,8 +24,9 @@ from fourd.viewer.rendering.renderers import RendererName
 class Arguments:
     """Opens a window unless --headless or --screenshot is given. A panel in the window lists the controls."""
 
-    source: tyro.conf.Positional[Annotated[Path | None, option("[SCENE|RUN]", "none")]] = None
-    """A .4dv file or a run folder. A run is reloaded while it trains. You can also drop a file on the window."""
+    source: tyro.conf.Positional[Annotated[Location | None, PATH_OR_URL, option("[SCENE|RUN]", "none")]] = None
+    """A .4dv file, its URL such as s3://bucket/scene.4dv, or a run folder. A run is reloaded while it trains. You can
+    also drop a file on the window."""
     renderer: Annotated[
         Literal["auto"] | RendererName,
         describe(
@@ -61,17 +66,22 @@ def run(arguments: Arguments) -> None:
     )
     style = None if arguments.style is None else load_style(arguments.style)
     settings = DisplaySettings(layers=arguments.layers or 0, background=arguments.background, style=style)
+    with nullcontext() if arguments.source is None else local_copy(arguments.source, transfer_progress()) as source:
+        _view(arguments, source, settings, console)
+
+
+def _view(arguments: Arguments, source: Path | None, settings: DisplaySettings, console: Console) -> None:
     if arguments.headless is None and arguments.screenshot is None:
         from fourd.viewer.app import run_viewer
 
         size = arguments.size or (1280, 720)
-        run_viewer(arguments.source, arguments.renderer, size, settings, console, arguments.style)
+        run_viewer(source, arguments.renderer, size, settings, console, arguments.style)
         return
     from fourd.viewer.headless import Headless
 
-    if arguments.source is None:
+    if source is None:
         raise UserError("SCENE|RUN: expected a .4dv file or a run folder, got none; name a file or folder")
-    headless = Headless(arguments.source, arguments.renderer, arguments.size, settings)
+    headless = Headless(source, arguments.renderer, arguments.size, settings)
     if arguments.screenshot is not None:
         headless.screenshot(arguments.screenshot, arguments.camera, arguments.frame, console)
         console.print(f"{arguments.screenshot}: written", soft_wrap=True)

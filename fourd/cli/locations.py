@@ -1,0 +1,69 @@
+"""Arguments that accept a URL in the place of a local path. All other paths refuse URLs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from fourd.errors import UserError
+from fourd.progress import Terminal, Track, Tracker
+from fourd.storage import Location, StorageUrl, parse_location
+from fourd.storage.url import is_url
+
+PATH_OR_URL: tyro.constructors.PrimitiveConstructorSpec[Location] = tyro.constructors.PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="PATH|URL",
+    instance_from_str=lambda words: parse_location(words[0]),
+    is_instance=lambda value: isinstance(value, Path | StorageUrl),
+    str_from_instance=lambda value: [str(value)],
+)
+"""Converts a word of the command line to a path or to a URL."""
+
+CaptureLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="CAPTURE")]]
+SceneLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="SCENE")]]
+OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
+
+
+def transfer_progress() -> Track:
+    """Report the progress of copies from and to a store on stderr."""
+    return Tracker(Terminal(stderr=True)).track
+
+
+def require_path(location: Location, option: str) -> Path:
+    """Return a local path. Raises UserError for a URL, which ``option`` does not accept."""
+    if isinstance(location, Path):
+        return location
+    raise UserError(f"{location}: expected a local path with {option}, got a URL; use a folder of this machine")
+
+
+def refuse_urls(arguments: object, words: Sequence[str]) -> None:
+    """Raise UserError if a URL was given where only a local path is possible. It would be taken as a path otherwise.
+
+    Args:
+        arguments: the parsed arguments of a command, as a dataclass.
+        words: the words on the command line, which contain the URLs as they were written.
+    """
+    urls = [text for word in words for text in (word, word.partition("=")[2]) if is_url(text)]
+    for path in _paths(arguments) if urls else ():
+        url = next((url for url in urls if Path(url) == path), None)
+        if url is not None:
+            raise UserError(
+                f"{url}: expected a local path for this argument, got a URL; copy the files to this machine and name "
+                "the copy"
+            )
+
+
+def _paths(value: object) -> Iterator[Path]:
+    """Yield all paths in a dataclass, also in its tuples and dataclasses."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _paths(item)
+    elif is_dataclass(value):
+        for field in fields(value):
+            yield from _paths(getattr(value, field.name))

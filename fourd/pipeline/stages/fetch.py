@@ -1,0 +1,40 @@
+"""Fetch: copies videos or a capture from an object store to the local disk, or to the storage of a cluster."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.pipeline.stage import Context, Stage
+from fourd.storage import StorageUrl, fetch, list_objects
+
+
+@dataclass(frozen=True)
+class FetchFiles:
+    """The folder that contains the copy, which has the last part of the URL as its name."""
+
+    folder: Path
+
+
+@dataclass(frozen=True)
+class FetchSettings:
+    """URL of the source, and a hash of the names, sizes and versions of its objects."""
+
+    url: str
+    version: str
+
+
+def fetch_stage(url: StorageUrl, folder: Path) -> Stage[FetchFiles, FetchSettings]:
+    """Create the stage that copies the objects at ``url`` into ``folder``. Lists the objects. Raises UserError."""
+    settings = FetchSettings(str(url), list_objects(url).version)
+    return Stage("fetch", run_fetch, FetchFiles(folder), settings, outputs=(fetched_path(url, folder),))
+
+
+def fetched_path(url: StorageUrl, folder: Path) -> Path:
+    """The copy that the stage writes."""
+    return folder / url.name
+
+
+def run_fetch(files: FetchFiles, settings: FetchSettings, context: Context) -> None:
+    """Copy objects that are new or have changed since the last copy."""
+    fetch(StorageUrl(settings.url), files.folder, context.track)

@@ -1,0 +1,19 @@
+"""Storage by URL: captures are copied from object stores, scenes are read and written there."""
+
+from fourd.storage.downloading import fetch, list_objects
+from fourd.storage.local import local_copy, local_output
+from fourd.storage.uploading import check_writable, upload, upload_changed
+from fourd.storage.url import Location, StorageUrl, parse_location
+
+__all__ = [
+    "Location",
+    "StorageUrl",
+    "check_writable",
+    "fetch",
+    "list_objects",
+    "local_copy",
+    "local_output",
+    "parse_location",
+    "upload",
+    "upload_changed",
+]

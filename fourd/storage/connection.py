@@ -1,0 +1,102 @@
+"""Connections to object stores through fsspec, and errors of stores as messages for the user.
+
+The packages are imported when the first connection is made, because they are optional. Credentials and endpoints come
+from the usual places of each store, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for s3://.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any
+
+from fourd.errors import UserError
+from fourd.storage.url import StorageUrl
+
+MAX_REASON = 200
+"""Maximum number of characters of a store's own message in an error message."""
+LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
+"""Packages whose errors in a :func:`storage_errors` block are answers of the store. Other errors are bugs."""
+INSTALL = {
+    "s3": ("s3fs", "pip install 'fourd[storage]'"),
+    "gs": ("gcsfs", "pip install 'fourd[storage]' gcsfs"),
+    "memory": ("fsspec", "pip install 'fourd[storage]'"),
+}
+"""By scheme: the package that implements it, and the command that installs it."""
+CREDENTIALS = {
+    "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or run aws configure",
+    "gs": "run gcloud auth application-default login",
+}
+REACH = {
+    "s3": "check the network, and AWS_ENDPOINT_URL if the store is not Amazon's",
+    "gs": "check the network",
+}
+
+
+def connect(url: StorageUrl) -> Any:
+    """Open the fsspec file system of a URL. Nothing is sent to the store yet.
+
+    Listings are not cached, so that changes by other programs are seen.
+
+    Raises:
+        UserError: if the package for the scheme is not installed.
+    """
+    package, command = INSTALL[url.scheme]
+    try:
+        import fsspec
+
+        import_module(package)
+    except ModuleNotFoundError as error:
+        raise UserError(f"{url}: expected the package {package}, got none; install it: {command}") from error
+    with storage_errors(url):
+        if url.scheme == "memory":
+            return fsspec.filesystem("memory")
+        return fsspec.filesystem(url.scheme, skip_instance_cache=True, use_listings_cache=False)
+
+
+@contextmanager
+def storage_errors(url: StorageUrl) -> Iterator[None]:
+    """Raise a UserError that names ``url`` if the store fails or refuses in the block. The block must only call the
+    store."""
+    try:
+        yield
+    except (UserError, ImportError, MemoryError):
+        raise
+    except Exception as error:
+        if type(error).__module__.split(".")[0] not in LIBRARIES or not _is_answer(error):
+            raise
+        raise UserError(f"{url}: {_describe(url, error)}") from error
+
+
+def changed(url: StorageUrl) -> UserError:
+    """The error for an object that was replaced or removed while it was read."""
+    return UserError(
+        f"{url}: expected an object that stays the same while it is read, got one that was replaced or removed; run "
+        "the command again when the object is complete"
+    )
+
+
+def _is_answer(error: Exception) -> bool:
+    """Whether an error comes from the store, and not from wrong code such as a TypeError."""
+    return isinstance(error, OSError) or type(error).__module__ != "builtins"
+
+
+def _describe(url: StorageUrl, error: Exception) -> str:
+    reason = " ".join(str(error).split())[:MAX_REASON] or type(error).__name__
+    kind = type(error).__name__
+    if kind == "FileExpired":
+        return str(changed(url)).removeprefix(f"{url}: ")
+    if isinstance(error, FileNotFoundError):
+        return f"expected an existing bucket and object, got '{reason}'; check the bucket and the name"
+    if isinstance(error, PermissionError):
+        return (
+            f"expected access to the bucket, got '{reason}'; check the credentials and their permissions to list, read "
+            "and write"
+        )
+    if "Credential" in kind or kind in ("ProfileNotFound", "RefreshError"):
+        fix = CREDENTIALS.get(url.scheme, "give credentials")
+        return f"expected credentials for the store, got '{reason}'; {fix}"
+    if isinstance(error, TimeoutError) or "Connect" in kind or "Timeout" in kind or "HTTPClient" in kind:
+        return f"expected a store that answers, got '{reason}'; {REACH.get(url.scheme, 'check the network')}"
+    return f"expected a store that accepts the request, got '{reason}'; check the URL and the store, and try again"

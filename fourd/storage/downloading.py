@@ -1,0 +1,207 @@
+"""Copies of objects on the local disk: in pieces, of limited size, and of one version of each object."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fourd.errors import UserError
+from fourd.files import atomic_path, write_text_atomically
+from fourd.limits import open_regular
+from fourd.progress import Track, untracked
+from fourd.storage.connection import changed, connect, storage_errors
+from fourd.storage.url import StorageUrl
+from fourd.storage.versions import changed_seconds, object_version
+
+PIECE_BYTES = 8 << 20
+"""Number of bytes that one request reads."""
+CONNECTIONS = 8
+"""Number of objects that are read at the same time."""
+MAX_OBJECTS = 1_000_000
+"""Maximum number of objects in a folder."""
+MIN_FREE_BYTES = 1 << 30
+"""Number of bytes that a copy leaves free on the disk."""
+RECORD = ".fetched.jsonl"
+"""File beside a copied folder with one line for each copied object: its key, size and version."""
+MAX_RECORD_LINE = 1 << 16
+
+
+@dataclass(frozen=True)
+class StoredObject:
+    """An object in a store.
+
+    Attributes:
+        key: name relative to the listed folder, with slashes. For a single object, its last part.
+        size: size in bytes.
+        version: the store's identifiers of the content, such as ETag and time of the last change.
+        seconds: time of the last change in seconds since 1970, or None if the store does not tell.
+    """
+
+    key: str
+    size: int
+    version: str
+    seconds: float | None
+
+
+@dataclass(frozen=True)
+class Listing:
+    """The objects at a URL, sorted by key. ``is_single`` tells whether the URL names one object, not a folder."""
+
+    objects: tuple[StoredObject, ...]
+    is_single: bool
+
+    @property
+    def version(self) -> str:
+        """A hash of the names, sizes and versions of all objects."""
+        lines = "\n".join(f"{item.key}\0{item.size}\0{item.version}" for item in self.objects)
+        return hashlib.sha256(lines.encode()).hexdigest()[:16]
+
+
+def list_objects(url: StorageUrl) -> Listing:
+    """List the object ``url``, or all objects in the folder ``url``.
+
+    Raises:
+        UserError: if nothing exists at ``url``, a name cannot be a file name, or there are too many objects.
+    """
+    store = connect(url)
+    with storage_errors(url):
+        found: dict[str, dict[str, Any]] = store.find(str(url), detail=True)
+    prefix = str(url.path)
+    objects = []
+    is_single = False
+    for name, info in found.items():
+        name = name.lstrip("/")
+        if info.get("type") != "file" or name.endswith("/"):
+            continue  # markers of empty folders
+        is_single = is_single or name == prefix
+        key = url.name if name == prefix else name.removeprefix(f"{prefix}/")
+        if not _is_file_name(key):
+            raise UserError(
+                f"{url}: expected names that can be names of files, got the object {key[:80]!r}; rename the object"
+            )
+        objects.append(StoredObject(key, int(info["size"]), object_version(info), changed_seconds(info)))
+    if not objects:
+        raise UserError(f"{url}: expected an object or a folder with objects, got nothing; check the bucket and name")
+    if len(objects) > MAX_OBJECTS:
+        raise UserError(f"{url}: expected at most {MAX_OBJECTS} objects, got {len(objects)}; name a smaller folder")
+    return Listing(tuple(sorted(objects, key=lambda item: item.key)), is_single)
+
+
+def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
+    """Copy an object or a folder into the folder ``parent``, under its own name. Returns the path of the copy.
+
+    A second call copies only new and changed objects, and removes copies of objects that no longer exist. Other files
+    in the copy are kept. Memory does not depend on the size of objects: each of the connections keeps one piece.
+
+    Args:
+        url: an object, or a folder of objects.
+        parent: local folder, which contains nothing else. A copy of another URL in this folder is removed.
+        track: reports progress.
+
+    Raises:
+        UserError: if the store refuses, an object changes while it is read, or the disk has too little space.
+    """
+    listing = list_objects(url)
+    parent.mkdir(parents=True, exist_ok=True)
+    known = _read_record(url, parent / RECORD)
+    if known is None:
+        shutil.rmtree(parent)
+        parent.mkdir()
+        write_text_atomically(parent / RECORD, json.dumps([str(url)]) + "\n")
+        known = {}
+    target = parent / url.name
+    paths = {item.key: target if listing.is_single else target / item.key for item in listing.objects}
+    for key in known.keys() - paths.keys():
+        (target / key).unlink(missing_ok=True)
+    due = [item for item in listing.objects if not _is_current(item, paths[item.key], known.get(item.key))]
+    _require_space(url, parent, sum(item.size for item in due))
+    urls = {item.key: url if listing.is_single else url.join(item.key) for item in due}
+    with (parent / RECORD).open("a", encoding="utf-8") as record:
+        for item in track(_download_all(url, due, urls, paths), len(due), f"copying {url.name}"):
+            record.write(json.dumps([item.key, item.size, item.version]) + "\n")
+            record.flush()
+    return target
+
+
+def _download_all(
+    url: StorageUrl, due: list[StoredObject], urls: dict[str, StorageUrl], paths: dict[str, Path]
+) -> Iterator[StoredObject]:
+    """Download objects with several connections. Yields each object when its copy is complete."""
+    store = connect(url)
+    with ThreadPoolExecutor(CONNECTIONS) as pool:
+        futures = {pool.submit(_download, store, urls[item.key], item, paths[item.key]): item for item in due}
+        try:
+            for future in as_completed(futures):
+                future.result()
+                yield futures[future]
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path) -> None:
+    with storage_errors(url):
+        stream = store.open(str(url), "rb", block_size=PIECE_BYTES, cache_type="none")
+    with stream, atomic_path(path) as temporary, temporary.open("wb") as out:
+        for _ in range(0, item.size, PIECE_BYTES):
+            with storage_errors(url):
+                piece = stream.read(PIECE_BYTES)
+            out.write(piece)
+        if out.tell() != item.size:
+            raise changed(url)
+        with storage_errors(url):
+            now = store.info(str(url))
+        if (int(now["size"]), object_version(now)) != (item.size, item.version):
+            raise changed(url)
+        out.flush()
+        if item.seconds is not None:
+            os.utime(temporary, (item.seconds, item.seconds))
+
+
+def _is_current(item: StoredObject, path: Path, known: tuple[int, str] | None) -> bool:
+    """Whether a copy is complete and of the object's present version. fourd may have changed files in .fourd/."""
+    if known != (item.size, item.version) or not path.is_file():
+        return False
+    return path.stat().st_size == item.size or item.key.startswith(".")
+
+
+def _is_file_name(key: str) -> bool:
+    """Whether a key is the name of a file inside a folder, on all systems."""
+    parts = key.split("/")
+    return key.isprintable() and not set(key) & set("\\:") and not set(parts) & {"", ".", ".."}
+
+
+def _require_space(url: StorageUrl, folder: Path, size: int) -> None:
+    free = max(0, shutil.disk_usage(folder).free - MIN_FREE_BYTES)
+    if size > free:
+        raise UserError(
+            f"{url}: expected at most {free / 1e9:.1f} GB, the free space in {folder}, got {size / 1e9:.1f} GB; free "
+            "disk space, or name a smaller folder"
+        )
+
+
+def _read_record(url: StorageUrl, path: Path) -> dict[str, tuple[int, str]] | None:
+    """Read size and version of each copied object. None if there is no record, or a record of another URL.
+
+    Lines that a killed process did not finish are skipped.
+    """
+    known: dict[str, tuple[int, str]] = {}
+    try:
+        with open_regular(path) as lines:
+            if lines.readline(MAX_RECORD_LINE) != f"{json.dumps([str(url)])}\n".encode():
+                return None
+            while line := lines.readline(MAX_RECORD_LINE):
+                try:
+                    key, size, version = json.loads(line)
+                    known[str(key)] = (int(size), str(version))
+                except (ValueError, TypeError, RecursionError):
+                    continue
+    except FileNotFoundError:
+        return None
+    return {key: value for key, value in known.items() if _is_file_name(key)}

@@ -1,0 +1,60 @@
+"""Local files in the place of URLs, for code that reads or writes files."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from fourd.errors import UserError
+from fourd.progress import Track, untracked
+from fourd.storage.downloading import fetch
+from fourd.storage.uploading import check_writable, upload
+from fourd.storage.url import Location, StorageUrl
+
+
+@contextmanager
+def local_copy(location: Location, track: Track = untracked) -> Iterator[Path]:
+    """Yield a local path with the content of ``location``. Local paths are yielded as they are.
+
+    The copy of a URL is in a temporary folder, which is removed when the block ends. Errors in the block name the URL.
+
+    Raises:
+        UserError: see :func:`fourd.storage.downloading.fetch`.
+    """
+    if isinstance(location, Path):
+        yield location
+        return
+    with _temporary_folder(location) as folder:
+        yield fetch(location, folder, track)
+
+
+@contextmanager
+def local_output(location: Location, track: Track = untracked) -> Iterator[Path]:
+    """Yield the path of a local file. If ``location`` is a URL, the file is uploaded when the block ends.
+
+    Before the block starts, the store is asked whether it accepts an upload. If the block raises an exception, nothing
+    is uploaded. Local paths are yielded as they are. Errors in the block name the URL.
+
+    Raises:
+        UserError: see :func:`fourd.storage.uploading.upload`.
+    """
+    if isinstance(location, Path):
+        yield location
+        return
+    check_writable(location)
+    with _temporary_folder(location) as folder:
+        path = folder / location.name
+        yield path
+        upload(path, location, track)
+
+
+@contextmanager
+def _temporary_folder(url: StorageUrl) -> Iterator[Path]:
+    """Yield a temporary folder. In messages of errors, the URL replaces the file in this folder."""
+    with tempfile.TemporaryDirectory(prefix="fourd-") as name:
+        try:
+            yield Path(name)
+        except UserError as error:
+            raise UserError(str(error).replace(str(Path(name) / url.name), str(url))) from error

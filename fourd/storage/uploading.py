@@ -1,0 +1,118 @@
+"""Uploads to object stores. An object is replaced in one step, when its last part has arrived.
+
+Stores have no rename. A file is sent as the parts of a multipart upload, which nobody sees until the upload is
+completed. If the process is killed, or the connection is lost, the old object stays.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from fourd.errors import UserError
+from fourd.files import write_text_atomically
+from fourd.limits import open_regular, read_json
+from fourd.progress import Track, untracked
+from fourd.storage.connection import connect, storage_errors
+from fourd.storage.url import StorageUrl
+from fourd.storage.versions import object_version
+
+PART_BYTES = 16 << 20
+"""Size of the parts of an upload. One part is in memory at a time."""
+MAX_PARTS = 9000
+"""S3 accepts at most 10,000 parts. Larger files than MAX_PARTS parts are sent in larger parts."""
+
+
+def upload(path: Path, url: StorageUrl, track: Track = untracked) -> None:
+    """Write a local file to the object ``url``. Readers of the object see its old or its complete new content.
+
+    Raises:
+        UserError: if the store refuses. The old object then stays, and the parts are removed.
+    """
+    store = connect(url)
+    with open_regular(path) as source:
+        size = path.stat().st_size
+        part = max(PART_BYTES, math.ceil(size / MAX_PARTS))
+        stream = _open(store, url, part)
+        try:
+            for _ in track(range(math.ceil(size / part)), math.ceil(size / part), f"upload of {url.name}"):
+                content = source.read(part)
+                with storage_errors(url):
+                    stream.write(content)
+            with storage_errors(url):
+                stream.close()
+                stream.commit()
+        except BaseException:
+            _discard(stream)
+            raise
+    with storage_errors(url):
+        written = store.info(str(url))["size"]
+    if written != size:
+        raise UserError(f"{url}: expected {size} bytes after the upload, got {written}; upload the file again")
+
+
+def upload_changed(path: Path, url: StorageUrl, record: Path, track: Track = untracked) -> None:
+    """Upload a file, unless ``record`` tells that the object is already this version of the file.
+
+    Args:
+        path: the local file.
+        url: the object.
+        record: JSON file with the state of the file and of the object after the last upload.
+        track: reports progress.
+
+    Raises:
+        UserError: see :func:`upload`.
+    """
+    if record.exists() and _read_record(record) == _state(path, url):
+        return
+    upload(path, url, track)
+    write_text_atomically(record, json.dumps(_state(path, url)) + "\n")
+
+
+def _state(path: Path, url: StorageUrl) -> list[Any]:
+    """Size and modification time of the file, and the version of the object, which is None if there is no object."""
+    status, store = path.stat(), connect(url)
+    with storage_errors(url):
+        info = store.info(str(url)) if store.exists(str(url)) else None
+    return [str(url), status.st_size, status.st_mtime_ns, None if info is None else object_version(info)]
+
+
+def _read_record(path: Path) -> Any:
+    try:
+        return read_json(path)
+    except ValueError:
+        return None
+
+
+def check_writable(url: StorageUrl) -> None:
+    """Start an upload to ``url`` and abort it, so that long work does not end with an upload that is refused.
+
+    The object ``url`` does not change.
+
+    Raises:
+        UserError: if the store refuses.
+    """
+    stream = _open(connect(url), url, PART_BYTES)
+    try:
+        with storage_errors(url):
+            stream.write(b"\0")
+            stream.flush(force=True)
+    finally:
+        _discard(stream)
+
+
+def _open(store: Any, url: StorageUrl, part: int) -> Any:
+    """Open an object for writing. Without ``commit`` of the stream, nothing becomes visible."""
+    with storage_errors(url):
+        return store.open(str(url), "wb", block_size=part, autocommit=False)
+
+
+def _discard(stream: Any) -> None:
+    """Remove the parts of an upload that is not completed. If the store no longer answers, its rules remove them."""
+    with suppress(Exception):
+        stream.discard()
+    # The destructor of the stream closes it, which would send its last part.
+    stream.closed = True

@@ -1,0 +1,81 @@
+"""URLs of objects and folders in object stores, such as s3://bucket/scene.4dv."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+from fourd.errors import UserError
+
+URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
+"""A scheme has at least two characters, so that Windows paths such as C:/videos are no URLs."""
+SCHEMES = ("s3", "gs", "memory")
+"""Schemes whose stores replace an object in one step when an upload is completed. memory:// is a store inside this
+process, for tests and programs."""
+
+
+@dataclass(frozen=True)
+class StorageUrl:
+    """The URL of an object or of a folder, which is a common prefix of objects. :func:`parse_location` checks URLs.
+
+    The part after the scheme is used as it is, without percent-decoding, as in other programs for these stores.
+    """
+
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+    @property
+    def scheme(self) -> str:
+        """The part before ://, such as s3."""
+        return self.text.partition("://")[0]
+
+    @property
+    def path(self) -> PurePosixPath:
+        """Bucket and key."""
+        return PurePosixPath(self.text.partition("://")[2])
+
+    @property
+    def name(self) -> str:
+        """The last part of the path."""
+        return self.path.name
+
+    def join(self, key: str) -> StorageUrl:
+        """The URL of an object in this folder, from its key relative to the folder."""
+        return StorageUrl(f"{self.text.rstrip('/')}/{key}")
+
+
+Location = Path | StorageUrl
+"""A local path, or a URL."""
+
+
+def is_url(text: str) -> bool:
+    """Whether a text is a URL, with any scheme."""
+    return URL.fullmatch(text) is not None
+
+
+def parse_location(text: str) -> Location:
+    """Convert a text to a local path, or to a URL. file:// URLs become local paths.
+
+    Raises:
+        UserError: if the scheme is not supported, or the URL names no bucket.
+    """
+    match = URL.fullmatch(text)
+    if match is None:
+        return Path(text)
+    scheme, rest = match["scheme"].lower(), match["rest"]
+    if scheme == "file":
+        if not rest.startswith("/"):
+            raise UserError(f"{text}: expected an absolute path after file://, got '{rest}'; write file:///folder/name")
+        return Path(rest)
+    if scheme not in SCHEMES:
+        raise UserError(
+            f"{text}: expected a local path, or a URL that starts with s3://, gs:// or file://, got {scheme}://; copy "
+            "the files to this machine or to one of these stores"
+        )
+    parts = rest.strip("/").split("/")
+    if not parts[0] or any(part in ("", ".", "..") for part in parts) or not rest.isprintable():
+        raise UserError(f"{text}: expected {scheme}://BUCKET/NAME, got another form; write the bucket and the name")
+    return StorageUrl(f"{scheme}://{'/'.join(parts)}")

@@ -1,0 +1,26 @@
+"""Versions of objects, from the description that fsspec returns for them."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Any
+
+
+def object_version(info: dict[str, Any]) -> str:
+    """The identifiers of an object's content: ETag or another hash, and the second of the last change."""
+    tag = next((str(info[name]) for name in ("ETag", "etag", "md5Hash", "generation") if info.get(name)), "")
+    seconds = changed_seconds(info)
+    return f"{tag} {'' if seconds is None else int(seconds)}".strip()
+
+
+def changed_seconds(info: dict[str, Any]) -> float | None:
+    """Time of the last change in seconds since 1970, or None if the store does not tell."""
+    for name in ("LastModified", "mtime", "updated", "created"):
+        value = info.get(name)
+        if isinstance(value, datetime):
+            return value.timestamp()
+        if isinstance(value, str):
+            return datetime.fromisoformat(value).timestamp()
+        if isinstance(value, int | float):
+            return float(value)
+    return None

@@ -1,0 +1,31 @@
+"""Fixtures of the tests with object stores."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator
+
+import pytest
+
+from tests.storage.s3_server import ENVIRONMENT, Bucket, S3Server
+
+
+@pytest.fixture(scope="session")
+def s3_server() -> Iterator[S3Server]:
+    """A local S3 server for all tests. The tests that use it are skipped without s3fs and moto."""
+    pytest.importorskip("s3fs", reason="needs s3fs (pip install 'fourd[storage]')")
+    pytest.importorskip("moto.server", reason="needs moto (pip install 'fourd[dev]')")
+    started = S3Server.start()
+    yield started
+    started.server.stop()
+
+
+@pytest.fixture
+def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Bucket:
+    """An empty bucket. The environment has the server's address and credentials, as the user's shell would."""
+    for name, value in ENVIRONMENT.items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server.endpoint)
+    files, name = s3_server.files(), f"bucket-{secrets.token_hex(6)}"
+    files.mkdir(name)
+    return Bucket(name, files)

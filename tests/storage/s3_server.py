@@ -1,0 +1,67 @@
+"""A local S3 server for tests: moto's server in a thread of this process."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+ENVIRONMENT = {
+    "AWS_ACCESS_KEY_ID": "test",
+    "AWS_SECRET_ACCESS_KEY": "test",
+    "AWS_DEFAULT_REGION": "us-east-1",
+    "AWS_EC2_METADATA_DISABLED": "true",
+    "AWS_CONFIG_FILE": "/nonexistent",
+    "AWS_SHARED_CREDENTIALS_FILE": "/nonexistent",
+}
+"""Credentials for the server, and none from the user's own files."""
+
+
+@dataclass(frozen=True)
+class S3Server:
+    """A running server, and the address of its endpoint."""
+
+    server: Any
+    endpoint: str
+
+    @classmethod
+    def start(cls) -> S3Server:
+        """Start a server on a free port."""
+        from moto.server import ThreadedMotoServer
+
+        server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
+        server.start()
+        host, port = server.get_host_and_port()
+        return cls(server, f"http://{host}:{port}")
+
+    def files(self) -> Any:
+        """A file system without caches."""
+        import fsspec
+
+        options = {"key": "test", "secret": "test", "endpoint_url": self.endpoint}
+        return fsspec.filesystem("s3", skip_instance_cache=True, use_listings_cache=False, **options)
+
+
+@dataclass(frozen=True)
+class Bucket:
+    """A new bucket of the local server, and the file system that reads and writes it."""
+
+    name: str
+    files: Any
+
+    @property
+    def url(self) -> str:
+        return f"s3://{self.name}"
+
+
+def put_folder(files: Any, folder: Path, prefix: str) -> None:
+    """Upload all files of a folder."""
+    for path in folder.rglob("*"):
+        if path.is_file():
+            files.pipe_file(f"{prefix}/{path.relative_to(folder).as_posix()}", path.read_bytes())
+
+
+def unfinished_uploads(files: Any, bucket: str) -> list[str]:
+    """Keys of the multipart uploads that were neither completed nor aborted."""
+    found = files.call_s3("list_multipart_uploads", Bucket=bucket)
+    return [item["Key"] for item in found.get("Uploads", [])]
