@@ -14,12 +14,12 @@ from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings
 from fourd.pipeline.capture_graph import has_masks, stages_to_capture
 from fourd.pipeline.cluster import Cluster
+from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
 from fourd.pipeline.plan import describe_plan
 from fourd.pipeline.runner import Runner, run_here
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.check import check_stage
-from fourd.pipeline.stages.fetch import fetch_stage, fetched_path
 from fourd.pipeline.stages.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.still import still_stage
 from fourd.pipeline.stages.train import start_run

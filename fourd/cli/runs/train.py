@@ -15,11 +15,11 @@ from fourd.cli.options import Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
 from fourd.errors import UserError
+from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
-from fourd.pipeline.stages.fetch import fetch_stage, fetched_path
 from fourd.pipeline.stages.train import TrainFiles, require_divisible
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
