@@ -207,8 +207,9 @@ def test_a_warm_start_copies_the_networks_of_the_previous_segment(trained: Path,
 
 
 def test_segments_with_a_warm_start_depend_on_each_other(capture: Path, tmp_path: Path) -> None:
-    """Catches a segment that keeps its model after the segment that it started from was trained again, and a warm
-    start that trains fewer steps."""
+    """Catches a segment that is not trained again although its warm start comes from a segment that was trained again.
+    Also catches a warm start with fewer training steps.
+    """
     config = replace(CONFIG, segments=replace(CONFIG.segments, warm_start=True))
     stages = stages_to_run(RunRequest(capture, tmp_path / "run", config))
     last = stages[-1]

@@ -80,8 +80,9 @@ def test_static_cameras(static: Path, rng: np.random.Generator) -> None:
 
 @pytest.mark.parametrize("pattern", ["cam{camera}/{frame:02d}.jpg", "images/{camera}_{frame:02d}.jpg"])
 def test_cameras_with_times(tmp_path: Path, pattern: str, rng: np.random.Generator) -> None:
-    """Catches frames in the order of the file instead of the order of times, with one folder per camera and with one
-    common folder."""
+    """Catches frames that are sorted by their position in the file instead of by their time. The images are in one
+    folder per camera or in one common folder.
+    """
     imported = read(write_moving(tmp_path, pattern))
     names = ["cam0", "cam1"] if pattern.startswith("cam") else ["00", "01"]
     assert [camera.name for camera in imported.cameras] == names
