@@ -1,4 +1,4 @@
-"""Arguments that accept a URL in the place of a local path. All other paths refuse URLs."""
+"""Arguments that accept a URL instead of a local path. For all other paths, a URL is an error."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def require_path(location: Location, option: str) -> Path:
 
 
 def refuse_urls(arguments: object, words: Sequence[str]) -> None:
-    """Raise UserError if a URL was given where only a local path is possible. It would be taken as a path otherwise.
+    """Raise UserError if a URL was given where only a local path is valid. Without this check, the URL would be used as
+    a path.
 
     Args:
         arguments: the parsed arguments of a command, as a dataclass.

@@ -11,7 +11,7 @@ from fourd.storage import StorageUrl, fetch, list_objects
 
 @dataclass(frozen=True)
 class FetchFiles:
-    """The folder that contains the copy, which has the last part of the URL as its name."""
+    """The folder that contains the copy. The name of the copy is the last part of the URL."""
 
     folder: Path
 
@@ -25,7 +25,9 @@ class FetchSettings:
 
 
 def fetch_stage(url: StorageUrl, folder: Path) -> Stage[FetchFiles, FetchSettings]:
-    """Create the stage that copies the objects at ``url`` into ``folder``. Lists the objects. Raises UserError."""
+    """Create the stage that copies the objects at ``url`` into ``folder``. The objects are listed in this call. Raises
+    UserError.
+    """
     settings = FetchSettings(str(url), list_objects(url).version)
     return Stage("fetch", run_fetch, FetchFiles(folder), settings, outputs=(fetched_path(url, folder),))
 

@@ -1,4 +1,4 @@
-"""Storage by URL: captures are copied from object stores, scenes are read and written there."""
+"""Storage by URL: captures are copied from object stores, and scenes are read from and written to object stores."""
 
 from fourd.storage.downloading import fetch, list_objects
 from fourd.storage.local import local_copy, local_output

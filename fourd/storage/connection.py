@@ -1,7 +1,7 @@
-"""Connections to object stores through fsspec, and errors of stores as messages for the user.
+"""Connections to object stores through fsspec, and messages for the user about errors of stores.
 
-The packages are imported when the first connection is made, because they are optional. Credentials and endpoints come
-from the usual places of each store, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for s3://.
+The packages are imported when the first connection is made, because they are optional. Credentials and endpoints are
+read from each store's standard settings, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for s3://.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from fourd.storage.url import StorageUrl
 MAX_REASON = 200
 """Maximum number of characters of a store's own message in an error message."""
 LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
-"""Packages whose errors in a :func:`storage_errors` block are answers of the store. Other errors are bugs."""
+"""In a :func:`storage_errors` block, errors of these packages are errors of the store. Other errors are bugs."""
 INSTALL = {
     "s3": ("s3fs", "pip install 'fourd[storage]'"),
     "gs": ("gcsfs", "pip install 'fourd[storage]' gcsfs"),
     "memory": ("fsspec", "pip install 'fourd[storage]'"),
 }
-"""By scheme: the package that implements it, and the command that installs it."""
+"""For each scheme: the package that implements the scheme, and the command that installs the package."""
 CREDENTIALS = {
     "s3": "set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or run aws configure",
     "gs": "run gcloud auth application-default login",
@@ -35,7 +35,7 @@ REACH = {
 
 
 def connect(url: StorageUrl) -> Any:
-    """Open the fsspec file system of a URL. Nothing is sent to the store yet.
+    """Open the fsspec file system of a URL. Nothing is sent to the store.
 
     Listings are not cached, so that changes by other programs are seen.
 
@@ -57,7 +57,7 @@ def connect(url: StorageUrl) -> Any:
 
 @contextmanager
 def storage_errors(url: StorageUrl) -> Iterator[None]:
-    """Raise a UserError that names ``url`` if the store fails or refuses in the block. The block must only call the
+    """Raise a UserError that names ``url`` if a call of the store fails in the block. The block must only call the
     store."""
     try:
         yield

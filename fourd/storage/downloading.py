@@ -1,4 +1,6 @@
-"""Copies of objects on the local disk: in pieces, of limited size, and of one version of each object."""
+"""Copying of objects to the local disk in pieces. The size of a copy is limited, and each file has the content of one
+version of its object.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ class StoredObject:
         key: name relative to the listed folder, with slashes. For a single object, its last part.
         size: size in bytes.
         version: the store's identifiers of the content, such as ETag and time of the last change.
-        seconds: time of the last change in seconds since 1970, or None if the store does not tell.
+        seconds: time of the last change in seconds since 1970, or None if the store does not report it.
     """
 
     key: str
@@ -52,7 +54,9 @@ class StoredObject:
 
 @dataclass(frozen=True)
 class Listing:
-    """The objects at a URL, sorted by key. ``is_single`` tells whether the URL names one object, not a folder."""
+    """The objects at a URL, sorted by key. ``is_single`` is true if the URL names one object, and false if it names a
+    folder.
+    """
 
     objects: tuple[StoredObject, ...]
     is_single: bool
@@ -98,7 +102,7 @@ def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
     """Copy an object or a folder into the folder ``parent``, under its own name. Returns the path of the copy.
 
     A second call copies only new and changed objects, and removes copies of objects that no longer exist. Other files
-    in the copy are kept. Memory does not depend on the size of objects: each of the connections keeps one piece.
+    in the copy are kept. Memory use does not depend on the size of objects: each connection holds one piece in memory.
 
     Args:
         url: an object, or a folder of objects.
@@ -106,7 +110,7 @@ def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
         track: reports progress.
 
     Raises:
-        UserError: if the store refuses, an object changes while it is read, or the disk has too little space.
+        UserError: if the store returns an error, an object changes while it is read, or the disk has too little space.
     """
     listing = list_objects(url)
     parent.mkdir(parents=True, exist_ok=True)
@@ -189,7 +193,7 @@ def _require_space(url: StorageUrl, folder: Path, size: int) -> None:
 def _read_record(url: StorageUrl, path: Path) -> dict[str, tuple[int, str]] | None:
     """Read size and version of each copied object. None if there is no record, or a record of another URL.
 
-    Lines that a killed process did not finish are skipped.
+    Incomplete lines, which a killed process leaves, are skipped.
     """
     known: dict[str, tuple[int, str]] = {}
     try:

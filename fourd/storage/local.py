@@ -1,4 +1,4 @@
-"""Local files in the place of URLs, for code that reads or writes files."""
+"""Local files instead of URLs, for code that reads or writes files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fourd.storage.url import Location, StorageUrl
 
 @contextmanager
 def local_copy(location: Location, track: Track = untracked) -> Iterator[Path]:
-    """Yield a local path with the content of ``location``. Local paths are yielded as they are.
+    """Yield a local path with the content of ``location``. Local paths are yielded unchanged.
 
     The copy of a URL is in a temporary folder, which is removed when the block ends. Errors in the block name the URL.
 
@@ -34,8 +34,8 @@ def local_copy(location: Location, track: Track = untracked) -> Iterator[Path]:
 def local_output(location: Location, track: Track = untracked) -> Iterator[Path]:
     """Yield the path of a local file. If ``location`` is a URL, the file is uploaded when the block ends.
 
-    Before the block starts, the store is asked whether it accepts an upload. If the block raises an exception, nothing
-    is uploaded. Local paths are yielded as they are. Errors in the block name the URL.
+    Before the block starts, an upload is started and aborted, to test whether the store accepts it. If the block raises
+    an exception, nothing is uploaded. Local paths are yielded unchanged. Errors in the block name the URL.
 
     Raises:
         UserError: see :func:`fourd.storage.uploading.upload`.
@@ -52,7 +52,7 @@ def local_output(location: Location, track: Track = untracked) -> Iterator[Path]
 
 @contextmanager
 def _temporary_folder(url: StorageUrl) -> Iterator[Path]:
-    """Yield a temporary folder. In messages of errors, the URL replaces the file in this folder."""
+    """Yield a temporary folder. In error messages, the URL replaces the path of the file in this folder."""
     with tempfile.TemporaryDirectory(prefix="fourd-") as name:
         try:
             yield Path(name)

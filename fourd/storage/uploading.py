@@ -1,7 +1,7 @@
-"""Uploads to object stores. An object is replaced in one step, when its last part has arrived.
+"""Uploads to object stores. An object is replaced atomically when all its parts have been sent.
 
-Stores have no rename. A file is sent as the parts of a multipart upload, which nobody sees until the upload is
-completed. If the process is killed, or the connection is lost, the old object stays.
+Stores cannot rename objects. A file is therefore sent in the parts of a multipart upload, which are invisible until the
+upload is completed. If the process is killed or the connection is lost, the old object stays.
 """
 
 from __future__ import annotations
@@ -23,14 +23,17 @@ from fourd.storage.versions import object_version
 PART_BYTES = 16 << 20
 """Size of the parts of an upload. One part is in memory at a time."""
 MAX_PARTS = 9000
-"""S3 accepts at most 10,000 parts. Larger files than MAX_PARTS parts are sent in larger parts."""
+"""S3 accepts at most 10,000 parts. If a file has more than MAX_PARTS parts of PART_BYTES, it is sent in
+larger parts.
+"""
 
 
 def upload(path: Path, url: StorageUrl, track: Track = untracked) -> None:
-    """Write a local file to the object ``url``. Readers of the object see its old or its complete new content.
+    """Write a local file to the object ``url``. Readers of the object get either its old content or its complete new
+    content.
 
     Raises:
-        UserError: if the store refuses. The old object then stays, and the parts are removed.
+        UserError: if the store returns an error. The old object then stays, and the parts are removed.
     """
     store = connect(url)
     with open_regular(path) as source:
@@ -55,7 +58,7 @@ def upload(path: Path, url: StorageUrl, track: Track = untracked) -> None:
 
 
 def upload_changed(path: Path, url: StorageUrl, record: Path, track: Track = untracked) -> None:
-    """Upload a file, unless ``record`` tells that the object is already this version of the file.
+    """Upload a file, unless ``record`` shows that the object already has the content of the file.
 
     Args:
         path: the local file.
@@ -88,12 +91,12 @@ def _read_record(path: Path) -> Any:
 
 
 def check_writable(url: StorageUrl) -> None:
-    """Start an upload to ``url`` and abort it, so that long work does not end with an upload that is refused.
+    """Start an upload to ``url`` and abort it, so that errors are reported before a long computation.
 
     The object ``url`` does not change.
 
     Raises:
-        UserError: if the store refuses.
+        UserError: if the store returns an error.
     """
     stream = _open(connect(url), url, PART_BYTES)
     try:
@@ -105,13 +108,15 @@ def check_writable(url: StorageUrl) -> None:
 
 
 def _open(store: Any, url: StorageUrl, part: int) -> Any:
-    """Open an object for writing. Without ``commit`` of the stream, nothing becomes visible."""
+    """Open an object for writing. The object changes only when the stream's method ``commit`` is called."""
     with storage_errors(url):
         return store.open(str(url), "wb", block_size=part, autocommit=False)
 
 
 def _discard(stream: Any) -> None:
-    """Remove the parts of an upload that is not completed. If the store no longer answers, its rules remove them."""
+    """Remove the parts of an upload that is not completed. If the store does not reply, the parts stay until a
+    lifecycle rule of the store removes them.
+    """
     with suppress(Exception):
         stream.discard()
     # The destructor of the stream closes it, which would send its last part.

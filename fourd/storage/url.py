@@ -9,9 +9,9 @@ from pathlib import Path, PurePosixPath
 from fourd.errors import UserError
 
 URL = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]+)://(?P<rest>.*)", re.DOTALL)
-"""A scheme has at least two characters, so that Windows paths such as C:/videos are no URLs."""
+"""A scheme has at least two characters, so that Windows paths such as C:/videos are not URLs."""
 SCHEMES = ("s3", "gs", "memory")
-"""Schemes whose stores replace an object in one step when an upload is completed. memory:// is a store inside this
+"""Schemes whose stores replace an object atomically when an upload is completed. memory:// is a store inside this
 process, for tests and programs."""
 
 
@@ -19,7 +19,7 @@ process, for tests and programs."""
 class StorageUrl:
     """The URL of an object or of a folder, which is a common prefix of objects. :func:`parse_location` checks URLs.
 
-    The part after the scheme is used as it is, without percent-decoding, as in other programs for these stores.
+    The part after the scheme is used without percent-decoding, as in other programs for these stores.
     """
 
     text: str

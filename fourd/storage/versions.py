@@ -14,7 +14,7 @@ def object_version(info: dict[str, Any]) -> str:
 
 
 def changed_seconds(info: dict[str, Any]) -> float | None:
-    """Time of the last change in seconds since 1970, or None if the store does not tell."""
+    """Time of the last change in seconds since 1970, or None if the store does not report it."""
     for name in ("LastModified", "mtime", "updated", "created"):
         value = info.get(name)
         if isinstance(value, datetime):

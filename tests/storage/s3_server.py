@@ -14,7 +14,7 @@ ENVIRONMENT = {
     "AWS_CONFIG_FILE": "/nonexistent",
     "AWS_SHARED_CREDENTIALS_FILE": "/nonexistent",
 }
-"""Credentials for the server, and none from the user's own files."""
+"""Credentials for the server. The user's credential files are not read."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Commands with URLs in the place of paths, on a local S3 server."""
+"""Tests of commands with URLs instead of paths, on a local S3 server."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ def test_a_scene_is_made_from_and_in_a_bucket(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Catches any step of the way from a capture to a scene that takes a URL for a path, works on a stale copy, or
-    uploads again what has not changed."""
+    """Catches a stage between capture and scene that uses a URL as a path or reads an outdated copy, and a second
+    upload of an unchanged scene.
+    """
     monkeypatch.chdir(tmp_path)
     put_folder(bucket.files, ball_capture, f"{bucket.name}/captures/ball")
     scene = f"{bucket.url}/scenes/ball.4dv"
@@ -105,7 +106,7 @@ def test_bad_storage_is_one_line(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Catches tracebacks and several lines for the mistakes that users make."""
+    """Catches tracebacks, and error messages of several lines, for errors of the user."""
     monkeypatch.chdir(tmp_path)
 
     def refusal(url: str) -> str:

@@ -1,4 +1,6 @@
-"""Tests of copies from a store: complete, of one version, resumed, and inside their folder."""
+"""Tests of copies from a store. A copy must be complete, have the content of one version, and be resumable. All its
+files must be inside its folder.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ Item = TypeVar("Item")
 
 
 def put(bucket: Bucket, **contents: bytes) -> StorageUrl:
-    """Write objects into the folder videos/ of the bucket. Two underscores in a name stand for a slash."""
+    """Write objects into the folder videos/ of the bucket. Two underscores in a name are replaced by a slash."""
     for name, content in contents.items():
         bucket.files.pipe_file(f"{bucket.name}/videos/{name.replace('__', '/')}", content)
     return StorageUrl(f"{bucket.url}/videos")
@@ -30,9 +32,11 @@ def copied(parent: Path) -> dict[str, bytes]:
 
 
 def test_a_second_copy_reads_only_what_changed(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches stale copies of changed and removed objects, and files of fourd in the copy that are removed."""
+    """Catches outdated copies of changed and of removed objects. Also catches a removal of the files that fourd has
+    written into the copy.
+    """
     url = put(bucket, a=b"a" * 100, deep__b=b"b", old=b"old")
-    bucket.files.pipe_file(f"{bucket.name}/videos/empty/", b"")  # the marker of a folder, as web consoles make it
+    bucket.files.pipe_file(f"{bucket.name}/videos/empty/", b"")  # marker of an empty folder
     assert fetch(url, tmp_path) == tmp_path / "videos"
     assert copied(tmp_path) == {"a": b"a" * 100, "deep/b": b"b", "old": b"old"}
     (tmp_path / "videos/.fourd").mkdir()
@@ -52,7 +56,9 @@ def test_a_second_copy_reads_only_what_changed(bucket: Bucket, tmp_path: Path, m
 
 
 def test_an_interrupted_copy_continues(bucket: Bucket, tmp_path: Path) -> None:
-    """Catches a copy that starts again, and a half line in the record that stops the next copy."""
+    """Catches an interrupted copy that is repeated from the start, and an incomplete line in the record that makes the
+    next copy fail.
+    """
     url = put(bucket, a=b"a", b=b"b", c=b"c")
     read: list[str] = []
 
@@ -112,7 +118,9 @@ def test_an_object_that_changes_while_it_is_read_is_an_error(
 
 @pytest.mark.parametrize("key", ["a/../../../x", "a//b", "a\\b", "C:x", "a\x1b[2J", "."])
 def test_names_that_leave_the_folder_are_refused(bucket: Bucket, tmp_path: Path, key: str) -> None:
-    """Catches an object whose name writes outside the copy, or to the terminal."""
+    """Catches an object whose name is a path outside the copy, or whose name writes control characters
+    to the terminal.
+    """
     url = put(bucket, a=b"a")
     bucket.files.call_s3("put_object", Bucket=bucket.name, Key=f"videos/{key}", Body=b"bad")
     with pytest.raises(UserError) as caught:

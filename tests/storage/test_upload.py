@@ -1,4 +1,4 @@
-"""Tests of uploads: objects are replaced in one step, and a refusal is one line that names the URL."""
+"""Tests of uploads: objects are replaced atomically, and an error of the store is one line that names the URL."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ def test_a_kill_in_the_middle_of_an_upload_leaves_the_old_object(bucket: Bucket,
 
 @pytest.mark.parametrize("size", [0, 1, 5 * MEGABYTE, 12 * MEGABYTE + 1])
 def test_uploads_have_all_bytes(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    """Catches an empty file that cannot be a multipart upload, and a last part that is lost."""
+    """Catches a failed upload of an empty file, which cannot be a multipart upload. Also catches an upload without its
+    last part.
+    """
     monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
     path = tmp_path / "scene.4dv"
     path.write_bytes(os.urandom(size))
@@ -72,7 +74,7 @@ def test_uploads_have_all_bytes(bucket: Bucket, tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_failed_upload_leaves_no_parts(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches parts that stay in the bucket, and are paid for, after Ctrl-C or an error."""
+    """Catches parts that stay in the bucket after Ctrl-C or an error. Such parts cost money."""
     monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
     bucket.files.pipe_file(f"{bucket.name}/scene.4dv", b"old")
 
@@ -87,7 +89,9 @@ def test_a_failed_upload_leaves_no_parts(bucket: Bucket, tmp_path: Path, monkeyp
 
 
 def test_an_output_is_uploaded_only_if_the_work_succeeds(bucket: Bucket) -> None:
-    """Catches an upload of half a file, and a message that names a temporary file that is already removed."""
+    """Catches an upload of an incomplete file, and a message that names a temporary file that has
+    already been removed.
+    """
     url = StorageUrl(f"{bucket.url}/scene.4dv")
     with pytest.raises(UserError) as caught, local_output(url) as path:
         path.write_bytes(b"half")
@@ -102,7 +106,7 @@ def test_an_output_is_uploaded_only_if_the_work_succeeds(bucket: Bucket) -> None
 
 
 def test_a_refusal_comes_before_the_work(bucket: Bucket) -> None:
-    """Catches hours of training whose scene cannot be uploaded."""
+    """Catches a missing bucket that is reported only after hours of training."""
     with pytest.raises(UserError) as caught, local_output(StorageUrl("s3://no-such-bucket/scene.4dv")):
         pytest.fail("the block must not start")
     assert str(caught.value) == (

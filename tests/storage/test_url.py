@@ -1,4 +1,4 @@
-"""Tests of URLs: which are accepted, and that no command takes one as the name of a local folder."""
+"""Tests of URLs: the accepted forms, and commands that must not use a URL as the name of a local folder."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from fourd.storage import StorageUrl, parse_location
     ],
 )
 def test_urls_and_paths_are_told_apart(text: str, expected: Path | StorageUrl) -> None:
-    """Catches a Windows drive taken as a scheme, and a name that is decoded as in a web address."""
+    """Catches a Windows drive that is read as a scheme, and percent-decoding of a name."""
     assert parse_location(text) == expected
 
 
@@ -41,7 +41,7 @@ def test_urls_and_paths_are_told_apart(text: str, expected: Path | StorageUrl) -
     ],
 )
 def test_other_urls_are_refused(text: str, message: str) -> None:
-    """Catches a URL of an unknown store that is taken as a local path."""
+    """Catches a URL of an unknown store that is used as a local path."""
     with pytest.raises(UserError) as caught:
         parse_location(text)
     assert message in str(caught.value)
@@ -70,7 +70,7 @@ def test_other_urls_are_refused(text: str, message: str) -> None:
 def test_arguments_without_storage_refuse_urls(
     words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a command that makes or searches the local folder "s3:"."""
+    """Catches a command that creates or looks for the local folder "s3:"."""
     monkeypatch.chdir(tmp_path)
     assert main(words) == 2
     error = capsys.readouterr().err

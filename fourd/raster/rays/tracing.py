@@ -81,7 +81,7 @@ def trace(
 
     Returns:
         The hits. t, u and v are differentiable in xyz, origins and directions (implicit differentiation of the equation
-        of Moeller and Trumbore 1997). Which triangle is hit is not differentiable. On a GPU, the last bits of the
+        of Moeller and Trumbore 1997). The index of the hit triangle has no derivative. On a GPU, the last bits of the
         gradient of xyz can differ between calls.
 
     Raises:
