@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*')
 
-.PHONY: help install demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count fuzz
+.PHONY: help install install-locked demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count fuzz
 
 help:
 	@echo "make demo       synthetic capture -> trained 4D scene -> video, in demo/"
@@ -18,6 +18,7 @@ help:
 	@echo "make sanitize   the C++ kernels under ASan, UBSan and TSan"
 	@echo "make fuzz       the readers of files, with coverage feedback, for SECONDS=60"
 	@echo "make count      the C++ kernels' instructions against those accepted before"
+	@echo "make install-locked  install packages with the hashes in requirements.lock; then use the targets above"
 	@echo "make clean      remove the environment and everything built"
 
 $(STAMP): pyproject.toml constraints.txt $(NATIVE)
@@ -27,6 +28,16 @@ $(STAMP): pyproject.toml constraints.txt $(NATIVE)
 	touch $@
 
 install: $(STAMP)
+
+# Install only files with the hashes of requirements.lock. torch has no hash here, because its builds for CPU and CUDA are
+# different files of the same version.
+install-locked:
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --require-hashes --no-deps --only-binary :all: -r requirements.lock
+	$(BIN)/pip install --quiet -c constraints.txt torch
+	$(BIN)/pip install --quiet --no-deps --no-build-isolation --config-settings cmake.define.FOURD_WERROR=$(WERROR) -e .
+	$(BIN)/pip check
+	touch $(STAMP)
 
 demo: install
 	$(BIN)/python tools/demo.py

@@ -1,0 +1,55 @@
+"""Write requirements.lock: all packages that `make` installs, except torch, with the hashes of all their files.
+
+    .venv/bin/python tools/security/lock.py [UV]
+
+Run it after a change of the dependencies in pyproject.toml or of constraints.txt. UV is the program uv
+(https://docs.astral.sh/uv), by default the one on PATH. torch is left out, because its builds for CPU and CUDA are
+different files of the same version. The packages of CUDA are left out, because only the builds for CUDA need them.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+LOCK = "requirements.lock"
+PYTHON = "3.11"
+"""The oldest Python of pyproject.toml."""
+EXTRAS = ("train", "dev", "docs")
+BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")
+"""Packages that build the kernels, which `make` installs in the same environment."""
+OF_TORCH = ("torch", "triton", "cuda-", "nvidia-")
+"""Packages that are left out, or the beginnings of their names."""
+HEADER = """\
+# All packages that `make` installs, except torch and the packages of CUDA, for all platforms and versions of Python.
+# tools/security/lock.py writes this file. pip installs only files with one of these hashes (--require-hashes).
+"""
+
+
+def main() -> int:
+    uv = sys.argv[1] if len(sys.argv) > 1 else "uv"
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    wanted = [*project["dependencies"], *BUILD]
+    wanted += [each for extra in EXTRAS for each in project["optional-dependencies"][extra]]
+    words = [uv, "pip", "compile", "-", "--universal", "--python-version", PYTHON, "-c", "constraints.txt"]
+    words += ["--generate-hashes", "--no-header", "--no-annotate", "--quiet"]
+    result = subprocess.run(words, input="\n".join(wanted), cwd=ROOT, check=True, capture_output=True, text=True)
+    (ROOT / LOCK).write_text(HEADER + without_torch(result.stdout))
+    return 0
+
+
+def without_torch(text: str) -> str:
+    """The lock without torch and the packages of CUDA. A package is one line and the indented lines of its hashes."""
+    kept, is_kept = [], True
+    for line in text.splitlines(keepends=True):
+        if not line.startswith(" "):
+            is_kept = not line.startswith(tuple(name if name.endswith("-") else f"{name}==" for name in OF_TORCH))
+        kept += [line] * is_kept
+    return "".join(kept)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
