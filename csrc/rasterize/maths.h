@@ -7,9 +7,9 @@
 // triangle covers it only if the edge is a left or top edge of the triangle. A triangle with a vertex behind the camera
 // or far outside the image is clipped first.
 //
-// u, v and z/w come from the unclipped triangle (Olano and Greer 1997, Triangle Scan Conversion using 2D Homogeneous
-// Coordinates). The columns of the matrix M are the vertices (x, y, w). The vector b = M^-1 (f_x, f_y, 1) has the
-// elements b_k = (barycentric weight of vertex k) / w, and z/w is the sum of z_k b_k.
+// u, v and z/w are computed from the unclipped triangle (Olano and Greer 1997, Triangle Scan Conversion using 2D
+// Homogeneous Coordinates). The columns of the matrix M are the vertices (x, y, w). The vector b = M^-1 (f_x, f_y, 1)
+// has the elements b_k = (barycentric weight of vertex k) / w, and z/w is the sum of z_k b_k.
 //
 // All functions are static, because they are compiled once per instruction set.
 #pragma once

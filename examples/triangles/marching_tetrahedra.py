@@ -8,8 +8,8 @@ first surface is an ellipsoid that fills the grid. In contrast to a deformed mes
 an ellipsoid becomes a torus.
 
 At pixels outside the given silhouette, the visible surface is pushed away from the camera, as if the true depth were
-behind the grid. Where the front of the surface meets its back, the surface vanishes. At the silhouettes, the gradient
-comes from antialiasing. With ``--capture``, the silhouettes are the mattes of one frame and there are no depth images.
+behind the grid. Where the front of the surface meets its back, the surface vanishes. Antialiasing provides the gradient
+at the silhouettes. With ``--capture``, the silhouettes are the mattes of one frame and there are no depth images.
 """
 
 from __future__ import annotations

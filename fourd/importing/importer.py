@@ -207,7 +207,7 @@ def _check_options(imported: Imported, source: Path, options: ImportOptions) -> 
 def _estimate(
     imported: Imported, indices: Indices, out: Path, options: ImportOptions, log: Log, track: Track
 ) -> Estimate | None:
-    """Estimate the offsets of the videos if an option asks for it."""
+    """Estimate the offsets of the videos if an option requests it."""
     if not (options.sync or options.apply_sync):
         return None
     estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)

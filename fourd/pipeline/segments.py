@@ -125,7 +125,7 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
     """Start the run of a segment, or resume it from its newest checkpoint. Nothing is done if the budget of a finished
     segment is unchanged."""
     group = context.group or ALONE
-    # On a cluster, a task that is believed to be lost may still run while it is retried.
+    # A cluster may retry a task that still runs, if the connection to the task's node was lost.
     with locked_folder(files.segment) if group.is_first else nullcontext():
         if group.is_first:
             _prepare_segment(files, config)

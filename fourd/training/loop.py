@@ -192,7 +192,7 @@ class Trainer:
 
     def _checkpoint(self) -> None:
         """Save the points first and the model's file last. The presence of the model's file marks the checkpoint as
-        complete. Each rank saves the points of its frames, and rank 0 saves the rest."""
+        complete. Each rank saves the points of its frames, and rank 0 saves all other data."""
         if self.done == self._saved_step:
             return
         target = checkpoint_path(self.run.checkpoints, self.done)

@@ -80,7 +80,7 @@ def test_rates_out_of_range_are_refused(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_the_import_stores_the_rate(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an import that ignores --fps, and an import of a capture that loses the capture's frame rate."""
+    """Catches an import that ignores --fps, and an import of a capture that changes the capture's frame rate."""
     words = ["import", str(ball_capture), str(tmp_path / "first"), "--centres", "as-given"]
     assert main([*words, "--fps", "29.97"]) == 0
     assert read_rate(tmp_path / "first") == Fraction(30000, 1001)

@@ -43,7 +43,9 @@ def test_bad_rendering_options_are_one_line(
 
 
 def test_options_that_printing_does_not_need_are_not_called_required(capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches ``fourd calibrate --help`` that demands -o and VIDEOS of a user who only wants to print the board."""
+    """Catches a help text of ``fourd calibrate`` in which -o and VIDEOS are always required, although --print-board
+    needs neither.
+    """
     with pytest.raises(SystemExit):
         main(["calibrate", "--help"])
     text = " ".join(capsys.readouterr().out.replace("│", " ").split())

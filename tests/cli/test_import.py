@@ -115,7 +115,7 @@ def write_room(folder: Path, names: list[str], true: list, calibration: list) ->
 
 
 def test_unclear_sizes_ask_for_resize(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches an import that guesses how images were resized."""
+    """Catches an import that chooses one of several equally likely resizing methods instead of reporting an error."""
     source = write_source(tmp_path / "source")
     cameras = [replace(of.camera(32, 48), width=36) for of in read_calibration(source).values()]
     write_calibration(source, ["a", "b", "c"], cameras)

@@ -1,4 +1,6 @@
-"""The reader of OpenCV's YAML agrees with OpenCV on what OpenCV writes, and refuses the rest."""
+"""Tests of the reader of OpenCV's YAML: it returns the values that OpenCV has written, and raises an error for other
+content.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,7 @@ def test_content_that_opencv_writes(rng: np.random.Generator) -> None:
 
 
 def test_content_that_other_programs_write() -> None:
-    """Catches a reader that knows only OpenCV's own line breaks, or that parses values of other keys."""
+    """Catches a reader that supports only OpenCV's own line breaks, or that parses values of other keys."""
     text = HEADER + (
         "# a comment: 1\n"
         "names: # of the cameras\r\n"
@@ -86,7 +88,7 @@ def test_other_formats_are_refused(text: str, message: str) -> None:
 
 @pytest.mark.parametrize("values", ["[", "[1", "[1,", "[1,]", "[,1]", "[1] 2", "[[1]]", "[a: 1]", "- 1", "{}"])
 def test_damaged_lists_have_no_items(values: str) -> None:
-    """Catches items that are guessed from a damaged list."""
+    """Catches a damaged list from which items are returned instead of None or an error."""
     assert OpenCvYaml(f"{HEADER}a: {values}\n").items("a") is None
 
 
@@ -110,7 +112,9 @@ def test_long_lists_are_refused() -> None:
     ],
 )
 def test_incomplete_matrices_are_refused(change: tuple[str, str]) -> None:
-    """Catches a matrix of another shape than the file says. OpenCV's reader writes behind its memory."""
+    """Catches a matrix whose shape differs from the declared shape. OpenCV's reader writes beyond the memory of such a
+    matrix.
+    """
     text = HEADER + "K: !!opencv-matrix\n  rows: 2\n  cols: 1\n  dt: d\n  data: [1., 2.]\n"
     assert np.array_equal(OpenCvYaml(text).matrix("K"), [[1], [2]])  # type: ignore[arg-type]
     assert change[0] in text

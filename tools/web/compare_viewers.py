@@ -83,7 +83,7 @@ class Arguments:
     size: int = 512
     """Width and height of the pictures in pixels."""
     rounds: int = 5
-    """Number of measurements of each viewer. The viewers take turns."""
+    """Number of measurements of each viewer. The viewers are measured alternately."""
     seconds: float = 5.0
     """Time of one measurement."""
 

@@ -4,7 +4,7 @@
 
 The worker and native code decode the same members, which are compressed with zlib. The members are the points, the
 spherical harmonics, and the source views that are blended for the last camera of the scene. The browser uses one
-worker, and native code uses one core. The worker and native code take turns.
+worker, and native code uses one core. The worker and native code are measured alternately.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ class ArrayTexture:
     def reserve(self, texels: int) -> bool:
         """Reserve storage for ``texels`` texels.
 
-        Returns whether the texture keeps its content. If the texture must grow, it loses its content. Raises UserError
-        if the texture would exceed the driver's limit.
+        Returns whether the texture keeps its content. If the texture must be enlarged, its content is lost. Raises
+        UserError if the texture would exceed the driver's limit.
         """
         rows = -(-texels // TEXELS_PER_ROW)
         if self._texture is not None and self._texture.height >= rows:

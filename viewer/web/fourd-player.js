@@ -144,7 +144,7 @@ export class FourdPlayer extends HTMLElement {
       await navigator.clipboard.writeText(link);
       this.panel.showNote("The link to this view is copied.");
     } catch {
-      this.panel.showNote("The address of the page holds this view.");
+      this.panel.showNote("The address of the page contains this view.");
     }
   }
 

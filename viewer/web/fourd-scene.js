@@ -95,7 +95,7 @@ export class FourdScene {
    * Advances the time by `elapsed` seconds, loads frames and sorts their points for a view.
    *
    * The views of both eyes of a headset share one depth order. The order is exact if both eyes look in the same
-   * direction, and none is in front of the other.
+   * direction, and neither is in front of the other.
    * @param {number} elapsed
    * @param {View} view
    */

@@ -63,7 +63,7 @@ class StyledPlayer:
         """Draw the visible surface of a frame. The next call overwrites the surface.
 
         Args:
-            persistence: weight of the previous surface if the camera is the same, from 0 to below 1.
+            persistence: weight of the previous surface if the camera has not changed, from 0 to below 1.
             layers, threads: see :meth:`fourd.baking.player.Player.draw`.
         """
         size = (camera.height, camera.width)

@@ -116,8 +116,9 @@ def test_glb_has_the_attributes_of_the_extension(scene_path: Path, tmp_path: Pat
 
 
 def test_the_khronos_validator_rejects_only_the_names_of_the_extension(scene_path: Path, tmp_path: Path) -> None:
-    """Catches violations of the glTF specification. The validator does not know the extension, whose attributes it
-    reports as invalid names."""
+    """Catches violations of the glTF specification. The validator does not support the extension, and reports its
+    attributes as invalid names.
+    """
     package = installed("gltf-validator")
     (path,) = export(scene_path, tmp_path / "frame.glb", "glb", (1,))
     program = (

@@ -66,7 +66,7 @@ def write_moving(folder: Path, pattern: str) -> Path:
 
 
 def test_static_cameras(static: Path, rng: np.random.Generator) -> None:
-    """Catches wrong camera axes, ignored values that hold for the whole file, and images that are not found without a
+    """Catches wrong camera axes, values for the whole file that are ignored, and images that are not found without a
     suffix."""
     assert detect_format(static) == detect_format(static / "transforms.json") == "transforms"
     imported = read(static)

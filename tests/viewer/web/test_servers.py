@@ -32,7 +32,7 @@ class StallingHandler(SiteHandler):
     def _send_content(self, stream: BinaryIO, part: Part) -> None:
         if part.start > 0:
             self.wfile.flush()
-            self.rfile.read(1)  # until the client gives up
+            self.rfile.read(1)  # until the client closes the connection
             self.close_connection = True
             return
         super()._send_content(stream, part)
@@ -141,7 +141,7 @@ def test_a_missing_scene(open_page: Callable[..., PlayerPage], object_site: Path
 
 
 def test_a_live_page_shows_changes(open_page: Callable[..., PlayerPage], tmp_path: Path) -> None:
-    """Catches a page that keeps the old scene, or that loses the view or the time when it opens the new scene."""
+    """Catches a page that keeps the old scene, or that resets the view or the time when it opens the new scene."""
     scene = tmp_path / "scene.4dv"
     write_random_scene(scene, frames=3, points=50)
     live = LiveSite(scene, tmp_path / "site", "light", Console(quiet=True))

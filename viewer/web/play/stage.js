@@ -126,7 +126,7 @@ export class Stage {
     return cameraOf(this.pose, width, height);
   }
 
-  /** Forgets all graphics objects, after the WebGL context was lost. */
+  /** Discards all graphics objects after the WebGL context was lost. */
   loseContext() {
     this.renderer = null;
   }
