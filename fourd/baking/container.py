@@ -24,7 +24,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourd.baking.combine import combine_frames
-from fourd.baking.files.archive import ZIP_ERRORS, check_members, damaged, disk_errors, make_member, open_zip
+from fourd.baking.files.archive import (
+    ZIP_ERRORS,
+    archive_size,
+    check_members,
+    damaged,
+    disk_errors,
+    make_member,
+    open_zip,
+)
 from fourd.baking.files.encoding import CloudEncoding
 from fourd.baking.manifest import ManifestError, NewerVersionError, manifest_from_json, manifest_to_json
 from fourd.baking.packed.members import decode_cloud, optional_member, packed_names
@@ -32,6 +40,7 @@ from fourd.baking.packed.streams import StreamError, decompress_exactly
 from fourd.baking.scene import FULL_VERSION, OBJECT_VERSION, BakedFrame, SceneBackground, SceneManifest, make_frame
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished_file
+from fourd.storage import Location, parse_location
 
 MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 64 << 20
@@ -187,7 +196,13 @@ class SceneWriter:
 class SceneReader:
     """Reads a `.4dv`. Each call reads the requested frame from the file. Only the background is kept in memory.
 
-    Several threads may use one instance.
+    Several threads may use one instance. ``path`` can be a URL, such as s3://bucket/scene.4dv. Such a scene is read by
+    ranges, without a copy.
+
+    Attributes:
+        path: the path or URL of the file.
+        size: size of the file in bytes.
+        manifest: the scene's manifest.
 
     Raises:
         UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. An invalid file
@@ -195,12 +210,13 @@ class SceneReader:
             The message is one line that names the file and the fix.
     """
 
-    def __init__(self, path: Path | str) -> None:
-        self.path = Path(path)
+    def __init__(self, path: Location | str) -> None:
+        self.path = parse_location(path) if isinstance(path, str) else path
         self._zip = open_zip(self.path)
         self._background: BakedFrame | None = None
         self._lock = Lock()
         try:
+            self.size = archive_size(self._zip)
             self._members = check_members(self.path, self._zip)
             self.manifest = self._read_manifest()
             self._check_sizes()

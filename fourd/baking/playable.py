@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
@@ -16,6 +15,7 @@ from fourd.cameras import Camera
 from fourd.capture.frame_rate import DEFAULT_FPS
 from fourd.capture.layout import parse_frame_range
 from fourd.errors import UserError
+from fourd.storage import Location, StorageUrl
 
 if TYPE_CHECKING:
     from fourd.training.run import TrainedRun
@@ -115,8 +115,11 @@ class PlayableRun:
         return np.clip(picture.rgb + over, 0, 1).astype(np.float32)
 
 
-def open_playable(path: Path) -> Playable:
-    """Open a run's folder, a `.4dv`, or Gaussian splats. torch is loaded only for a run. Raises UserError."""
+def open_playable(path: Location) -> Playable:
+    """Open a run's folder, a `.4dv` or its URL, or Gaussian splats. torch is loaded only for a run. Raises
+    UserError."""
+    if isinstance(path, StorageUrl):
+        return PlayableScene(open_scene(path))
     if not path.exists():
         raise UserError(
             f"{path}: expected a run's folder or a .4dv file, got a path that does not exist; check the path"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from threading import Lock
 from types import TracebackType
 
@@ -17,6 +16,7 @@ from fourd.baking.splats.reader import open_reader
 from fourd.cameras import Camera
 from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.ops.points.arrays import render_points_numpy
+from fourd.storage import Location, parse_location
 
 CACHE_BYTES = 256 << 20
 
@@ -44,8 +44,8 @@ class Scene:
     are cached, up to ``cache_bytes``.
     """
 
-    def __init__(self, path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> None:
-        self._reader = open_reader(Path(path))
+    def __init__(self, path: Location | str, *, cache_bytes: int = CACHE_BYTES) -> None:
+        self._reader = open_reader(parse_location(path) if isinstance(path, str) else path)
         manifest = self._reader.manifest
         largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
         # ``cache_bytes`` includes the memory of the background, which the reader keeps. The largest frame must fit in
@@ -55,7 +55,7 @@ class Scene:
         self._lock = Lock()
 
     @property
-    def path(self) -> Path:
+    def path(self) -> Location:
         return self._reader.path
 
     @property
@@ -146,10 +146,11 @@ def render_frame(
     return RenderedImage(rgb, alpha, depth)
 
 
-def open_scene(path: Path | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
+def open_scene(path: Location | str, *, cache_bytes: int = CACHE_BYTES) -> Scene:
     """Open a `.4dv`, a `.ply` or `.splat` file of Gaussian splats, or a folder with one such file for each frame.
 
     Args:
+        path: a path, or the URL of a `.4dv`, such as s3://bucket/scene.4dv. Such a scene is read by ranges.
         cache_bytes: size in bytes of the cache for frames and the background. One frame is cached even if it exceeds
             this limit.
 

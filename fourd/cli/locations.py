@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,7 +12,7 @@ import tyro
 
 from fourd.errors import UserError
 from fourd.progress import Terminal, Track, Tracker
-from fourd.storage import Location, StorageUrl, parse_location
+from fourd.storage import Location, StorageUrl, local_copy, parse_location
 from fourd.storage.url import is_url
 
 PATH_OR_URL: tyro.constructors.PrimitiveConstructorSpec[Location] = tyro.constructors.PrimitiveConstructorSpec(
@@ -26,6 +27,17 @@ PATH_OR_URL: tyro.constructors.PrimitiveConstructorSpec[Location] = tyro.constru
 CaptureLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="CAPTURE")]]
 SceneLocation = tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="SCENE")]]
 OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
+
+
+@contextmanager
+def scene_or_copy(location: Location) -> Iterator[Location]:
+    """Yield a local path, or the URL of a .4dv file, which is read by ranges. Other objects are copied for the time of
+    the block."""
+    if isinstance(location, Path) or location.suffix.lower() == ".4dv":
+        yield location
+        return
+    with local_copy(location, transfer_progress()) as path:
+        yield path
 
 
 def transfer_progress() -> Track:

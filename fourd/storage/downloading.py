@@ -11,11 +11,13 @@ import shutil
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
+from io import BufferedReader
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from fourd.errors import UserError
-from fourd.files import atomic_path, write_text_atomically
+from fourd.files import atomic_path, is_unused, write_text_atomically
 from fourd.limits import open_regular
 from fourd.progress import Track, untracked
 from fourd.storage.connection import changed, connect, storage_errors
@@ -106,20 +108,15 @@ def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
 
     Args:
         url: an object, or a folder of objects.
-        parent: local folder, which contains nothing else. A copy of another URL in this folder is removed.
+        parent: local folder that is missing, empty, or has an earlier copy. A copy of another URL is removed.
         track: reports progress.
 
     Raises:
-        UserError: if the store returns an error, an object changes while it is read, or the disk has too little space.
+        UserError: if the store returns an error, an object changes while it is read, the disk has too little space, or
+            ``parent`` contains other files.
     """
     listing = list_objects(url)
-    parent.mkdir(parents=True, exist_ok=True)
-    known = _read_record(url, parent / RECORD)
-    if known is None:
-        shutil.rmtree(parent)
-        parent.mkdir()
-        write_text_atomically(parent / RECORD, json.dumps([str(url)]) + "\n")
-        known = {}
+    known = _open_record(url, parent)
     target = parent / url.name
     paths = {item.key: target if listing.is_single else target / item.key for item in listing.objects}
     for key in known.keys() - paths.keys():
@@ -138,22 +135,26 @@ def _download_all(
     url: StorageUrl, due: list[StoredObject], urls: dict[str, StorageUrl], paths: dict[str, Path]
 ) -> Iterator[StoredObject]:
     """Download objects with several connections. Yields each object when its copy is complete."""
-    store = connect(url)
+    store, stop = connect(url), Event()
     with ThreadPoolExecutor(CONNECTIONS) as pool:
-        futures = {pool.submit(_download, store, urls[item.key], item, paths[item.key]): item for item in due}
+        futures = {pool.submit(_download, store, urls[item.key], item, paths[item.key], stop): item for item in due}
         try:
             for future in as_completed(futures):
                 future.result()
                 yield futures[future]
         finally:
+            stop.set()
             pool.shutdown(cancel_futures=True)
 
 
-def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path) -> None:
+def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path, stop: Event) -> None:
+    """Copy one object to ``path``. If ``stop`` is set, the copy is abandoned after the current piece."""
     with storage_errors(url):
         stream = store.open(str(url), "rb", block_size=PIECE_BYTES, cache_type="none")
     with stream, atomic_path(path) as temporary, temporary.open("wb") as out:
         for _ in range(0, item.size, PIECE_BYTES):
+            if stop.is_set():
+                raise InterruptedError
             with storage_errors(url):
                 piece = stream.read(PIECE_BYTES)
             out.write(piece)
@@ -190,22 +191,30 @@ def _require_space(url: StorageUrl, folder: Path, size: int) -> None:
         )
 
 
-def _read_record(url: StorageUrl, path: Path) -> dict[str, tuple[int, str]] | None:
-    """Read size and version of each copied object. None if there is no record, or a record of another URL.
+def _open_record(url: StorageUrl, parent: Path) -> dict[str, tuple[int, str]]:
+    """Read size and version of each copied object in ``parent``. Creates the record if there is no copy of ``url``."""
+    record = parent / RECORD
+    first_line = f"{json.dumps([str(url)])}\n"
+    if record.is_file():
+        with open_regular(record) as lines:
+            if lines.readline(MAX_RECORD_LINE) == first_line.encode():
+                return _read_lines(lines)
+        shutil.rmtree(parent)
+    elif not is_unused(parent):
+        raise UserError(
+            f"{parent}: expected a new folder or a copy from a store, got a folder with other files; move it away"
+        )
+    write_text_atomically(record, first_line)
+    return {}
 
-    Incomplete lines, which a killed process leaves, are skipped.
-    """
+
+def _read_lines(lines: BufferedReader) -> dict[str, tuple[int, str]]:
+    """Read the lines of a record after the first. Incomplete lines, which a killed process leaves, are skipped."""
     known: dict[str, tuple[int, str]] = {}
-    try:
-        with open_regular(path) as lines:
-            if lines.readline(MAX_RECORD_LINE) != f"{json.dumps([str(url)])}\n".encode():
-                return None
-            while line := lines.readline(MAX_RECORD_LINE):
-                try:
-                    key, size, version = json.loads(line)
-                    known[str(key)] = (int(size), str(version))
-                except (ValueError, TypeError, RecursionError):
-                    continue
-    except FileNotFoundError:
-        return None
+    while line := lines.readline(MAX_RECORD_LINE):
+        try:
+            key, size, version = json.loads(line)
+            known[str(key)] = (int(size), str(version))
+        except (ValueError, TypeError, RecursionError):
+            continue
     return {key: value for key, value in known.items() if _is_file_name(key)}

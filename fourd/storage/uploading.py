@@ -17,7 +17,7 @@ from fourd.files import write_text_atomically
 from fourd.limits import open_regular, read_json
 from fourd.progress import Track, untracked
 from fourd.storage.connection import connect, storage_errors
-from fourd.storage.url import StorageUrl
+from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
 PART_BYTES = 16 << 20
@@ -109,6 +109,7 @@ def check_writable(url: StorageUrl) -> None:
 
 def _open(store: Any, url: StorageUrl, part: int) -> Any:
     """Open an object for writing. The object changes only when the stream's method ``commit`` is called."""
+    require_object(url)
     with storage_errors(url):
         return store.open(str(url), "wb", block_size=part, autocommit=False)
 

@@ -42,9 +42,20 @@ class StorageUrl:
         """The last part of the path."""
         return self.path.name
 
+    @property
+    def suffix(self) -> str:
+        """The suffix of the name, such as .4dv."""
+        return self.path.suffix
+
     def join(self, key: str) -> StorageUrl:
         """The URL of an object in this folder, from its key relative to the folder."""
         return StorageUrl(f"{self.text.rstrip('/')}/{key}")
+
+
+def require_object(url: StorageUrl) -> None:
+    """Raise UserError if a URL names a bucket only, and no object in it."""
+    if len(url.path.parts) < 2:
+        raise UserError(f"{url}: expected the name of an object in the bucket, got only a bucket; write {url}/NAME")
 
 
 Location = Path | StorageUrl

@@ -7,10 +7,12 @@ from typing import Any
 
 
 def object_version(info: dict[str, Any]) -> str:
-    """The identifiers of an object's content: ETag or another hash, and the second of the last change."""
+    """The identifiers of an object's content: size, ETag or another hash, and time of the last change."""
     tag = next((str(info[name]) for name in ("ETag", "etag", "md5Hash", "generation") if info.get(name)), "")
     seconds = changed_seconds(info)
-    return f"{tag} {'' if seconds is None else int(seconds)}".strip()
+    # Listings and single requests can differ in fractions of a second. Only stores without hashes need the fractions.
+    time = "" if seconds is None else str(int(seconds) if tag else seconds)
+    return f"{info['size']} {tag} {time}".strip()
 
 
 def changed_seconds(info: dict[str, Any]) -> float | None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.request import Request, urlopen
 
 ENVIRONMENT = {
     "AWS_ACCESS_KEY_ID": "test",
@@ -40,6 +43,21 @@ class S3Server:
 
         options = {"key": "test", "secret": "test", "endpoint_url": self.endpoint}
         return fsspec.filesystem("s3", skip_instance_cache=True, use_listings_cache=False, **options)
+
+    @contextmanager
+    def refusing(self) -> Iterator[None]:
+        """Check the permissions of all requests in the block. The credentials of the tests have none."""
+        self._count_open_requests("0")
+        try:
+            yield
+        finally:
+            self._count_open_requests("inf")
+
+    def _count_open_requests(self, count: str) -> None:
+        address = f"{self.endpoint}/moto-api/reset-auth"
+        request = Request(address, count.encode(), {"Content-Type": "text/plain"}, method="POST")
+        with urlopen(request) as answer:
+            assert answer.status == 200
 
 
 @dataclass(frozen=True)

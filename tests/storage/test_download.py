@@ -5,6 +5,8 @@ files must be inside its folder.
 from __future__ import annotations
 
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, TypeVar
@@ -86,6 +88,16 @@ def test_the_copy_of_another_url_is_replaced(bucket: Bucket, tmp_path: Path) -> 
     assert copied(tmp_path) == {"b": b"b"}
 
 
+def test_a_folder_with_other_files_is_not_removed(bucket: Bucket, tmp_path: Path) -> None:
+    """Catches a user's own folder that is emptied to make room for a copy."""
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(
+        UserError, match=f"^{tmp_path}: expected a new folder or a copy from a store, got a folder with"
+    ):
+        fetch(put(bucket, a=b"a"), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
+
+
 def test_an_object_that_changes_while_it_is_read_is_an_error(
     bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -157,3 +169,29 @@ def test_copies_keep_the_time_of_the_object(bucket: Bucket, tmp_path: Path) -> N
     url = put(bucket, a=b"a")
     times = [(fetch(url, tmp_path / name) / "a").stat().st_mtime_ns for name in ("first", "second")]
     assert times[0] == times[1]
+
+
+MEASURE = """
+import resource, sys
+from pathlib import Path
+from fourd.storage import StorageUrl, fetch, upload
+
+peaks = []
+for name in ("small", "big"):
+    url = StorageUrl(f"{sys.argv[1]}/{name}/video.mp4")
+    upload(Path(sys.argv[2]) / name, url)
+    fetch(url, Path(sys.argv[2]) / f"copy of {name}")
+    peaks.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+print((peaks[1] - peaks[0]) / 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has other units on other systems")
+def test_memory_does_not_depend_on_the_size_of_a_video(bucket: Bucket, tmp_path: Path) -> None:
+    """Catches a video that is read whole into memory. The small file already has two parts and several pieces."""
+    for name, megabytes in (("small", 20), ("big", 68)):
+        with (tmp_path / name).open("wb") as file:
+            file.truncate(megabytes << 20)
+    words = [sys.executable, "-c", MEASURE, bucket.url, str(tmp_path)]
+    grown_mb = float(subprocess.run(words, check=True, capture_output=True, text=True).stdout)
+    assert grown_mb < 24

@@ -13,8 +13,8 @@ from typing import TypeVar
 import pytest
 
 from fourd.errors import UserError
-from fourd.storage import StorageUrl, check_writable, local_output, upload
-from tests.storage.s3_server import Bucket, unfinished_uploads
+from fourd.storage import StorageUrl, check_writable, fetch, local_output, open_object, upload
+from tests.storage.s3_server import Bucket, S3Server, unfinished_uploads
 
 Item = TypeVar("Item")
 MEGABYTE = 1 << 20
@@ -103,6 +103,43 @@ def test_an_output_is_uploaded_only_if_the_work_succeeds(bucket: Bucket) -> None
         path.write_bytes(b"whole")
     assert not path.exists()
     assert bucket.files.cat_file(f"{bucket.name}/scene.4dv") == b"whole"
+
+
+def test_a_lost_connection_leaves_the_old_object(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a traceback, and an object that is lost, if the store goes away in the middle of an upload."""
+    monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
+    monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
+    other = S3Server.start()
+    monkeypatch.setenv("AWS_ENDPOINT_URL", other.endpoint)
+    bucket.files.pipe_file(f"{bucket.name}/scene.4dv", b"old")
+    url = StorageUrl(f"{bucket.url}/scene.4dv")
+
+    def stop_the_server(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
+        for index, item in enumerate(items):
+            if index == 2:
+                other.server.stop()
+            yield item
+
+    with pytest.raises(UserError) as caught:
+        upload(big_file(tmp_path), url, stop_the_server)
+    assert str(caught.value).startswith(f"{url}: expected a store that answers, got '")
+    assert str(caught.value).endswith("'; check the network, and AWS_ENDPOINT_URL if the store is not Amazon's")
+    # The servers of this process share their objects.
+    assert bucket.files.cat_file(f"{bucket.name}/scene.4dv") == b"old"
+
+
+def test_a_store_that_refuses_is_named(bucket: Bucket, s3_server: S3Server, tmp_path: Path) -> None:
+    """Catches a traceback for credentials without permissions."""
+    url = StorageUrl(f"{bucket.url}/scene.4dv")
+    with s3_server.refusing():
+        for use in (lambda: check_writable(url), lambda: fetch(url, tmp_path), lambda: open_object(url)):
+            with pytest.raises(UserError) as caught:
+                use()
+            assert str(caught.value).startswith(f"{url}: expected access to the bucket, got '")
+            assert str(caught.value).endswith("check the credentials and their permissions to list, read and write")
+    check_writable(url)
 
 
 def test_a_refusal_comes_before_the_work(bucket: Bucket) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from fourd.cli.main import main
 from fourd.errors import UserError
-from fourd.storage import StorageUrl, parse_location
+from fourd.storage import StorageUrl, check_writable, open_object, parse_location
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,17 @@ def test_other_urls_are_refused(text: str, message: str) -> None:
     with pytest.raises(UserError) as caught:
         parse_location(text)
     assert message in str(caught.value)
+
+
+def test_a_bucket_is_no_object() -> None:
+    """Catches a traceback if the name after the bucket is forgotten."""
+    pytest.importorskip("s3fs", reason="needs s3fs (pip install 'fourd[storage]')")
+    for use in (check_writable, open_object):
+        with pytest.raises(UserError) as caught:
+            use(StorageUrl("s3://bucket"))
+        assert str(caught.value) == (
+            "s3://bucket: expected the name of an object in the bucket, got only a bucket; write s3://bucket/NAME"
+        )
 
 
 @pytest.mark.parametrize(

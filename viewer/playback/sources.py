@@ -6,10 +6,11 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fourd.baking import BakedFrame, SceneManifest, combine_frames
+from fourd.baking import BakedFrame, SceneManifest, SceneReader, combine_frames
 from fourd.baking.meshes.source import is_mesh
 from fourd.baking.splats.reader import is_splats, open_reader
 from fourd.errors import UserError
+from fourd.storage import Location, StorageUrl
 from fourd.training.run_layout import newest_checkpoint
 from fourd.viewer.playback.prefetch import BakedFrameSource
 
@@ -101,20 +102,12 @@ def _lower_priority() -> None:
         os.nice(_NICENESS - os.nice(0))
 
 
-def open_frame_source(path: Path) -> BakedFrameSource:
-    """Open a `.4dv` file, a run's folder, a file of Gaussian splats or a folder of such files.
+def open_frame_source(path: Location) -> BakedFrameSource:
+    """Open a `.4dv` file or its URL, a run's folder, a file of Gaussian splats or a folder of such files.
 
     Raises UserError with a message that names the file and the fix.
     """
-    if not path.exists():
-        raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
-    if is_mesh(path) and not is_splats(path):
-        got = "meshes, which are not points"
-        raise UserError(
-            f"{path}: expected a scene or a run, got {got}; draw them with fourd render {path} --path orbit"
-        )
-    is_run = path.is_dir() and not is_splats(path)
-    source: BakedFrameSource = _open_run(path) if is_run else open_reader(path)
+    source: BakedFrameSource = SceneReader(path) if isinstance(path, StorageUrl) else _open_local(path)
     manifest = source.manifest
     if manifest.frame_count == 0:
         source.close()
@@ -123,3 +116,15 @@ def open_frame_source(path: Path) -> BakedFrameSource:
         source.close()
         raise UserError(f"{path}: expected points in at least one frame, got none; export the scene again")
     return source
+
+
+def _open_local(path: Path) -> BakedFrameSource:
+    if not path.exists():
+        raise UserError(f"{path}: expected a .4dv file or a run's folder, got nothing there; check the path")
+    if is_mesh(path) and not is_splats(path):
+        got = "meshes, which are not points"
+        raise UserError(
+            f"{path}: expected a scene or a run, got {got}; draw them with fourd render {path} --path orbit"
+        )
+    is_run = path.is_dir() and not is_splats(path)
+    return _open_run(path) if is_run else open_reader(path)

@@ -7,6 +7,7 @@ stored. The archive is untrusted input.
 from __future__ import annotations
 
 import errno
+import os
 import struct
 import zipfile
 import zlib
@@ -16,6 +17,7 @@ from pathlib import Path
 
 from fourd.errors import UserError
 from fourd.limits import require_regular
+from fourd.storage import Location, StorageUrl, open_object
 
 _TIMESTAMP = (1980, 1, 1, 0, 0, 0)
 _ENCRYPTED = 0x1
@@ -40,11 +42,13 @@ def make_member(name: str) -> zipfile.ZipInfo:
     return info
 
 
-def open_zip(path: Path) -> zipfile.ZipFile:
-    """Open an archive for reading. Raises UserError."""
-    if path.is_dir():
+def open_zip(path: Location) -> zipfile.ZipFile:
+    """Open an archive for reading. An object in a store is read by ranges. Raises UserError."""
+    if isinstance(path, Path) and path.is_dir():
         raise UserError(f"{path}: expected a .4dv file, got a folder; name the file that fourd export wrote")
     try:
+        if isinstance(path, StorageUrl):
+            return zipfile.ZipFile(open_object(path))
         require_regular(path)
         return zipfile.ZipFile(path)
     except FileNotFoundError as error:
@@ -58,10 +62,16 @@ def open_zip(path: Path) -> zipfile.ZipFile:
         raise UserError(f"{path}: cannot be read ({error}); check its permissions") from error
 
 
-def check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+def archive_size(archive: zipfile.ZipFile) -> int:
+    """Size of the file of an open archive in bytes."""
+    assert archive.fp is not None
+    return archive.fp.seek(0, os.SEEK_END)
+
+
+def check_members(path: Location, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """Check the names and sizes of the members, and return the ZIP entries of the members by name. Raises UserError."""
     members: dict[str, zipfile.ZipInfo] = {}
-    size, total = path.stat().st_size, 0
+    size, total = archive_size(archive), 0
     for info in archive.infolist():
         name = info.filename
         if name.startswith("/") or "\\" in name or ":" in name or ".." in name.split("/"):
@@ -85,7 +95,7 @@ def check_members(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zip
     return members
 
 
-def find_damaged_member(path: Path) -> str | None:
+def find_damaged_member(path: Location) -> str | None:
     """Return the name of the first member whose bytes do not match their CRC-32, or None. Raises UserError."""
     with open_zip(path) as archive:
         check_members(path, archive)
@@ -95,7 +105,7 @@ def find_damaged_member(path: Path) -> str | None:
             raise damaged(path, "a complete archive", f"an error ({error})") from error
 
 
-def damaged(path: Path, expected: str, got: str) -> UserError:
+def damaged(path: Location, expected: str, got: str) -> UserError:
     """Return the error that is raised for a damaged file."""
     return UserError(f"{path}: expected {expected}, got {got}; the file is damaged: copy or export it again")
 

@@ -17,6 +17,7 @@ from fourd.baking.splats.raw import count_splats, read_splat
 from fourd.baking.splats.surrounding_cameras import cameras_around
 from fourd.errors import UserError
 from fourd.formats.ply import read_header, read_ply
+from fourd.storage import Location
 
 SUFFIXES = (".ply", ".splat")
 SPLAT_LAYERS = 48
@@ -26,9 +27,9 @@ OUTLIERS = 2.0
 """Percentage of the splats that may lie outside the bounds, for each of the six sides."""
 
 
-def open_reader(path: Path) -> SceneReader | SplatReader:
-    """Open a `.4dv`, a file of splats or points, or a folder of them. Raises UserError."""
-    return SplatReader(path) if is_splats(path) else SceneReader(path)
+def open_reader(path: Location) -> SceneReader | SplatReader:
+    """Open a `.4dv` or its URL, a file of splats or points, or a folder of them. Raises UserError."""
+    return SplatReader(path) if isinstance(path, Path) and is_splats(path) else SceneReader(path)
 
 
 def is_splats(path: Path) -> bool:

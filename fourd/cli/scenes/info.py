@@ -17,12 +17,12 @@ from rich.text import Text
 
 from fourd.capture.frame_rate import UNKNOWN_RATE, format_rate
 from fourd.capture.layout import PICTURE_SUFFIXES, VIDEO_SUFFIXES
-from fourd.cli.locations import PATH_OR_URL, transfer_progress
+from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.errors import UserError
 from fourd.limits import MAX_CONFIG_BYTES, open_regular, read_limited, require_regular
 from fourd.processes.isolation import ParserProcess
 from fourd.progress import Terminal
-from fourd.storage import Location, local_copy
+from fourd.storage import Location, StorageUrl
 from fourd.training.run_layout import CHECKPOINTS, checkpoint_files, segment_folders
 
 if TYPE_CHECKING:
@@ -47,10 +47,10 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Detect the type, read the headers and print a table."""
-    with local_copy(arguments.path, transfer_progress()) as path:
-        if not path.exists():
+    with scene_or_copy(arguments.path) as path:
+        if isinstance(path, Path) and not path.exists():
             raise UserError(f"{path}: expected a file or a folder, got a path that does not exist; check the name")
-        title, rows = _describe_folder(path) if path.is_dir() else _describe_file(path)
+        title, rows = _describe(path)
     location = str(arguments.path)
     heading = Text(f"{location}: {title}")
     table = Table(title=heading, title_justify="left", show_header=False, box=None, pad_edge=False)
@@ -60,6 +60,12 @@ def run(arguments: Arguments) -> None:
         # The copy of an object in a store has another path, which the user does not know.
         table.add_row(name, Text(value.replace(str(path), location)))
     Terminal().print(table)
+
+
+def _describe(path: Location) -> tuple[str, Rows]:
+    if isinstance(path, StorageUrl):
+        return "a 4D scene", _scene(path)
+    return _describe_folder(path) if path.is_dir() else _describe_file(path)
 
 
 def _describe_file(path: Path) -> tuple[str, Rows]:
@@ -103,14 +109,14 @@ def _unknown(path: Path) -> UserError:
     )
 
 
-def _scene(path: Path) -> Rows:
+def _scene(path: Location) -> Rows:
     from fourd.baking.container import SceneReader
 
     reader = SceneReader(path)
     reader.close()
     manifest = reader.manifest
     points = manifest.points
-    size = path.stat().st_size
+    size = reader.size
     frames = manifest.frame_count
     seconds = frames / manifest.fps
     lower, upper = manifest.bounds

@@ -17,13 +17,13 @@ from fourd.baking.meshes.playable import PlayableMeshes
 from fourd.baking.meshes.source import is_mesh
 from fourd.baking.playable import Playable, find_view, open_playable, select_frames, selected_rate
 from fourd.cameras import Camera
-from fourd.cli.locations import PATH_OR_URL, transfer_progress
+from fourd.cli.locations import PATH_OR_URL, scene_or_copy
 from fourd.cli.options import Frames, StyleName, check_rendering, option, split_names
 from fourd.cli.scenes.lens_options import LensOptions, make_inserts, make_lens
 from fourd.errors import UserError
 from fourd.lenses.inserts import Insert
 from fourd.progress import Terminal
-from fourd.storage import Location, local_copy
+from fourd.storage import Location
 from fourd.stylize import load_style
 from fourd.viewer.navigation.paths import camera_path, fit_camera
 from fourd.viewer.output.png import write_png
@@ -72,12 +72,12 @@ def run(arguments: Arguments) -> None:
     check_rendering(
         arguments.layers, arguments.background, size=arguments.size, steps=arguments.steps, fps=arguments.fps
     )
-    with local_copy(arguments.source, transfer_progress()) as source:
+    with scene_or_copy(arguments.source) as source:
         written = _render(arguments, source, console)
     console.print(f"{arguments.out}: {written} images", soft_wrap=True)
 
 
-def _render(arguments: Arguments, source: Path, console: Console) -> int:
+def _render(arguments: Arguments, source: Location, console: Console) -> int:
     playable = _open(arguments, source)
     frames = select_frames(playable, arguments.frames)
     if arguments.optics.is_used:
@@ -88,9 +88,9 @@ def _render(arguments: Arguments, source: Path, console: Console) -> int:
     return _write_path(arguments, playable, frames, fps, console)
 
 
-def _open(arguments: Arguments, source: Path) -> Playable:
+def _open(arguments: Arguments, source: Location) -> Playable:
     style = None if arguments.style is None else load_style(arguments.style)
-    if is_mesh(source):
+    if isinstance(source, Path) and is_mesh(source):
         return PlayableMeshes(source, style)
     playable = open_playable(source)
     if style is None:
@@ -98,12 +98,12 @@ def _open(arguments: Arguments, source: Path) -> Playable:
     return DrawnPlayable(playable, open_frame_source(source), StyleDrawer(style))
 
 
-def _through_lens(arguments: Arguments, path: Path, playable: Playable, frames: list[int]) -> Playable:
+def _through_lens(arguments: Arguments, path: Location, playable: Playable, frames: list[int]) -> Playable:
     """Return the scene seen through the lens of the arguments. The floor lies under the subject's lowest points of the
     first and the middle rendered frame."""
     if arguments.style is not None:
         raise UserError("--style, --lens: expected one of them, got both; styles are not drawn through a lens")
-    if is_mesh(path):
+    if isinstance(path, Path) and is_mesh(path):
         raise UserError(f"{path}: expected a run or a .4dv scene for --lens, got meshes")
     source = open_frame_source(path)
     views = list(playable.views.values())

@@ -1,0 +1,67 @@
+"""Objects as files that are read by ranges, so that a part of an object needs no copy of the whole."""
+
+from __future__ import annotations
+
+import io
+from threading import Lock
+from typing import Any, BinaryIO, cast
+
+from fourd.storage.connection import changed, connect, storage_errors
+from fourd.storage.url import StorageUrl, require_object
+from fourd.storage.versions import object_version
+
+READ_AHEAD_BYTES = 256 << 10
+"""Minimum number of bytes that one request reads. Larger reads are one request each."""
+
+
+def open_object(url: StorageUrl) -> BinaryIO:
+    """Open an object for reading at any position. Memory does not depend on the size of the object.
+
+    All bytes come from the version of the object that existed when it was opened.
+
+    Raises:
+        UserError: if the store refuses or there is no such object. Reads raise UserError if the object has changed.
+    """
+    return cast(BinaryIO, io.BufferedReader(_Ranges(url), READ_AHEAD_BYTES))
+
+
+class _Ranges(io.RawIOBase):
+    """The bytes of one version of an object. Several threads may use one instance, one after another."""
+
+    def __init__(self, url: StorageUrl) -> None:
+        require_object(url)
+        self._url = url
+        self._store = connect(url)
+        with storage_errors(url):
+            self._stream: Any = self._store.open(str(url), "rb", cache_type="none")
+            self._version = self._read_version()
+        self._lock = Lock()
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
+        return int(self._stream.seek(offset, whence))
+
+    def tell(self) -> int:
+        return int(self._stream.tell())
+
+    def readinto(self, buffer: Any) -> int:
+        with self._lock, storage_errors(self._url):
+            content = self._stream.read(len(buffer))
+            # S3 refuses to read another version. Other stores are asked.
+            if self._url.scheme != "s3" and self._read_version() != self._version:
+                raise changed(self._url)
+        buffer[: len(content)] = content
+        return len(content)
+
+    def close(self) -> None:
+        if not self.closed:
+            self._stream.close()
+        super().close()
+
+    def _read_version(self) -> str:
+        return object_version(self._store.info(str(self._url)))
