@@ -1,4 +1,6 @@
-"""Fixtures that all tests share. Random seeds are new in every run, are printed, and can be set again."""
+"""Fixtures that all tests share. Random seeds are new in every run. They are printed, so that a run can be repeated
+with the same seed.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,9 @@ from tests.captures import write_ball_capture
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A random generator with a new seed. The seed is printed if a test fails, and FOURD_TEST_SEED sets it again."""
+    """A random generator with a new seed. If a test fails, the seed is printed. The environment variable
+    FOURD_TEST_SEED sets the seed.
+    """
     seed = int(os.environ.get("FOURD_TEST_SEED", secrets.randbits(32)))
     print(f"FOURD_TEST_SEED={seed}")
     return np.random.default_rng(seed)

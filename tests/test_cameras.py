@@ -54,7 +54,7 @@ def test_cropping_shifts_the_projection() -> None:
     ],
 )
 def test_invalid_fields_are_named(field: str, value: object, words: str) -> None:
-    """Catches invalid values from which a camera is created without an error."""
+    """Catches a camera that is created from invalid values without an error."""
     fields = {
         "intrinsics": INTRINSICS,
         "rotation": np.eye(3),

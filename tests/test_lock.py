@@ -45,7 +45,7 @@ def test_every_dependency_is_locked() -> None:
 
 
 def test_locked_versions_are_the_pinned_ones() -> None:
-    """Catches a lock with other versions than constraints.txt, with which the README's command installs."""
+    """Catches a lock file whose versions differ from those in constraints.txt, which the README's command uses."""
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = {name_of(line): line.partition("==")[2] for line in lines if line and not line.startswith("#")}
     versions: dict[str, set[str]] = {}

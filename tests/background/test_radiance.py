@@ -247,7 +247,7 @@ def test_densities_decay() -> None:
 
 
 def test_clamped_density_has_a_gradient() -> None:
-    """Catches a clamp with a zero gradient, with which opaque regions could never become transparent."""
+    """Catches a clamp with a zero gradient. Opaque regions could then never become transparent."""
     log_density = torch.tensor([20.0, 0.5], requires_grad=True)
     bounded_exp(log_density).sum().backward()
     assert log_density.grad is not None

@@ -100,8 +100,9 @@ def test_quick_bench_command(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_the_textured_plane_needs_mip_levels() -> None:
-    """Catches footprints of less than a texel everywhere, with which a lookup blends no levels, and a backward pass
-    that computes no gradients."""
+    """Catches a benchmark in which all footprints are smaller than a texel, so that no mip levels are blended, and a
+    backward pass that computes no gradients.
+    """
     plane = make_textured_plane(64)
     by_x, by_y = plane["uv_da"].unflatten(-1, (2, 2)).unbind(-1)
     longer = 64 * torch.maximum(by_x.norm(dim=-1), by_y.norm(dim=-1))

@@ -41,7 +41,7 @@ def true_state(settings: BoardSettings, frames: range) -> RigState:
 
 
 def test_derivatives_are_those_of_the_projection() -> None:
-    """Catches a wrong sign or order of a parameter, with which the solver needs many steps or stops early."""
+    """Catches a wrong sign or order of a parameter. The solver would then need many steps or stop early."""
     frames, count = range(3), len(SETTINGS.board.corners)
     _, views = seen_views(SETTINGS, frames, filming=Filming(backs=(1,)))
     corners = collect_corners(SETTINGS.board, views, frames)

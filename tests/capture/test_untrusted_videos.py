@@ -48,8 +48,8 @@ def test_closed_captures_keep_no_file_open(tmp_path: Path) -> None:
         {"hostile": 1},
     ],
 )
-def test_lists_that_lie_are_refused(tmp_path: Path, change: dict[str, object]) -> None:
-    """Catches a list of 10^12 frames that fills the memory, and indices with which frames cannot be found."""
+def test_invalid_lists_are_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    """Catches a list of 10^12 frames that fills the memory, and an invalid index of frames that is accepted."""
     write_listed_videos(tmp_path)
     content = json.loads((tmp_path / "videos.json").read_text())
     content["cameras"]["a"]["index"] |= change

@@ -153,7 +153,7 @@ def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
 
 
 def test_dropped_frame_keeps_the_times_of_later_frames(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a dropped frame after which all later frames have a wrong time or a wrong number."""
+    """Catches wrong times or numbers of all frames after a dropped frame."""
     times = [*range(20), *range(21, 41)]
     path = write_numbered_video(tmp_path / "video.mp4", times=times)
     index = index_video(path)

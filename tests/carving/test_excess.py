@@ -40,8 +40,9 @@ def test_excess_is_removed_and_the_object_is_kept(views: Silhouettes) -> None:
 
 
 def test_every_silhouette_is_still_covered(views: Silhouettes) -> None:
-    """Catches a removal after which the hull no longer covers a silhouette. Only pixels at the contour may become
-    uncovered."""
+    """Catches a hull that no longer covers a silhouette after excess parts were removed. Only pixels at the contour may
+    become uncovered.
+    """
     hull = fill_hull(views, BOX.lower, BOX.upper, 0.02)
     remaining = remove_excess(views, hull)
     for view in views.views:

@@ -168,7 +168,7 @@ def changed(path: Path, change: object) -> bytes:
         (lambda d: d["nodes"][0].update(rotation=[0, 0, 0, 9]), "expected a unit quaternion"),
     ],
 )
-def test_glb_files_that_lie(change: object, expected: str, tmp_path: Path) -> None:
+def test_inconsistent_glb_files(change: object, expected: str, tmp_path: Path) -> None:
     """Catches a reader that uses the counts, offsets and indices of a file without a check."""
     path = write_as(tmp_path / "mesh.glb", sphere(rings=6))
     path.write_bytes(changed(path, change))

@@ -48,5 +48,5 @@ def test_a_shown_command_parses(page: str, command: str) -> None:
 
 
 def test_commands_are_found() -> None:
-    """Catches a pattern that finds no command, with which every page would pass."""
+    """Catches a pattern that finds no command. The tests would then pass for every page."""
     assert len(commands()) > 25

@@ -47,8 +47,9 @@ def test_histogram_is_a_density(rng: np.random.Generator) -> None:
 
 
 def test_shares_of_shadow_and_change_are_learned(rng: np.random.Generator) -> None:
-    """Catches shadow that always counts as rare or frequent. Also catches shares of shadow that count unshadowed
-    pixels, because a shadow of strength 1 also explains their colours."""
+    """Catches a share of shadow that is not estimated from the images. Also catches unshadowed pixels that are counted
+    as shadow, because a shadow of strength 1 also explains their colours.
+    """
     count = 40_000
     mean = np.full((1, count, 3), (120.0, 100.0, 80.0), np.float32)
     background = BackgroundModel(mean, np.full_like(mean, 9), np.full((1, count), 9, np.float32))

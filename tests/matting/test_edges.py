@@ -24,7 +24,7 @@ def disc_coverage(offset_px: float) -> np.ndarray:
 @pytest.mark.parametrize("is_known", [True, False], ids=["known background", "unknown background"])
 @pytest.mark.parametrize("grown_px", [-1, 0, 1])
 def test_alpha_is_the_coverage_of_edge_pixels(is_known: bool, grown_px: int, rng: np.random.Generator) -> None:
-    """Catches edges that are softer than the image's, and masks that remain a pixel too large or too small."""
+    """Catches edges that are softer than in the image, and masks that remain a pixel too large or too small."""
     truth = disc_coverage(0.3)
     rgb = truth[..., None] * FUR + (1 - truth[..., None]) * WALL + rng.normal(0, 2, (SIZE, SIZE, 3))
     mask = (truth > 0.5).astype(np.uint8)

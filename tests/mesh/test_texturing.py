@@ -94,7 +94,7 @@ def test_unseen_views_look_like_the_sphere(textured: TexturedMesh) -> None:
 
 
 def test_vertex_colours_match_the_surface(views: list[MeshView]) -> None:
-    """Catches normals that face inwards, with which no view would see a vertex."""
+    """Catches normals that face inwards. No view would then see a vertex."""
     normals, rgb = colour_mesh(XYZ, FACES, views)
     np.testing.assert_allclose(normals, XYZ / 0.5, atol=0.02)
     assert np.abs(rgb / 255 - colours(XYZ)).max() < 0.15
@@ -120,8 +120,9 @@ def test_hidden_parts_get_no_colours_of_the_part_in_front(views: list[MeshView])
 
 
 def test_a_part_close_behind_another_is_hidden() -> None:
-    """Catches a tolerance in pixels, with which a part that is one pixel behind another gets the colours of the part in
-    front."""
+    """Catches a tolerance in pixels. A part that is one pixel behind another would then get the colours of the part in
+    front.
+    """
     intrinsics = np.array([[90.0, 0, 48], [0, 90.0, 48], [0, 0, 1]])
     camera = look_at(np.array([0.0, -3.0, 0]), np.zeros(3), Z, intrinsics, 96, 96)
     front, back = (trimesh.creation.box((0.4, 0.01, 0.4)).subdivide().subdivide() for _ in range(2))

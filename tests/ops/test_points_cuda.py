@@ -126,8 +126,9 @@ def test_the_entry_estimate_grows_to_the_need_of_pictures(gpu: torch.device) -> 
 
 
 def test_too_many_layers_for_the_gradient_kernel_are_named(gpu: torch.device, rng: np.random.Generator) -> None:
-    """Catches too many depth layers that are accepted. The kernel would ignore some layers or write past a thread's
-    memory."""
+    """Catches a number of depth layers that is accepted although it is above the limit. The kernel would ignore some
+    layers or write past a thread's memory.
+    """
     cloud = random_cloud(rng, 100, 3)
     message = "layers: expected at most 64 where gradients are required on a GPU, got 65; backend='reference' takes any"
     with pytest.raises(ValueError, match=message):

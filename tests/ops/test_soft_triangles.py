@@ -190,7 +190,7 @@ def test_invalid_triangles_change_nothing_and_get_no_gradient(bad: float, backen
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
 def test_no_triangles(backend: str) -> None:
-    """Catches errors if there are no triangles."""
+    """Catches an error or a wrong image if there are no triangles."""
     soup = Soup(
         torch.zeros(0, 3), torch.zeros(0, 3, dtype=torch.int32), torch.zeros(0, 2), torch.ones(0), torch.ones(0)
     )

@@ -159,7 +159,9 @@ def test_operator_passes_opcheck(gpu: torch.device, rng: np.random.Generator) ->
 
 
 def test_too_many_views_are_rejected(gpu: torch.device) -> None:
-    """Catches too many views that are accepted, so that cameras are written past the end of the kernel's argument."""
+    """Catches a number of views above the limit that is accepted. Cameras would then be written past the end of the
+    kernel's argument.
+    """
     many = torch.zeros(17, 3, 4, 4, device=gpu)
     with pytest.raises(ValueError, match="images: expected at most 16 views on a GPU"):
         load_gpu(gpu).kernels.sample_sources(

@@ -62,8 +62,8 @@ def make(capture: Path, out: Path, config: TrainConfig) -> list[str]:
 
 
 def test_each_segment_is_cached_and_repeated_by_itself(capture: Path, tmp_path: Path) -> None:
-    """Catches a lost segment after which other segments are trained again, and segments of an earlier division that are
-    not removed.
+    """Catches segments that are trained again because another segment was lost, and segments of an earlier division
+    that are not removed.
     """
     out, segments = tmp_path / "scene.4dv", ["train 000", "train 001", "train 002"]
     assert make(capture, out, CONFIG) == ["check", "repair", "carve", "segments", *segments, "bake"]
@@ -81,8 +81,8 @@ def test_each_segment_is_cached_and_repeated_by_itself(capture: Path, tmp_path: 
 
 
 def test_an_interrupted_segment_resumes(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches an interruption after which finished segments are trained again, or the interrupted segment is trained
-    from its start.
+    """Catches finished segments that are trained again after an interruption, and an interrupted segment that is
+    trained from its start.
     """
     out, steps = tmp_path / "scene.4dv", list[tuple[str, int]]()
     config = replace(CONFIG, checkpoint_steps=1)

@@ -53,9 +53,10 @@ def test_generator_repeats_the_estimate_and_samples_reduce_its_noise() -> None:
 
 
 def test_pixels_credit_only_what_they_show_in_either_image() -> None:
-    """Catches differences of a pixel that are added to primitives that the pixel does not show, or twice to a primitive
-    of both images. Also catches a pixel that ignores the primitive of the second image. In the second image, primitive
-    1 replaces primitive 0 in one pixel."""
+    """Catches loss differences of a pixel that are added to primitives that the pixel does not show, or that are added
+    twice to a primitive that the pixel shows in both images. Also catches a pixel that ignores the primitive of the
+    second image. In the second image, primitive 1 replaces primitive 0 in one pixel.
+    """
     params = torch.zeros(3, 1, dtype=torch.float64)
     calls = iter([torch.tensor([[0, 0]]), torch.tensor([[1, 0]])])
     images = iter([torch.tensor([[3.0, 5.0]]), torch.tensor([[1.0, 1.0]])])

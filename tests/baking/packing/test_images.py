@@ -239,7 +239,7 @@ def test_an_image_of_another_size_than_its_header_is_refused() -> None:
 
 @pytest.mark.parametrize("scale", [0, 2, -1, float("nan"), "1"])
 def test_an_invalid_scale_is_named(packed: Path, scale: object) -> None:
-    """Catches an image scale with which images may have any size."""
+    """Catches an image scale that allows images of any size."""
     path = with_manifest(packed, lambda content: content["encoding"]["dynamic"].update({"image_scale": scale}))
     with pytest.raises(UserError, match=r"dynamic, image_scale: expected a number from 0\.015625 to 1, got"):
         SceneReader(path)

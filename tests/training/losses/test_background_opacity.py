@@ -49,7 +49,9 @@ def test_viewpoints_lie_between_the_cameras(rng: np.random.Generator) -> None:
 
 
 def test_the_gradient_on_a_floor_of_many_layers_has_the_right_sign(background: StaticBackground) -> None:
-    """Catches too few depth layers. The gradient would then enlarge the discs, so that even more discs overlap."""
+    """Catches a gradient that is computed with too few depth layers. It would then enlarge the discs, so that even more
+    discs overlap.
+    """
     x, y = torch.meshgrid(torch.arange(-2, 2, 0.05), torch.arange(-2, 2, 0.05), indexing="ij")
     floor = torch.stack([x, y, torch.full_like(x, -0.5)], -1).reshape(-1, 3)
     points = FramePoints.initial(floor, torch.full((len(floor),), 0.1), 1.0, explicit_sh=False)

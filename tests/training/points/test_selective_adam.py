@@ -72,8 +72,9 @@ def test_kept_rows_keep_their_state_and_new_rows_start_anew() -> None:
 
 
 def test_gradients_that_are_noise_do_not_move_colours(rng: np.random.Generator) -> None:
-    """Catches an epsilon that is too small. Tiny gradients of alternating sign would then cause full steps and speckled
-    colours."""
+    """Catches a value of Adam's epsilon that is too small. Tiny gradients of alternating sign would then cause full
+    steps and speckled colours.
+    """
     parameters = {"rgb": torch.full((2, 3), 0.5)}
     optimizer = SelectiveAdam.initial(parameters)
     for _ in range(300):

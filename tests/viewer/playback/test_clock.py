@@ -128,7 +128,7 @@ def test_play_elsewhere_continues() -> None:
 
 @pytest.mark.parametrize("speed", [1.0, 0.3, -1.0, -2.5])
 def test_the_next_frame_comes_after_the_predicted_time(speed: float) -> None:
-    """Catches a wrong time until the next frame, with which the viewer would skip a frame or redraw too early."""
+    """Catches a wrong time until the next frame. The viewer would then skip a frame or redraw too early."""
     playback = Playback(5, 24.0, speed=speed)
     playback.seek(2)
     playback.advance(0.01)

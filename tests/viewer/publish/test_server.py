@@ -55,7 +55,7 @@ def test_ranges(server: SiteServer, asked: str, start: int, end: int) -> None:
 
 
 def test_whole_files(server: SiteServer) -> None:
-    """Catches wrong MIME types, with which browsers do not load modules, and HEAD requests that send content."""
+    """Catches wrong MIME types, which prevent browsers from loading modules, and HEAD requests that send content."""
     status, headers, content = get(server, "/")
     assert (status, content, headers["Content-Type"]) == (200, b"page", "text/html; charset=utf-8")
     status, headers, content = get(server, "/scene.4dv", method="HEAD")

@@ -105,7 +105,7 @@ def test_a_damaged_member(content: bytes, show: Show) -> None:
         (lambda m: m.update(near="x"), "near: expected a number"),
     ],
 )
-def test_a_manifest_that_lies(
+def test_inconsistent_manifests(
     change: Callable[[dict[str, Any]], object], expected: str, content: bytes, show: Show
 ) -> None:
     """Catches counts and sizes in the manifest that the page uses without a check."""

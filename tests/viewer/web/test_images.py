@@ -89,7 +89,7 @@ def with_image(content: bytes, change: Callable[[bytearray], object]) -> bytes:
         (3, 2, "expected a VP9 frame of"),
     ],
 )
-def test_an_image_that_lies(
+def test_inconsistent_images(
     field: int, value: int, expected: str, video_site: Path, open_page: Callable[..., PlayerPage]
 ) -> None:
     """Catches declared sizes of images that the page uses without a check."""

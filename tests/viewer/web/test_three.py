@@ -187,9 +187,7 @@ def test_the_example_shows_points_between_the_objects(three_page: ThreePage) -> 
 
 
 def test_a_matrix_that_is_no_similarity_is_refused(three_page: ThreePage) -> None:
-    """Catches a matrix with a non-uniform scale that is accepted, with which points would be drawn at
-    wrong positions.
-    """
+    """Catches a matrix with a non-uniform scale that is accepted. Points would then be drawn at wrong positions."""
     script = "points.matrix = [2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]; draw();"
     with pytest.raises(Exception, match="modelView: expected a rotation, a translation and a uniform scale"):
         three_page.run(script)
