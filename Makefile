@@ -1,6 +1,6 @@
 # Targets that run Python first create an environment in .venv, for example `make demo` and `make test`.
 PYTHON ?= python3
-# Warnings are errors with WERROR=ON, for changes of csrc/. Newer compilers warn about more.
+# Warnings are errors with WERROR=ON, for changes of csrc/. Newer compilers report more warnings.
 WERROR ?= OFF
 VENV := .venv
 BIN := $(VENV)/bin

@@ -1,4 +1,4 @@
-"""Objects as files that are read by ranges, so that a part of an object needs no copy of the whole."""
+"""Objects as files that are read by ranges, so that a part can be read without a copy of the whole object."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ READ_AHEAD_BYTES = 256 << 10
 
 
 def open_object(url: StorageUrl) -> BinaryIO:
-    """Open an object for reading at any position. Memory does not depend on the size of the object.
+    """Open an object for reading at any position. Memory use does not depend on the size of the object.
 
     All bytes come from the version of the object that existed when it was opened.
 
     Raises:
-        UserError: if the store refuses or there is no such object. Reads raise UserError if the object has changed.
+        UserError: if the store returns an error or there is no such object. Reads raise UserError if the object has
+        changed.
     """
     return cast(BinaryIO, io.BufferedReader(_Ranges(url), READ_AHEAD_BYTES))
 
@@ -43,8 +44,8 @@ class _Ranges(io.RawIOBase):
     def seekable(self) -> bool:
         return True
 
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return int(self._stream.seek(offset, whence))
+    def seek(self, offset: int, origin: int = io.SEEK_SET) -> int:
+        return int(self._stream.seek(offset, origin))
 
     def tell(self) -> int:
         return int(self._stream.tell())
@@ -52,7 +53,7 @@ class _Ranges(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         with self._lock, storage_errors(self._url):
             content = self._stream.read(len(buffer))
-            # S3 refuses to read another version. Other stores are asked.
+            # S3 rejects a read of another version. For other stores, the version is compared.
             if self._url.scheme != "s3" and self._read_version() != self._version:
                 raise changed(self._url)
         buffer[: len(content)] = content

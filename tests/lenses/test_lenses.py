@@ -145,7 +145,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ],
 )
 def test_the_command_writes_pictures(options: list[str], scene: Path, tmp_path: Path) -> None:
-    """Catches options that do not reach the lens, and black pictures."""
+    """Catches options that have no effect on the lens, and black pictures."""
     out = tmp_path / "out"
     view = ["--views", "00", "--frames", "11:12", "--size", "64", "48"]
     assert main(["render", str(scene), "-o", str(out), *view, *options]) == 0

@@ -46,7 +46,7 @@ class S3Server:
 
     @contextmanager
     def refusing(self) -> Iterator[None]:
-        """Check the permissions of all requests in the block. The credentials of the tests have none."""
+        """Check the permissions of all requests in the block. The credentials of the tests have no permissions."""
         self._count_open_requests("0")
         try:
             yield

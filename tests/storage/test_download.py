@@ -89,7 +89,7 @@ def test_the_copy_of_another_url_is_replaced(bucket: Bucket, tmp_path: Path) -> 
 
 
 def test_a_folder_with_other_files_is_not_removed(bucket: Bucket, tmp_path: Path) -> None:
-    """Catches a user's own folder that is emptied to make room for a copy."""
+    """Catches a copy that deletes the files of a folder that belongs to the user."""
     (tmp_path / "notes.txt").write_text("mine")
     with pytest.raises(
         UserError, match=f"^{tmp_path}: expected a new folder or a copy from a store, got a folder with"
@@ -188,7 +188,7 @@ print((peaks[1] - peaks[0]) / 1024)
 
 @pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss has other units on other systems")
 def test_memory_does_not_depend_on_the_size_of_a_video(bucket: Bucket, tmp_path: Path) -> None:
-    """Catches a video that is read whole into memory. The small file already has two parts and several pieces."""
+    """Catches a whole video that is read into memory. The small file already has two parts and several pieces."""
     for name, megabytes in (("small", 20), ("big", 68)):
         with (tmp_path / name).open("wb") as file:
             file.truncate(megabytes << 20)

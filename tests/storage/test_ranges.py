@@ -35,7 +35,7 @@ def read_bytes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 @pytest.fixture
 def memory_store() -> Iterator[Any]:
-    """fsspec's store in the memory of this process. It has no conditional reads, like most stores."""
+    """fsspec's store in the memory of this process. Like most stores, it does not support conditional reads."""
     store = pytest.importorskip("fsspec").filesystem("memory")
     store.mkdir("/bucket")
     yield store
@@ -64,7 +64,7 @@ def test_a_frame_is_read_without_the_rest_of_the_scene(bucket: Bucket, tmp_path:
 
 
 def test_scenes_in_a_store_render_like_local_scenes(bucket: Bucket, tmp_path: Path) -> None:
-    """Catches an entry point of the library that takes a URL for a path."""
+    """Catches a public function that uses a URL as a path."""
     path = tmp_path / "scene.4dv"
     write_scene(path)
     bucket.files.put_file(str(path), f"{bucket.name}/scene.4dv")
@@ -90,7 +90,7 @@ def test_a_scene_that_is_replaced_while_it_plays_is_an_error(bucket: Bucket, tmp
 
 
 def test_stores_without_conditional_reads_are_asked_for_the_version(memory_store: Any, tmp_path: Path) -> None:
-    """Catches a check for changes that only S3 has."""
+    """Catches a check for changed objects that works only with S3."""
     path = tmp_path / "scene.4dv"
     write_scene(path, points=20_000)
     memory_store.pipe_file("/bucket/scene.4dv", path.read_bytes())
@@ -103,7 +103,7 @@ def test_stores_without_conditional_reads_are_asked_for_the_version(memory_store
 
 
 def test_damaged_and_missing_scenes_are_named_by_their_url(bucket: Bucket, tmp_path: Path) -> None:
-    """Catches a message that names no file, and a folder that is opened as a scene."""
+    """Catches a message without the name of the file, and a folder that is opened as a scene."""
     path = tmp_path / "scene.4dv"
     write_scene(path)
     bucket.files.pipe_file(f"{bucket.name}/half.4dv", path.read_bytes()[:-100])

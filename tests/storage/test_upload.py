@@ -108,7 +108,7 @@ def test_an_output_is_uploaded_only_if_the_work_succeeds(bucket: Bucket) -> None
 def test_a_lost_connection_leaves_the_old_object(
     bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a traceback, and an object that is lost, if the store goes away in the middle of an upload."""
+    """Catches a traceback and a lost object if the store stops during an upload."""
     monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
     monkeypatch.setenv("AWS_MAX_ATTEMPTS", "1")
     other = S3Server.start()

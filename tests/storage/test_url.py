@@ -48,7 +48,7 @@ def test_other_urls_are_refused(text: str, message: str) -> None:
 
 
 def test_a_bucket_is_no_object() -> None:
-    """Catches a traceback if the name after the bucket is forgotten."""
+    """Catches a traceback if a URL has no name after the bucket."""
     pytest.importorskip("s3fs", reason="needs s3fs (pip install 'fourd[storage]')")
     for use in (check_writable, open_object):
         with pytest.raises(UserError) as caught:
