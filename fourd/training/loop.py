@@ -35,6 +35,7 @@ from fourd.training.config import TrainConfig
 from fourd.training.distributed.process_group import ALONE, ProcessGroup
 from fourd.training.evaluation.render import ModelRenderer
 from fourd.training.evaluation.scores import score_view
+from fourd.training.live.session import CONTROL_SECONDS, LiveSession, NoSession, StepCount
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.memory import HeapTrimmer, retain_freed_memory
 from fourd.training.metrics_log import MetricsLog, NoLog
@@ -110,23 +111,33 @@ class Trainer:
         """Train until the budget is spent.
 
         Ctrl-C is handled after the training step, so that the saved checkpoint is that of a whole step. A second Ctrl-C
-        ends the training at once, without a new checkpoint.
+        ends the training at once, without a new checkpoint. Requests to pause, to save and to stop, which ``fourd
+        serve`` writes, are also handled between steps.
         """
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done) if self.group.is_first else NoLog()
         try:
-            with self._progress() as progress, DeferredInterrupt() as interrupt:
+            with self._progress() as progress, self._session() as session:
                 task = progress.add_task("train", total=1.0, note="")
                 show = partial(progress.update, task)
-                self._loop(log, lambda note: show(completed=self._spent(), note=note), interrupt)
+                with DeferredInterrupt() as interrupt:
+                    self._loop(log, lambda note: show(completed=self._spent(), note=note), interrupt, session)
+                log.close()
+                self._checkpoint()
         finally:
             log.close()
-        self._checkpoint()
         return TrainSummary(self.done, self.seconds, self.psnr)
 
-    def _loop(self, log: MetricsLog | NoLog, show: Callable[[str], None], interrupt: DeferredInterrupt) -> None:
+    def _loop(
+        self,
+        log: MetricsLog | NoLog,
+        show: Callable[[str], None],
+        interrupt: DeferredInterrupt,
+        session: LiveSession | NoSession,
+    ) -> None:
         trimmer = HeapTrimmer(self.scene.resident_bytes)
         last_save, last_validation = self.seconds, self.seconds
+        session.show(self._count())
         while self._spent() < 1.0:
             started = time.monotonic()
             self._step(log)
@@ -142,9 +153,39 @@ class Trainer:
                 if self.group.is_first:
                     self._validate(log)
                 last_validation = self.seconds
-            if self.group.any(interrupt.is_pending):
+            session.show(self._count())
+            session.look()
+            if self.group.any(interrupt.is_pending or session.wanted is not None):
                 self._checkpoint()
+                self._answer(session, interrupt, show)
+
+    def _answer(
+        self, session: LiveSession | NoSession, interrupt: DeferredInterrupt, show: Callable[[str], None]
+    ) -> None:
+        """Pause, continue or end the training, as requested. All ranks call this method after they have saved."""
+        is_paused = False
+        while True:
+            if self.group.any(interrupt.is_pending or session.wanted == "stop"):
+                if session.wanted == "stop":
+                    self._say(f"stopped by fourd serve, saved at step {self.done}")
                 raise KeyboardInterrupt
+            if self.group.any(session.wanted == "pause") and not is_paused:
+                is_paused = True
+                self._say(f"paused by fourd serve, saved at step {self.done}; Ctrl-C ends the training")
+                show(f"paused at step {self.done}")
+            elif self.group.any(session.wanted == "resume") and is_paused:
+                is_paused = False
+                self._say(f"resumed at step {self.done}")
+            session.answered()
+            if not is_paused:
+                return
+            session.show(self._count(), "paused")
+            time.sleep(CONTROL_SECONDS)
+            session.look()
+
+    def _say(self, line: str) -> None:
+        if self.group.is_first:
+            self.console.print(f"{self.run.folder}: {line}", soft_wrap=True, markup=False, highlight=False)
 
     def _step(self, log: MetricsLog | NoLog) -> None:
         sample = self.sampler.sample(self.done)
@@ -253,6 +294,14 @@ class Trainer:
         unpack_optimizer(self.stepper.optimizer, tensors, "optimizer.", found)
         progress = SavedProgress.from_json(state, found)
         self.seconds, self.psnr = progress.seconds, progress.psnr
+
+    def _session(self) -> LiveSession | NoSession:
+        if not self.group.is_first:
+            return NoSession()
+        return LiveSession(self.run.folder, self.config.max_steps, bool(self.run.test), self.console)
+
+    def _count(self) -> StepCount:
+        return StepCount(self.done, self.seconds, self._spent())
 
     def _spent(self) -> float:
         return budget_spent(self.config, self.done, self.seconds)

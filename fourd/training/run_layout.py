@@ -24,6 +24,8 @@ SCRATCH = "scratch"
 VALIDATION = "validation"
 SOURCE = "source"
 """Folder with the copy of a capture that was given as a URL."""
+LIVE = "live"
+"""Folder with the state of a training and the last request to it, see :mod:`fourd.training.live`."""
 SEGMENTS = "segments"
 """Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
 PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)

@@ -1,4 +1,4 @@
-"""A site that is updated when its source changes: when a scene is exported again, or while a run trains."""
+"""Scenes that are written again when their source changes: when a file is exported again, or while a run trains."""
 
 from __future__ import annotations
 
@@ -14,14 +14,91 @@ from fourd.baking.files.encoding import Tier
 from fourd.errors import UserError
 from fourd.progress import Tracker
 from fourd.stylize import Style
-from fourd.training.run_layout import newest_checkpoint
+from fourd.training.run_layout import newest_checkpoint, segment_folders
 from fourd.viewer.publish.site import POSTER_NAME, SCENE_NAME, copy_player, write_poster, write_scene
 
 _POLL_SECONDS = 2.0
 
 
+class LiveScene:
+    """Writes a source as a scene for browsers, and writes it again when the source changes.
+
+    Args:
+        source: a `.4dv` file or a run.
+        folder: the folder in which the scene and its poster are written. The folder must not exist.
+        tier: tier to which an unpacked scene is packed.
+        console: prints progress and errors of updates.
+
+    Attributes:
+        version: version of the source that is written, or an empty text.
+        error: why the last version was not written, or an empty text.
+    """
+
+    def __init__(self, source: Path, folder: Path, tier: Tier, console: Console) -> None:
+        self.version = ""
+        self.error = ""
+        self._source = source
+        self._folder = folder
+        self._tier = tier
+        self._console = console
+        self._tried = ""
+        folder.mkdir(parents=True)
+
+    def has_news(self) -> bool:
+        """Whether the source has a version that :meth:`update` has not tried."""
+        return self._read_version() not in (self._tried, "")
+
+    def write(self) -> None:
+        """Write the current version. Raises UserError and OSError."""
+        self._tried = self._read_version()
+        self._write()
+        self.version, self.error = self._tried, ""
+
+    def update(self) -> bool:
+        """Write the scene again if the source has changed. Returns whether the scene was written.
+
+        After an error, the last scene is kept. The error is printed once per version of the source.
+        """
+        if not self.has_news():
+            return False
+        before = self._tried
+        try:
+            self.write()
+        except FileNotFoundError:
+            self._tried = before
+            return False  # Training has replaced the checkpoint. The next call reads the new checkpoint.
+        except (UserError, OSError) as error:
+            self.error = str(error)
+            self._console.print(f"{self._source}: not updated: {error}", soft_wrap=True, markup=False)
+            return False
+        return True
+
+    def _read_version(self) -> str:
+        """Return a text that changes with the source, or an empty text if the source is temporarily missing."""
+        with suppress(OSError):
+            if self._source.is_dir():
+                parts = segment_folders(self._source) or [self._source]
+                return " ".join(filter(None, (newest_checkpoint(part) for part in parts)))
+            status = self._source.stat()
+            return f"{status.st_mtime_ns} {status.st_size} {status.st_ino}"
+        return ""
+
+    def _write(self) -> None:
+        track = Tracker(self._console).track
+        with tempfile.TemporaryDirectory(dir=self._folder.parent) as temporary:
+            scene = self._source
+            if scene.is_dir():
+                scene = Path(temporary) / "baked.4dv"
+                _bake(self._source, scene, self._console)
+            written = Path(temporary) / SCENE_NAME
+            write_scene(scene, written, self._tier, track)
+            write_poster(written, Path(temporary) / POSTER_NAME)
+            for name in (POSTER_NAME, SCENE_NAME):
+                (Path(temporary) / name).replace(self._folder / name)
+
+
 class LiveSite:
-    """Writes the site of a source, and updates its scene when the source changes.
+    """Writes the site of a scene, and updates its scene when the file changes.
 
     Args:
         source: a `.4dv` file or a run.
@@ -42,34 +119,14 @@ class LiveSite:
         console: Console,
         styles: Mapping[str, Style] | None = None,
     ) -> None:
-        self._source = source
-        self._folder = folder
-        self._tier = tier
-        self._console = console
         self._stopped = threading.Event()
-        self._version = self._read_version()
-        folder.mkdir(parents=True)
-        self._write()
+        self._scene = LiveScene(source, folder, tier, console)
+        self._scene.write()
         copy_player(folder, source.stem, is_live=True, styles=styles)
 
     def update(self) -> bool:
-        """Write the scene again if the source has changed. Returns whether the scene was written.
-
-        After an error, the last scene is kept. The error is printed once per version of the source.
-        """
-        version = self._read_version()
-        if version in (self._version, ""):
-            return False
-        try:
-            self._write()
-        except FileNotFoundError:
-            return False  # Training has replaced the checkpoint. The next call reads the new checkpoint.
-        except (UserError, OSError) as error:
-            self._version = version
-            self._console.print(f"{self._source}: not updated: {error}", soft_wrap=True, markup=False)
-            return False
-        self._version = version
-        return True
+        """Write the scene again if the source has changed, see :meth:`LiveScene.update`."""
+        return self._scene.update()
 
     def watch(self) -> None:
         """Call :meth:`update` every two seconds until :meth:`stop`."""
@@ -79,28 +136,6 @@ class LiveSite:
     def stop(self) -> None:
         """End :meth:`watch`."""
         self._stopped.set()
-
-    def _read_version(self) -> str:
-        """Return a text that changes with the source, or an empty text if the source is temporarily missing."""
-        with suppress(OSError):
-            if self._source.is_dir():
-                return newest_checkpoint(self._source)
-            status = self._source.stat()
-            return f"{status.st_mtime_ns} {status.st_size} {status.st_ino}"
-        return ""
-
-    def _write(self) -> None:
-        track = Tracker(self._console).track
-        with tempfile.TemporaryDirectory(dir=self._folder.parent) as temporary:
-            scene = self._source
-            if scene.is_dir():
-                scene = Path(temporary) / "baked.4dv"
-                _bake(self._source, scene, self._console)
-            written = Path(temporary) / SCENE_NAME
-            write_scene(scene, written, self._tier, track)
-            write_poster(written, Path(temporary) / POSTER_NAME)
-            for name in (POSTER_NAME, SCENE_NAME):
-                (Path(temporary) / name).replace(self._folder / name)
 
 
 def _bake(run: Path, scene: Path, console: Console) -> None:

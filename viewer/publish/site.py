@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import as_file, files
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from fourd.viewer.publish.styles import STYLES_NAME, load_styles, write_styles
 
 SCENE_NAME, PAGE_NAME, POSTER_NAME, PLAYER_FOLDER = "scene.4dv", "index.html", "poster.jpg", "player"
 _POSTER_SIDE = 960
+TRAINING_FOLDER = "training"
 _NOT_SERVED = ("index.html", "page.css", "tsconfig.json", "examples", "node_modules", "package-lock.json")
 
 
@@ -115,15 +116,34 @@ def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping
     stands for the presets.
     """
     with as_file(files("fourd.viewer") / "web") as web:
-        shutil.copytree(web, folder / PLAYER_FOLDER, ignore=shutil.ignore_patterns(*_NOT_SERVED))
-        write_styles(folder / PLAYER_FOLDER / STYLES_NAME, load_styles(()) if styles is None else styles)
+        _copy_modules(web, folder, styles, (*_NOT_SERVED, TRAINING_FOLDER))
         page = (web / "index.html").read_text(encoding="utf-8")
-        page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{scene}}", SCENE_NAME)
-        page = page.replace("{{live}}", " live" if is_live else "")
-        # With these links, browsers fetch all modules at once, although the modules import each other.
+        page = page.replace("{{scene}}", SCENE_NAME).replace("{{live}}", " live" if is_live else "")
         modules = sorted(path.relative_to(folder).as_posix() for path in (folder / PLAYER_FOLDER).rglob("*.js"))
-        loaded = (name for name in modules if not name.endswith(("worker.js", "fourd-scene.js")))
-        links = (f'<link rel="modulepreload" href="{name}" />' for name in loaded)
-        page = page.replace("{{preload}}", "\n    ".join(links))
-        (folder / PAGE_NAME).write_text(page, encoding="utf-8")
+        loaded = [name for name in modules if not name.endswith(("worker.js", "fourd-scene.js"))]
+        _write_page(folder, page, title, loaded)
         shutil.copyfile(web / "page.css", folder / "page.css")
+
+
+def copy_training_page(folder: Path, title: str, styles: Mapping[str, Style] | None = None) -> None:
+    """Copy the page of a run, and the modules of this page and of the player. ``styles`` None stands for the
+    presets."""
+    with as_file(files("fourd.viewer") / "web") as web:
+        _copy_modules(web, folder, styles, _NOT_SERVED)
+        page = (web / TRAINING_FOLDER / "index.html").read_text(encoding="utf-8")
+        own = (folder / PLAYER_FOLDER / TRAINING_FOLDER).glob("*.js")
+        _write_page(folder, page, title, sorted(path.relative_to(folder).as_posix() for path in own))
+        shutil.copyfile(web / TRAINING_FOLDER / "page.css", folder / "page.css")
+
+
+def _copy_modules(web: Path, folder: Path, styles: Mapping[str, Style] | None, left_out: Sequence[str]) -> None:
+    shutil.copytree(web, folder / PLAYER_FOLDER, ignore=shutil.ignore_patterns(*left_out))
+    write_styles(folder / PLAYER_FOLDER / STYLES_NAME, load_styles(()) if styles is None else styles)
+
+
+def _write_page(folder: Path, page: str, title: str, modules: Sequence[str]) -> None:
+    """Write a page with links, with which browsers fetch all modules at once, although the modules import each
+    other."""
+    links = (f'<link rel="modulepreload" href="{name}" />' for name in modules)
+    page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{preload}}", "\n    ".join(links))
+    (folder / PAGE_NAME).write_text(page, encoding="utf-8")

@@ -1,0 +1,170 @@
+"""Measure how much a page that watches a run slows down the training.
+
+    python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
+
+The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. In every second window, it
+asks the server as often as the page does. In the other windows, the server's process is stopped (SIGSTOP). The result
+is the ratio of the speeds of neighbouring windows. With --browser, Chromium shows the page instead, on the same
+machine, and opens an empty page in the other windows. With --scene, the tab with the scene is open too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from fourd.training.live.state import read_state
+from tests.viewer.web.conftest import CHROMIUM, DEFAULT_FLAGS, DRIVER_FLAGS, FLAGS
+
+PAGE_SECONDS = 2.0
+"""Interval at which the page asks."""
+SETTLE_SECONDS = 3.0
+"""Time between the start of a window and the start of its measurement."""
+
+
+def main() -> None:
+    words = sys.argv[1:]
+    own, rest = (words[: words.index("--")], words[words.index("--") + 1 :]) if "--" in words else (words, [])
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("capture", type=Path)
+    parser.add_argument("--windows", type=int, default=12, help="number of pairs of windows")
+    parser.add_argument("--seconds", type=float, default=20.0, help="length of a window")
+    parser.add_argument("--browser", action="store_true", help="show the page in Chromium")
+    parser.add_argument("--scene", action="store_true", help="also ask for the scene")
+    arguments = parser.parse_args(own)
+    with tempfile.TemporaryDirectory() as temporary:
+        run = Path(temporary) / "run"
+        watching = browsing if arguments.browser else asking
+        with (
+            training(arguments.capture, run, rest),
+            serving(run) as (server, url),
+            watching(url, arguments.scene) as watch,
+        ):
+            measure(run, server, watch, arguments.windows, arguments.seconds)
+
+
+def measure(run: Path, server: int, watch: Callable[[bool], None], windows: int, seconds: float) -> None:
+    """Print the speeds in watched and unwatched windows, and the CPU time of the server."""
+    speeds: dict[bool, list[float]] = {False: [], True: []}
+    used, ratios = 0.0, []
+    for pair in range(windows):
+        for watched in (False, True) if pair % 2 == 0 else (True, False):
+            os.kill(server, signal.SIGCONT if watched else signal.SIGSTOP)
+            watch(watched)
+            time.sleep(SETTLE_SECONDS)
+            cpu, first = cpu_seconds(server), last_record(run)
+            time.sleep(seconds)
+            last = last_record(run)
+            used += (cpu_seconds(server) - cpu) if watched else 0.0
+            speeds[watched].append((last[0] - first[0]) / (last[1] - first[1]))
+        ratios.append(speeds[True][-1] / speeds[False][-1])
+        print(f"{speeds[False][-1]:.2f} {speeds[True][-1]:.2f} {ratios[-1]:.3f}", flush=True)
+    os.kill(server, signal.SIGCONT)
+    for watched, found in speeds.items():
+        print(f"{'watched' if watched else 'not watched'}: median of {statistics.median(found):.2f} steps per second")
+    quarters = statistics.quantiles(ratios, n=4) if len(ratios) > 1 else [ratios[0]] * 3
+    print(f"ratio of neighbouring windows: median {quarters[1]:.3f}, quartiles {quarters[0]:.3f} to {quarters[2]:.3f}")
+    print(f"CPU time of the server while it is watched: {100 * used / (windows * seconds):.2f} % of one core")
+
+
+@contextmanager
+def training(capture: Path, run: Path, options: list[str]) -> Iterator[None]:
+    """Train until the ``with`` block ends. The block starts after 50 steps."""
+    command = [sys.executable, "-m", "fourd.cli.main", "train", str(capture), "-o", str(run)]
+    process = subprocess.Popen([*command, "--max-steps", "10000000", *options], stdout=sys.stderr)
+    try:
+        while (state := read_state(run)) is None or state.step < 50:
+            if process.poll() is not None:
+                sys.exit("fourd train ended")
+            time.sleep(0.5)
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait()
+
+
+@contextmanager
+def serving(run: Path) -> Iterator[tuple[int, str]]:
+    """Serve a run. Yields the process and the address of the page."""
+    words = [sys.executable, "-m", "fourd.cli.main", "serve", str(run), "--port", "0", "--no-browser"]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    assert process.stderr is not None
+    match = re.search(r"http://[^:]*:\d+/", process.stderr.readline())
+    assert match is not None, "expected the address of the page"
+    threading.Thread(target=process.stderr.read, daemon=True).start()
+    try:
+        yield process.pid, match[0]
+    finally:
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGINT)
+        process.wait()
+
+
+@contextmanager
+def asking(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
+    """Ask the server as the page does. The yielded function starts and stops this."""
+    is_asking, ended = threading.Event(), threading.Event()
+    threading.Thread(target=ask, args=(url, with_scene, is_asking, ended), daemon=True).start()
+    yield lambda watched: is_asking.set() if watched else is_asking.clear()
+    ended.set()
+
+
+def ask(url: str, with_scene: bool, is_asking: threading.Event, ended: threading.Event) -> None:
+    """Ask every two seconds while ``is_asking`` is set."""
+    seen: list[int] = []
+    while not ended.wait(PAGE_SECONDS):
+        if not is_asking.is_set():
+            continue
+        status = json.loads(urllib.request.urlopen(f"{url}run/status.json", timeout=60).read())
+        urllib.request.urlopen(f"{url}run/curves.json", timeout=60).read()
+        if with_scene:
+            urllib.request.urlopen(f"{url}run/scene.json", timeout=60).read()
+        for step in set(status["pictures"][-1:]) - set(seen):
+            urllib.request.urlopen(f"{url}run/pictures/{step}.jpg", timeout=60).read()
+            seen.append(step)
+
+
+@contextmanager
+def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
+    """Show the page in Chromium. The yielded function opens the page or an empty page."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=[*FLAGS, *DRIVER_FLAGS[0]], ignore_default_args=list(DEFAULT_FLAGS)
+        )
+        page = browser.new_page(viewport={"width": 1280, "height": 900})
+        address = url + ("?tab=scene" if with_scene else "")
+        yield lambda watched: page.goto(address if watched else "about:blank")
+        browser.close()
+
+
+def last_record(run: Path) -> tuple[int, float]:
+    """The step and the training time in seconds of the last complete record."""
+    records = [json.loads(line) for line in (run / "metrics.jsonl").read_text().split("\n")[:-1]]
+    last = next(record for record in reversed(records) if "psnr" in record)
+    return last["step"], last["seconds"]
+
+
+def cpu_seconds(process: int) -> float:
+    """CPU time of a process and its threads."""
+    words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,200 @@
+"""The data of a run's page: state, curves, pictures and the scene."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image
+
+from fourd.baking.files.encoding import Tier
+from fourd.errors import UserError
+from fourd.limits import open_regular
+from fourd.parallel import core_count
+from fourd.progress import Terminal
+from fourd.stylize import Style
+from fourd.training.live.control import ACTIONS, Action, ControlRequest, write_request
+from fourd.training.run_layout import VALIDATION, segment_folder
+from fourd.viewer.publish.live import LiveScene
+from fourd.viewer.publish.runs.history import RunHistory
+from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, find_active
+from fourd.viewer.publish.site import copy_training_page
+
+STATUS_SECONDS = 1.0
+"""Time for which an answer is reused, however many pages ask."""
+ASKED_SECONDS = 10.0
+"""A scene is baked only if a page has asked for it within this time."""
+BAKING_SHARE = 0.02
+"""Maximum share of the machine's CPU time that baking uses while the run trains."""
+MAX_PICTURE_PIXELS = 1 << 26
+MAX_PICTURE_WIDTH = 1600
+_POLL_SECONDS = 0.5
+_NICE = 19
+
+
+class Refused(Exception):
+    """A request to the training that cannot be fulfilled. The text is a sentence for the user."""
+
+
+@dataclass(frozen=True)
+class _Answers:
+    """The answers that were computed last, and the time at which this was done."""
+
+    active: ActiveRun
+    status: bytes
+    curves: bytes
+    seconds: float
+
+
+class RunSite:
+    """Writes the page of a run, and answers its requests. All methods can be called from several threads.
+
+    Args:
+        run: the run's folder.
+        folder: the folder of the site. The folder must not exist.
+        tier: tier of the scene.
+        console: prints the progress of baking.
+        styles: the styles that the player offers, by name. If None, it offers the presets.
+    """
+
+    def __init__(
+        self, run: Path, folder: Path, tier: Tier, console: Terminal, styles: Mapping[str, Style] | None = None
+    ) -> None:
+        self.run = run
+        self._title = run.resolve().name
+        self._scene = LiveScene(run, folder, tier, console)
+        copy_training_page(folder, self._title, styles)
+        self._lock = threading.Lock()
+        self._answers: _Answers | None = None
+        self._history = RunHistory(run)
+        self._history_of = run
+        self._pictures: dict[tuple[Path, int], bytes] = {}
+        self._stopped = threading.Event()
+        self._asked = -ASKED_SECONDS
+        self._next_bake = 0.0
+        self._is_baking = False
+
+    def status(self) -> bytes:
+        """The state of the run as JSON."""
+        return self._current().status
+
+    def curves(self) -> bytes:
+        """The curves of the run as JSON."""
+        return self._current().curves
+
+    def picture(self, step: int, segment: int | None) -> bytes | None:
+        """A validation picture as JPEG, or None if there is no such picture.
+
+        Args:
+            step: the training step of the picture.
+            segment: number of the segment from 1, or None for the run itself.
+        """
+        folder = self.run if segment is None else segment_folder(self.run, segment - 1)
+        key = (folder, step)
+        with self._lock:
+            found = self._pictures.get(key)
+        if found is None:
+            found = _read_picture(folder / VALIDATION / f"{step:07d}.png")
+            if found is None:
+                return None
+            with self._lock:
+                while len(self._pictures) >= MAX_PICTURES:
+                    del self._pictures[next(iter(self._pictures))]
+                self._pictures[key] = found
+        return found
+
+    def scene(self) -> bytes:
+        """The state of the scene as JSON. For some seconds after this call, new checkpoints are baked."""
+        self._asked = time.monotonic()
+        version, error = self._scene.version, self._scene.error
+        steps = [int(name.partition(".")[0]) for name in version.split()]
+        is_due = self._is_baking or (self._scene.has_news() and time.monotonic() >= self._next_bake)
+        state = "baking" if is_due else "failed" if error else "ready" if version else "none"
+        return _to_json({"state": state, "step": max(steps, default=-1), "message": error})
+
+    def control(self, session: str, action: str) -> None:
+        """Send a request to the training. Raises Refused."""
+        active = find_active(self.run)
+        known = next((each for each in ACTIONS if each == action), None)
+        if known is None:
+            raise Refused(f"Expected one of the actions {', '.join(ACTIONS)}.")
+        _require_running(active, session, known)
+        try:
+            write_request(active.folder, ControlRequest(session, known))
+        except (OSError, UserError) as error:
+            raise Refused(f"The request cannot be written into the folder of the run: {error}") from error
+
+    def watch(self) -> None:
+        """Bake new checkpoints while pages ask for the scene, until :meth:`stop`. The calling thread gets the lowest
+        priority, so that training goes first."""
+        if sys.platform == "linux":
+            with suppress(OSError):
+                os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
+        while not self._stopped.wait(_POLL_SECONDS):
+            now = time.monotonic()
+            if now - self._asked < ASKED_SECONDS and now >= self._next_bake and self._scene.has_news():
+                self._bake()
+
+    def stop(self) -> None:
+        """End :meth:`watch`."""
+        self._stopped.set()
+
+    def _bake(self) -> None:
+        self._is_baking = True
+        used = time.process_time()
+        try:
+            self._scene.update()
+        finally:
+            self._is_baking = False
+        used = time.process_time() - used
+        is_busy = find_active(self.run).phase == "training"
+        self._next_bake = time.monotonic() + (used / core_count() / BAKING_SHARE if is_busy else 0.0)
+
+    def _current(self) -> _Answers:
+        """The answers, which are computed at most once per second."""
+        with self._lock:
+            now = time.monotonic()
+            if self._answers is None or now - self._answers.seconds >= STATUS_SECONDS:
+                active = find_active(self.run)
+                if active.folder != self._history_of:
+                    self._history, self._history_of = RunHistory(active.folder), active.folder
+                self._history.update()
+                status = _to_json(describe(self._title, active, self._history))
+                self._answers = _Answers(active, status, _to_json(self._history.curves()), now)
+            return self._answers
+
+
+def _require_running(active: ActiveRun, session: str, action: Action) -> None:
+    if active.state is None or not active.is_alive:
+        raise Refused("The run does not train, so that there is nothing to pause, save or stop.")
+    if active.state.session != session:
+        raise Refused("Another training of this run has started since this page was updated. Try again.")
+    if action == "save" and active.phase == "paused":
+        raise Refused("The run is paused, and was saved when it was paused.")
+
+
+def _read_picture(path: Path) -> bytes | None:
+    """A validation picture as JPEG of moderate size, or None if there is none or it is damaged."""
+    try:
+        with open_regular(path) as stream, Image.open(stream, formats=("PNG",)) as picture:
+            if picture.width * picture.height > MAX_PICTURE_PIXELS:
+                return None
+            shown = picture.convert("RGB")
+            shown.thumbnail((MAX_PICTURE_WIDTH, MAX_PICTURE_WIDTH))
+            content = io.BytesIO()
+            shown.save(content, "JPEG", quality=88)
+            return content.getvalue()
+    except (OSError, ValueError, SyntaxError, UserError, Image.DecompressionBombError):
+        return None
+
+
+def _to_json(content: object) -> bytes:
+    return json.dumps(content, allow_nan=False, separators=(",", ":")).encode()

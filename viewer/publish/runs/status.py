@@ -1,0 +1,97 @@
+"""What the page of a run shows, as JSON data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from fourd.training.live.state import Phase, TrainingState, is_training, read_state
+from fourd.training.run_layout import VALIDATION, segment_folders
+from fourd.viewer.publish.runs.history import RunHistory
+
+MAX_PICTURES = 24
+"""Number of validation pictures that the page offers."""
+_LEAST_SHARE = 1e-6
+"""Spent share of the budget from which the remaining time is estimated."""
+_DIGITS = 12
+"""Maximum number of digits in the name of a validation picture."""
+
+ShownPhase = Phase | Literal["ended", "idle"]
+"""The phase of a run. ``ended``: the training ended without a last state, because its process was killed. ``idle``: the
+run has no state."""
+
+
+@dataclass(frozen=True)
+class ActiveRun:
+    """The run that trains or that trained last: the run itself, or one of its segments.
+
+    Attributes:
+        folder: the folder of the run or the segment.
+        segment: number of the segment from 1, or None for a run without segments.
+        state: the last state of the training.
+        is_alive: whether the training's process is running.
+    """
+
+    folder: Path
+    segment: int | None
+    state: TrainingState | None
+    is_alive: bool
+
+    @property
+    def phase(self) -> ShownPhase:
+        """The phase that the page shows."""
+        if self.state is None:
+            return "idle"
+        is_over = self.state.phase not in ("training", "paused")
+        return self.state.phase if is_over or self.is_alive else "ended"
+
+
+def find_active(run: Path) -> ActiveRun:
+    """The part of a run that trains. If nothing trains, the part whose state is the newest."""
+    folders = segment_folders(run)
+    parts = [_active(folder, index) for index, folder in enumerate(folders, 1)] or [_active(run, None)]
+    known = [part for part in parts if part.state is not None]
+    return max(known, key=lambda part: (part.is_alive, part.state.updated if part.state else 0.0), default=parts[0])
+
+
+def picture_steps(run: Path, last: int) -> list[int]:
+    """The steps of the newest validation pictures up to the step ``last``, in ascending order.
+
+    Pictures of later steps are left from a training that was killed after its last checkpoint.
+    """
+    names = [path.stem for path in (run / VALIDATION).glob("*.png")]
+    steps = sorted(int(name) for name in names if name.isdecimal() and len(name) <= _DIGITS)
+    return [step for step in steps if step <= last][-MAX_PICTURES:]
+
+
+def describe(title: str, active: ActiveRun, history: RunHistory) -> dict[str, Any]:
+    """The state of a run, without its curves."""
+    state, phase = active.state, active.phase
+    seconds = (state.seconds if state else history.last("seconds")) or 0.0
+    step = state.step if state else history.step
+    remaining = None
+    if state is not None and state.spent >= _LEAST_SHARE and phase in ("training", "paused"):
+        remaining = seconds * (1 / state.spent - 1)
+    return {
+        "title": title,
+        "segment": active.segment,
+        "session": state.session if state else "",
+        "phase": phase,
+        "reason": state.reason if state else "",
+        "step": step,
+        "max_steps": state.max_steps if state else None,
+        "spent": state.spent if state else None,
+        "seconds": seconds,
+        "remaining_seconds": remaining,
+        "is_held_out": state.is_held_out if state else True,
+        "psnr": history.last("psnr_smooth"),
+        "validation_psnr": history.last("validation/psnr"),
+        "pictures": picture_steps(active.folder, step),
+        "broken_lines": history.broken,
+    }
+
+
+def _active(folder: Path, segment: int | None) -> ActiveRun:
+    state = read_state(folder)
+    return ActiveRun(folder, segment, state, state is not None and is_training(folder, state))

@@ -1,0 +1,78 @@
+/**
+ * State of a run as the server describes it.
+ * @typedef {object} Status
+ * @property {string} title
+ * @property {number | null} segment Number of the segment from 1, in a run with segments.
+ * @property {string} session
+ * @property {"training" | "paused" | "finished" | "stopped" | "failed" | "ended" | "idle"} phase
+ * @property {string} reason
+ * @property {number} step
+ * @property {number | null} max_steps
+ * @property {number | null} spent
+ * @property {number} seconds
+ * @property {number | null} remaining_seconds
+ * @property {boolean} is_held_out
+ * @property {number | null} psnr
+ * @property {number | null} validation_psnr
+ * @property {number[]} pictures
+ * @property {number} broken_lines
+ */
+/** The values of a measurement. @typedef {{step: number[], value: number[]}} Series */
+/** State of the scene. @typedef {{state: "none" | "baking" | "ready" | "failed", step: number, message: string}} SceneState */
+
+/** An answer of the server that the page shows to the user. */
+export class Refusal extends Error {}
+
+/** @returns {Promise<Status>} */
+export async function fetchStatus() {
+  return fetchJson("run/status.json");
+}
+
+/** @returns {Promise<Record<string, Series>>} */
+export async function fetchCurves() {
+  return fetchJson("run/curves.json");
+}
+
+/**
+ * Asks for the scene of the newest checkpoint. The server bakes it only while a page asks.
+ * @returns {Promise<SceneState>}
+ */
+export async function fetchScene() {
+  return fetchJson("run/scene.json");
+}
+
+/**
+ * @param {string} session
+ * @param {"pause" | "resume" | "save" | "stop"} action
+ */
+export async function sendRequest(session, action) {
+  // Pages of other sites cannot send this header.
+  const headers = { "Content-Type": "application/json", "X-Fourd-Request": "control" };
+  await fetchText("run/control", { method: "POST", headers, body: JSON.stringify({ session, action }) });
+}
+
+/** @param {string} path */
+async function fetchJson(path) {
+  const text = await fetchText(path, { cache: "no-cache" });
+  try {
+    return JSON.parse(text);
+  } catch {
+    throw new Refusal("The server sent an incomplete answer. This page asks again.");
+  }
+}
+
+/**
+ * @param {string} path
+ * @param {RequestInit} options
+ */
+async function fetchText(path, options) {
+  let response, text;
+  try {
+    response = await fetch(path, { ...options, signal: AbortSignal.timeout(15000) });
+    text = await response.text();
+  } catch {
+    throw new Refusal("The server does not answer. This page asks again until fourd serve runs.");
+  }
+  if (!response.ok) throw new Refusal(text.trim().slice(0, 500) || `The server answered with HTTP status ${response.status}.`);
+  return text;
+}
