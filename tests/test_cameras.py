@@ -85,7 +85,9 @@ def at_degrees(degrees: float, radius: float = 2.0) -> Camera:
 
 
 def test_view_weights_fall_to_zero_at_the_first_view_that_is_left_out() -> None:
-    """Catches angles measured in cosines, and a limit at a view that is selected."""
+    """Catches view weights that are linear in the cosine instead of the angle, and weights that reach 0 at a selected
+    view.
+    """
     sources = [at_degrees(degrees, radius) for degrees, radius in [(-10, 2), (20, 5), (40, 2), (-50, 3), (90, 2)]]
     views = select_views(at_degrees(0), sources, 3, np.zeros(3), fade=True)
     assert views.indices == [0, 1, 2]

@@ -123,7 +123,9 @@ def test_temporary_files_in_use_are_kept(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_whole_after_a_kill(tmp_path: Path) -> None:
-    """Catches an old folder that is lost if a process is killed while it replaces the folder, and folders that stay."""
+    """Catches an old folder that is lost if a process is killed while it replaces the folder, and temporary folders
+    that remain.
+    """
     target = tmp_path / "site"
     with atomic_folder(target) as folder:
         (folder / "page").write_text("old")

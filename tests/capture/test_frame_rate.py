@@ -33,7 +33,7 @@ from tests.training.small import SMALL, quiet, trained_run, with_steps
     ],
 )
 def test_rates_are_exact(fps: float, expected: Fraction) -> None:
-    """Catches 29.97 that is stored as 30, and 30 that is stored as 29.97."""
+    """Catches a frame rate of 29.97 that is stored as 30, and a frame rate of 30 that is stored as 29.97."""
     assert standard_rate(fps) == expected
 
 

@@ -48,7 +48,7 @@ def test_selection_of_views_and_frames(ball_capture: Path) -> None:
 
 
 def test_pictures_are_rgb_and_mattes_grey(ball_capture: Path) -> None:
-    """Catches OpenCV's BGR order."""
+    """Catches images in OpenCV's BGR order."""
     capture = open_capture(ball_capture)
     stored = cv2.imread(str(ball_capture / "images" / "02" / "000001.png"))
     assert stored is not None

@@ -19,7 +19,7 @@ def config(background: str | None, file: Path | None = None, *assignments: str) 
 
 @pytest.mark.parametrize("method", ["ngp", "sfm"])
 def test_a_method_replaces_the_points_of_the_config_file(method: str, tmp_path: Path) -> None:
-    """Catches a flag that the points in the config file silently override."""
+    """Catches a flag for the seeding method that has no effect if the config file names a file of points."""
     (tmp_path / "a.yaml").write_text("background: {seeds: own.ply, seeding: sfm}\n")
     background = config(method, tmp_path / "a.yaml").background
     assert background.seeding == method
@@ -145,7 +145,7 @@ def test_segments_that_cannot_be_trained_are_refused(
 def test_accepted_mattes_do_not_make_a_still_scene(
     ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches --accept-mattes that trains a scene without foreground."""
+    """Catches an option --accept-mattes that leads to a scene without foreground."""
     requests: list[RunRequest] = []
 
     def record(request: RunRequest) -> tuple[()]:

@@ -107,7 +107,7 @@ def test_calibrations_in_other_folders_are_found(tmp_path: Path, make, trial: st
 
 
 def test_several_recordings_are_named(tmp_path: Path) -> None:
-    """Catches an import that chooses one of several recordings without asking."""
+    """Catches an import that chooses one of several recordings instead of reporting an error."""
     root = pose2sim(tmp_path)
     write_videos(root / "second" / "videos")
     with pytest.raises(UserError, match=r"expected one recording, got 2: .*second, .*trial; name one of them"):

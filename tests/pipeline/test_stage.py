@@ -99,7 +99,9 @@ def test_a_key_depends_on_settings_files_and_earlier_stages(tmp_path: Path) -> N
 
 
 def test_links_without_a_file_have_a_fingerprint(tmp_path: Path) -> None:
-    """Catches a traceback for links to missing files and for links to themselves, which strangers may have packed."""
+    """Catches a traceback for links to missing files and for links to themselves, which downloaded captures may
+    contain.
+    """
     os.symlink("absent", tmp_path / "missing.yml")
     os.symlink("loop.yml", tmp_path / "loop.yml")
     os.symlink("folder", tmp_path / "folder")

@@ -232,8 +232,9 @@ def test_a_run_without_torch_sets_a_message(tmp_path: Path, monkeypatch: pytest.
 
 @pytest.mark.slow
 def test_memory_stays_flat_over_many_frames_and_openings(tmp_path: Path) -> None:
-    """Catches frames, threads, files and OpenGL objects that are not released, by drawing 1,000 images and opening 100
-    scenes."""
+    """Catches frames, threads, files and OpenGL objects that are not released. The test draws 1,000 images and opens
+    100 scenes.
+    """
     import os
 
     from fourd.training.memory import resident_bytes

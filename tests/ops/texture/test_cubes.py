@@ -83,7 +83,9 @@ def test_pictures_are_continuous_across_all_edges_and_corners(
 
 
 def test_padding_takes_the_nearest_texel_of_another_face() -> None:
-    """Catches an error that the kernel and the reference have in common, by a search over all texels of the cube."""
+    """Catches an error that the kernel and the reference have in common. The expected texels are found by a search over
+    all texels of the cube.
+    """
     size = 4
     numbers = torch.arange(6.0 * size * size).view(1, 6, size, size, 1)
     padded = pad_cube(numbers)[0, ..., 0]

@@ -47,7 +47,7 @@ def session(tmp_path: Path) -> Iterator[Session]:
 
 
 def test_presets_and_files_can_be_chosen(session: Session, tmp_path: Path) -> None:
-    """Catches a preset that the session does not know, and a file that cannot be chosen again."""
+    """Catches a preset that the session does not offer, and a file that cannot be chosen again."""
     assert session.style_names == (None, *PRESETS)
     for name in PRESETS:
         session.choose_style(name)

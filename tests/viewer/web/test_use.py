@@ -42,7 +42,7 @@ def test_keys_and_the_time_bar_select_frames(play: PlayerPage) -> None:
 
 
 def test_mouse_wheel_and_keys_move_the_view(play: PlayerPage) -> None:
-    """Catches a drag, a wheel or a key that does not reach the view."""
+    """Catches a drag, a mouse wheel or a key that has no effect on the view."""
     start = play.run("return stage.pose;")
     mouse = play.page.mouse
     mouse.move(40, 30)
