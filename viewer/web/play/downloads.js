@@ -5,7 +5,7 @@ import { BACKGROUND } from "../scene/members.js";
 const MOST_BYTES = 512 << 20;
 const BYTES_PER_GB = 64 << 20;
 const SUPPOSED_GB = 4;
-/** Simultaneous requests together ask for the amount of data that arrives in this time. */
+/** The simultaneous requests together contain the amount of data that arrives in this time. */
 const SECONDS_IN_FLIGHT = 0.3;
 /** Minimum number of simultaneous requests. With a single request, the connection is idle between the last byte of a
  * response and the first byte of the next response. */

@@ -139,7 +139,7 @@ export class ByteSource {
   async #collect(response, size, stall) {
     const declared = /^bytes (\d+)-(\d+)\//.exec(response.headers.get("Content-Range") ?? "");
     const expected = declared ? Number(declared[2]) - Number(declared[1]) + 1 : size;
-    if (!(expected <= size)) throw new Error("the server sends more than was asked for");
+    if (!(expected <= size)) throw new Error("the server sends more than requested");
     const bytes = new Uint8Array(expected);
     let count = 0;
     for await (const chunk of chunks(response)) {
