@@ -56,7 +56,8 @@ void Player::draw_surface(const Frame& frame, const points::Settings& settings, 
     const points::Loops& loops = points::select_loops(settings.simd);
     run_parts(team, cloud.count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         for_visible(begin, end, [&](std::size_t first, std::size_t last) {
-            loops.join_normals(settings.camera, cloud.features, frame.normals, first, last, surface_features_.data());
+            loops.join_normals(settings.camera, cloud.xyz, cloud.features, frame.normals, first, last,
+                               surface_features_.data());
         });
     });
     cloud.features = surface_features_.data();

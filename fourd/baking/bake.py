@@ -78,7 +78,7 @@ def bake_run(
     with SceneWriter(out, manifest) as writer, torch.no_grad():
         background = bake_background(first, sources)
         if background is not None:
-            writer.add_background(add_normals(background, manifest))
+            writer.add_background(add_normals(background, manifest, is_background=True))
         for frame in track(range(run.capture.frame_count), description="export", console=console):
             if isinstance(trained, SegmentedRun):
                 writer.add_frame(frame, add_normals(_bake_segments(trained.at(frame), sources), manifest))

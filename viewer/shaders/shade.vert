@@ -28,18 +28,18 @@ uniform int blended_count;
 uniform float sh_range;
 uniform float sh_base;
 
-uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Used only by NORMALS.
+uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Not used by COLOURS.
 uniform int painted;        // The quantity that the discs are painted with: COLOURS, NORMALS or DEPTHS.
 uniform float depth_unit;   // Unit of painted depths, in world units.
 
 const int COLOURS = 0;
-const int NORMALS = 1;
-const int DEPTHS = 2;
+const int NORMALS = 1;  // The normal times the weight of the point.
+const int DEPTHS = 2;   // The depth times the weight, and the weight.
 
 in uint point;
 
 out vec4 disc;   // Centre (u, v), 1 / rho^2 and the radius rho, with lengths in pixels.
-out vec4 paint;  // Red, green and blue, or the normal or depth that replaces them, and then the density.
+out vec4 paint;  // Red, green and blue, or the quantity that replaces them, and then the density.
 
 int slot;  // Index of the point in the textures.
 
@@ -111,9 +111,11 @@ void main() {
     disc = vec4((intrinsics_x.x * p.x + intrinsics_x.y * p.y) / p.z + intrinsics_x.z,
                 (intrinsics_y.x * p.x + intrinsics_y.y * p.y) / p.z + intrinsics_y.z, 1.0 / (rho * rho), rho);
     paint.a = clamped_density;
-    if (painted == NORMALS) {
-        paint.rgb = camera_normal();
-    } else {
-        paint.rgb = painted == DEPTHS ? vec3(p.z / depth_unit) : colour_of(world);
+    if (painted == COLOURS) {
+        paint.rgb = colour_of(world);
+        return;
     }
+    vec3 normal = camera_normal();
+    float weight = front_weight(normal, p);
+    paint.rgb = painted == NORMALS ? weight * normal : vec3(weight * p.z / depth_unit, weight, 0.0);
 }

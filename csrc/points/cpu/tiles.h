@@ -34,9 +34,10 @@ struct Visits {
 
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
-// The features of a point for draw_surface are its colour and its normal. They are adjacent in memory, because tiles
-// read the features of scattered points.
-constexpr int kSurfaceFeatures = 6;
+// The features of a point for draw_surface are its colour, its normal times its weight, its weight (front_weight in
+// points/octahedral.h), and its depth times its weight. They are adjacent in memory, because tiles read the features of
+// scattered points.
+constexpr int kSurfaceFeatures = 8;
 constexpr std::size_t kJoinedPoints = 64;
 
 struct Loops {
@@ -50,11 +51,11 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // Joins the colours and the normals of points [begin, end), of which there are at most kJoinedPoints. `colours`
-    // (count, 3), `octahedral` (count, 2) and `out` (count, kSurfaceFeatures) are indexed by point. The normals are
-    // decoded (points/octahedral.h) and rotated to the axes of the camera.
-    void (*join_normals)(const Pinhole& camera, const float* colours, const std::uint8_t* octahedral, std::size_t begin,
-                         std::size_t end, float* out);
+    // Joins the colours and the normals of points [begin, end), of which there are at most kJoinedPoints. `xyz`
+    // (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count, kSurfaceFeatures) are indexed by point.
+    // The normals are decoded (points/octahedral.h) and rotated to the axes of the camera.
+    void (*join_normals)(const Pinhole& camera, const float* xyz, const float* colours, const std::uint8_t* octahedral,
+                         std::size_t begin, std::size_t end, float* out);
 
     // Renders the colours and the visible surface. The features of the tile are those of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);

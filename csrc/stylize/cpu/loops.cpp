@@ -171,7 +171,7 @@ void draw_run(const Surface& surface, const Style& style, const Taps* const* row
 // Draws rows [begin, end) of the column of runs that starts at pixel `first` of each row.
 void draw_column(const Surface& surface, const Style& style, int first, int begin, int end, std::uint32_t* line_state,
                  std::uint8_t* out) {
-    Column column(surface, first, begin);
+    Column column(surface, style.thickness, first, begin);
     const int count = surface.width - first < kRun ? surface.width - first : kRun, reach = style.thickness;
     int last_seen = begin - 3 * kMargin;  // The last row with a surface.
     int checked = begin - reach - kGap;   // The next row to check for a surface.

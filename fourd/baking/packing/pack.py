@@ -136,7 +136,7 @@ class _Packer:
         # All background points are kept, because the background also covers directions that no view of the capture
         # shows.
         background = reader.read_background() if has_background else None
-        self.background = None if background is None else self._prepare(background)
+        self.background = None if background is None else self._prepare(background, is_background=True)
         first = next((index for index in frames if reader.manifest.points[index]), frames[0])
         scale = choose_scale(self._read(first), manifest, self.precision)
         behind = None
@@ -177,14 +177,16 @@ class _Packer:
         visible = _select(cloud, find_visible(cloud, self.reader.manifest, self.precision.min_visibility))
         return self._prepare(visible) if for_file else self.convert(replace(visible, normals=None))
 
-    def _prepare(self, cloud: BakedFrame) -> BakedFrame:
+    def _prepare(self, cloud: BakedFrame, *, is_background: bool = False) -> BakedFrame:
         """Convert a cloud for the tier, with normals if the packed scene has them.
 
         Normals are estimated before the conversion, because the source views show which side is outside.
         """
         if not self.has_normals:
             return self.convert(replace(cloud, normals=None))
-        return self.convert(cloud if cloud.normals is not None else add_normals(cloud, self.reader.manifest))
+        if cloud.normals is None:
+            cloud = add_normals(cloud, self.reader.manifest, is_background=is_background)
+        return self.convert(cloud)
 
     def _encode(self, cloud: BakedFrame, encoding: CloudEncoding, order: NDArray[np.int64]) -> _Cloud:
         """Encode a cloud in the given order, and check the errors of the result."""

@@ -39,7 +39,7 @@ def transcode_scene(
             if background is not None and manifest.encoding.background is not None:
                 points = background.point_count
                 contents = _contents(reader, BACKGROUND, points, manifest.encoding.background)
-                writer.add_background(contents | (_normals(background, manifest) if adds_normals else {}))
+                writer.add_background(contents | (_normals(background, manifest, is_background=True) if adds_normals else {}))
             for index in track(range(manifest.frame_count), manifest.frame_count, "compress"):
                 frame = reader.read_dynamic(index)
                 points = manifest.points[index]
@@ -62,6 +62,7 @@ def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEnco
     return {name: decompress(reader.read_member(f"{folder}/{name}"), largest).tobytes() for name in names}
 
 
-def _normals(cloud: BakedFrame, manifest: SceneManifest) -> dict[str, bytes]:
+def _normals(cloud: BakedFrame, manifest: SceneManifest, *, is_background: bool = False) -> dict[str, bytes]:
     """Return the member with the estimated normals of a cloud."""
-    return {optional_member("normals"): add_normals(cloud, manifest).arrays["normals"].tobytes()}
+    complete = add_normals(cloud, manifest, is_background=is_background)
+    return {optional_member("normals"): complete.arrays["normals"].tobytes()}

@@ -16,17 +16,25 @@ CACHE_BYTES = 64 << 20
 _SAMPLES = 4096
 
 
-def add_normals(frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
+def add_normals(frame: BakedFrame, manifest: SceneManifest, *, is_background: bool = False) -> BakedFrame:
     """Return ``frame`` with estimated normals. The source cameras in the manifest determine which side of a surface is
-    outside."""
-    return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest))
+    outside.
+
+    Args:
+        is_background: whether the points surround the cameras. The normals of background points that no source camera
+            sees face all source cameras.
+    """
+    return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest, is_background))
 
 
 def _estimate(
-    xyz: NDArray[np.float32], blend_weights: NDArray[np.float16], manifest: SceneManifest
+    xyz: NDArray[np.float32], blend_weights: NDArray[np.float16], manifest: SceneManifest, is_background: bool
 ) -> NDArray[np.uint8]:
     centres = np.array([camera.centre for camera in manifest.source_cameras]).reshape(-1, 3)
-    return encode_octahedral(estimate_normals(xyz, Visibility(blend_weights, centres)))
+    weights = blend_weights
+    if is_background:
+        weights = np.where((weights > 0).any(1, keepdims=True), weights, np.float16(1))
+    return encode_octahedral(estimate_normals(xyz, Visibility(weights, centres)))
 
 
 class FrameNormals:
@@ -47,16 +55,18 @@ class FrameNormals:
             return frame.normals
         count = frame.dynamic_count
         if count == frame.point_count:
-            return self._estimate(frame, slice(None), manifest)
-        parts = [self._estimate(frame, part, manifest) for part in (slice(0, count), slice(count, None))]
-        return np.concatenate(parts)
+            return self._estimate(frame, slice(None), manifest, is_background=False)
+        own = self._estimate(frame, slice(0, count), manifest, is_background=False)
+        return np.concatenate([own, self._estimate(frame, slice(count, None), manifest, is_background=True)])
 
-    def _estimate(self, frame: BakedFrame, part: slice, manifest: SceneManifest) -> NDArray[np.uint8]:
+    def _estimate(
+        self, frame: BakedFrame, part: slice, manifest: SceneManifest, *, is_background: bool
+    ) -> NDArray[np.uint8]:
         xyz = frame.xyz[part]
         # Frames that are read again have equal positions in another array, so the key is computed from the positions.
-        key = hashlib.sha256(xyz[:: max(1, len(xyz) // _SAMPLES)].tobytes() + str(xyz.shape).encode()).digest()
+        key = hashlib.sha256(xyz[:: max(1, len(xyz) // _SAMPLES)].tobytes() + str((xyz.shape, is_background)).encode()).digest()
         if key not in self._cache:
-            normals = _estimate(xyz, frame.blend_weights[part], manifest)
+            normals = _estimate(xyz, frame.blend_weights[part], manifest, is_background)
             if normals.nbytes > self._cache.maxsize:
                 return normals
             self._cache[key] = normals

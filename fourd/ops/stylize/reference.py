@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.ops.stylize.parameters import GAP, SAME_TAPS, TONES, Numbers, StyleParameters, Surface
+from fourd.ops.stylize.parameters import BACK_WEIGHT, FRONT_SLOPE, GAP, SAME_TAPS, TONES, Numbers, StyleParameters, Surface
 
 Image = NDArray[np.float32]
 
@@ -58,6 +58,12 @@ def stylize_reference(
     return Stylized(_bytes(rgba), np.zeros_like(state) if parameters.lines == "none" else state)
 
 
+def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Weight of a point in the depth and the normal of a visible surface, for the cosine between its normal and the
+    direction to the camera. The backs of surfaces count only where no other points are visible."""
+    return BACK_WEIGHT + (1 - BACK_WEIGHT) * np.clip(0.5 + 5 * cosine, 0, 1)
+
+
 def fill_gaps(surface: Surface) -> Surface:
     """Fill the gaps between surfaces."""
     depth, normal, shift = surface.inverse_depth, surface.normal, _Shift(1)
@@ -84,11 +90,14 @@ def fill_gaps(surface: Surface) -> Surface:
 def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArray[np.uint32] | None = None) -> Image:
     """Strength (H, W) in [0, 1] of the lines of a surface whose gaps are filled."""
     scale = np.ones(surface.size, np.float32)
-    if line_state is None or parameters.lines == "none":
-        return _fresh_lines(surface, parameters, scale)
+    if parameters.lines == "none":
+        return np.zeros(surface.size, np.float32)
+    kept = _kept_lines(surface, parameters)
+    if line_state is None:
+        return kept * _fresh_lines(surface, parameters, scale)
     before = (line_state & 255).astype(np.float32) / 255
     scale[line_state & 255 >= 128] = 1 - parameters.numbers.hysteresis
-    lines = _fresh_lines(surface, parameters, scale)
+    lines = kept * _fresh_lines(surface, parameters, scale)
     seen = _seen_bits(surface, parameters.thickness).view(np.float32)
     old = (line_state & np.uint32(0xFFFF0000)).view(np.float32)
     is_faint = (np.abs(seen - old) <= np.float32(SAME_TAPS) * seen) & (lines > before)
@@ -107,8 +116,6 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
     """Strength of the lines of this picture, before they fade in. The thresholds are multiplied by ``scale``."""
     numbers, depth, coverage = parameters.numbers, surface.inverse_depth, surface.coverage
     normal = surface.unit_normal * coverage[..., None]
-    if parameters.lines == "none":
-        return np.zeros(depth.shape, np.float32)
     shift = _Shift(parameters.thickness)
     taps = {
         (down, right): (shift(depth, down, right), (shift(normal, down, right) * normal).sum(2))
@@ -133,6 +140,17 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
     for at in arms:
         flat = flat * (1 - _ramp(coverage - taps[at][1], numbers.normal_threshold * scale))
     return (1 - flat).astype(np.float32)
+
+
+def _kept_lines(surface: Surface, parameters: StyleParameters) -> Image:
+    """Share of the strength that lines keep: 0 where a tap shows the back of a surface, unless another tap shows no
+    surface."""
+    coverage, shift = surface.coverage, _Shift(parameters.thickness)
+    normal, rays = surface.unit_normal * coverage[..., None], _rays(surface.size, parameters.numbers)
+    at = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if parameters.lines == "sobel" or 0 in (down, right)]
+    away = np.max([(shift(normal, *tap) * rays).sum(2) for tap in at], axis=0)
+    least_coverage = np.min([shift(coverage, *tap) for tap in at], axis=0)
+    return np.maximum(_clamp(1 - np.float32(FRONT_SLOPE) * away), 1 - least_coverage).astype(np.float32)
 
 
 def look_up(table: NDArray[np.uint8], tone: Image, detail: Image) -> Image:

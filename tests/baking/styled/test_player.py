@@ -14,6 +14,7 @@ from fourd.baking.styled.normals import FrameNormals, add_normals
 from fourd.baking.styled.player import StyledPlayer
 from fourd.ops.play.op import MIN_TRANSMITTANCE
 from fourd.ops.points.arrays import render_points_numpy
+from fourd.ops.stylize.reference import front_weight
 from fourd.stylize import PRESETS, decode_octahedral, load_style
 from tests.baking.scenes import full_manifest, manifest, random_frame, room_frame
 
@@ -29,15 +30,20 @@ def frame() -> BakedFrame:
 def test_surfaces_equal_those_of_the_float_renderer(
     frame: BakedFrame, simd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches normals in the wrong axes, depths that are not divided by alpha, and colours over a background."""
+    """Catches normals in the wrong axes, depths that are not divided by their weights, points that face away and hide
+    others, and colours over a background."""
     monkeypatch.setenv("FOURD_SIMD", simd)
     camera = MANIFEST.cameras[1]
     assert frame.normals is not None
     normals = decode_octahedral(frame.normals) @ camera.rotation.T.astype(np.float32)
-    features = np.concatenate([shade(frame, camera, MANIFEST), normals], axis=1).astype(np.float32)
+    position = frame.xyz @ camera.rotation.T + camera.translation
+    cosine = -(normals * position).sum(1, keepdims=True) / np.linalg.norm(position, axis=1, keepdims=True)
+    weight = front_weight(cosine)
+    parts = [shade(frame, camera, MANIFEST), weight * normals, weight, weight * position[:, 2:]]
+    features = np.concatenate(parts, axis=1).astype(np.float32)
     arrays = (frame.xyz, features, frame.radius.astype(np.float32), frame.density.astype(np.float32))
     try:
-        values, alpha, depth = render_points_numpy(
+        values, alpha, _ = render_points_numpy(
             *arrays, camera, layers=12, near=MANIFEST.near, transmittance_min=MIN_TRANSMITTANCE
         )
     except ValueError as error:
@@ -47,9 +53,10 @@ def test_surfaces_equal_those_of_the_float_renderer(
     np.testing.assert_allclose(surface.albedo[..., :3] / 255, values[..., :3].clip(0, 1), atol=1.6 / 255)
     np.testing.assert_allclose(surface.albedo[..., 3] / 255, alpha, atol=0.6 / 255)
     np.testing.assert_allclose(surface.coverage, coverage, atol=0.6 / 255)
+    depth = values[..., 7] / np.maximum(values[..., 6], 1e-12)
     np.testing.assert_allclose(surface.inverse_depth, coverage / np.where(alpha > 0, depth, 1), atol=1e-4)
-    length = np.linalg.norm(values[..., 3:], axis=2, keepdims=True)
-    expected = values[..., 3:] / np.maximum(length, 1e-6)
+    length = np.linalg.norm(values[..., 3:6], axis=2, keepdims=True)
+    expected = values[..., 3:6] / np.maximum(length, 1e-6)
     clear = length[..., 0] > 0.05
     np.testing.assert_allclose(surface.unit_normal[clear], expected[clear], atol=0.02)
     empty = alpha == 0
@@ -93,10 +100,12 @@ def test_normals_are_stored_and_estimated_where_they_are_missing(tmp_path: Path)
     """Catches a scene without normals that cannot be drawn, and stored normals that are estimated again."""
     own, room = random_frame(60, 6, seed=1), room_frame(90, 6, seed=2)
     described = full_manifest(frames=1)
-    for name, change in (("new", lambda item: add_normals(item, described)), ("old", lambda item: item)):
-        with SceneWriter(tmp_path / f"{name}.4dv", described) as writer:
-            writer.add_background(change(room))
-            writer.add_frame(0, change(own))
+    with SceneWriter(tmp_path / "new.4dv", described) as writer:
+        writer.add_background(add_normals(room, described, is_background=True))
+        writer.add_frame(0, add_normals(own, described))
+    with SceneWriter(tmp_path / "old.4dv", described) as writer:
+        writer.add_background(room)
+        writer.add_frame(0, own)
     new, old = (SceneReader(tmp_path / f"{name}.4dv") for name in ("new", "old"))
     stored, estimated = new.read(0), FrameNormals().get(old.read(0), old.manifest)
     assert new.manifest.version == old.manifest.version
@@ -105,8 +114,21 @@ def test_normals_are_stored_and_estimated_where_they_are_missing(tmp_path: Path)
     assert stored.normals.nbytes == 2 * 150
     np.testing.assert_array_equal(stored.normals, estimated)
     assert FrameNormals().get(stored, new.manifest) is stored.normals
-    combined = combine_frames(add_normals(own, described), add_normals(room, described))
+    combined = combine_frames(add_normals(own, described), add_normals(room, described, is_background=True))
     np.testing.assert_array_equal(combined.normals, estimated)
+
+
+def test_backgrounds_that_no_camera_sees_face_the_cameras(rng: np.random.Generator) -> None:
+    """Catches walls and skies that are lit from behind, because their normals point away from the room."""
+    described = full_manifest(frames=1)
+    centre = np.mean([camera.centre for camera in described.source_cameras], axis=0)
+    room = room_frame(600, 6, seed=int(rng.integers(1000)))
+    outwards = rng.normal(size=(600, 3))
+    outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
+    sky = replace(room, xyz=(centre + 50 * outwards).astype(np.float32), blend_weights=np.zeros_like(room.blend_weights))
+    normals = add_normals(sky, described, is_background=True).normals
+    assert normals is not None
+    assert (decode_octahedral(normals) * outwards).sum(1).max() < -0.5
 
 
 @pytest.mark.parametrize("tier", ["full", "light"])

@@ -135,7 +135,11 @@ def test_sobel_lines_turn_with_the_picture(rng: np.random.Generator) -> None:
     """Catches a transposed kernel, and weights that differ between rows and columns."""
     surface = random_surface(rng, 48, 48)
     parameters = line_parameters(48, depth_threshold=0.3, normal_threshold=0.9)
-    turned = Surface(*(np.ascontiguousarray(np.rot90(item)) for item in vars(surface).values()))
+    normal = np.maximum(surface.normal, 1)  # so that each component can be negated
+    surface = replace(surface, normal=normal)
+    turned_normal = np.stack([normal[..., 1], 256 - normal[..., 0].astype(int), normal[..., 2], normal[..., 3]], 2)
+    parts = (surface.albedo, surface.inverse_depth, turned_normal.astype(np.uint8))
+    turned = Surface(*(np.ascontiguousarray(np.rot90(part)) for part in parts))
     # The normals keep their axes, because lines depend only on the angles between normals.
     states = [np.zeros((48, 48), np.uint32) for _ in range(2)]
     stylize_surface(surface, parameters, line_state=states[0])
@@ -178,6 +182,27 @@ def test_outlines_are_closed() -> None:
     assert outside[0, 0] != outside[80, 80]
     assert lines.any()
     assert distance[lines].min() > distance[seen].max() - 3
+
+
+@pytest.mark.parametrize("lines", ["sobel", "cross"])
+def test_backs_of_surfaces_have_no_lines_inside(lines: str) -> None:
+    """Catches speckle at holes of the points, where the back of a surface is visible, and missing outlines there."""
+    depth = np.full((60, 60), np.inf)
+    depth[10:50, 10:50] = 3.0
+    depth[25:35, 25:35] = 3.6
+    towards = np.broadcast_to([0.0, 0.0, -1.0], (60, 60, 3)).copy()
+    parameters = line_parameters(60, depth_threshold=0.05, normal_threshold=10.0, lines=lines)
+    step = find_lines(make_surface(depth, towards), parameters)
+    assert step[23:37, 23:37].max() == 1
+    towards[25:35, 25:35, 2] = 1
+    hole = find_lines(make_surface(depth, towards), parameters)
+    assert hole[20:40, 20:40].max() == 0
+    towards[..., 2] = 1
+    back = find_lines(make_surface(depth, towards), parameters)
+    outline = np.zeros((60, 60), bool)
+    outline[9:51, 9:51] = True
+    outline[12:48, 12:48] = False
+    np.testing.assert_array_equal(back[outline], step[outline])
 
 
 def test_a_line_stays_until_it_is_clearly_below_the_threshold() -> None:

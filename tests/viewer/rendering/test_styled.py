@@ -182,11 +182,12 @@ def test_style_can_be_switched_off_and_on(name: RendererName, context: moderngl.
 @pytest.mark.parametrize("name", GL_RENDERERS)
 def test_lines_fade_in_as_with_the_cpu(name: RendererName, context: moderngl.Context) -> None:
     """Catches lines of single images at full strength, faint lines after a change of the style or of the camera, and a
-    time of the stylizer that is not measured.
-    """
-    still = add_normals(shell_frame(3000, 1), MANIFEST)
-    signs = np.where(np.floor(12 * still.xyz[:, 2:]) % 2, 1, -1)
-    striped = replace(still, normals=encode_octahedral(signs * decode_octahedral(still.normals)))
+    stylizer without a time."""
+    still = add_normals(shell_frame(12000, 1), MANIFEST)
+    towards = small_camera(2).centre - still.xyz
+    towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+    sides = np.where(np.floor(12 * still.xyz[:, 2:]) % 2, 1, -1) * [0, 0, 1]
+    striped = replace(still, normals=encode_octahedral(towards + 1.5 * sides))
     style = load_style("ink")
     other = replace(style, persistence=0.6)
     requests = requests_of([still, striped, striped], MANIFEST, [style, style, other])

@@ -1,5 +1,6 @@
 // Finds lines (find_lines of fourd/ops/stylize/reference.py). This text is also valid GLSL ES 3.00.
 
+uniform float ray[6];  // As in the class Numbers of fourd/ops/stylize/parameters.py.
 uniform sampler2D closed_depth;
 uniform sampler2D closed_normal;
 uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.
@@ -14,6 +15,16 @@ uniform float persistence;
 // The surface at a pixel counts as unchanged if the summed taps of this and the previous image have at most this
 // relative difference, as in csrc/stylize/cpu/lines.inc.
 const float SAME_TAPS = 0.03;
+
+// The strength of a line decreases from its full value to 0 while the largest dot product of a tap's normal and the ray
+// of the pixel increases from 0 to 1 / FRONT_SLOPE.
+const float FRONT_SLOPE = 8.0;
+
+// Returns the ray of a pixel with depth 1, in the frame of the camera.
+vec3 ray_of(ivec2 pixel) {
+    vec2 position = vec2(pixel) + 0.5;
+    return vec3(ray[0] * position.x + ray[1] * position.y + ray[2], ray[3] * position.x + ray[4] * position.y + ray[5], 1.0);
+}
 
 vec4 unpack_normal(vec4 texel) { return vec4((floor(255.0 * texel.xyz + 0.5) - 128.0) / 127.0, texel.w); }
 
@@ -67,12 +78,30 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
     return 1.0 - flatness * (1.0 - ramp(bend / (2.0 * most), depth_threshold * scale));
 }
 
+// Returns the share of the strength that a line keeps: 0 where a tap shows the back of a surface, which is visible through
+// a hole in the points, unless another tap shows no surface.
+float kept_line(ivec2 pixel) {
+    vec3 towards = ray_of(pixel);
+    float away = 0.0, coverage = 1.0;
+    for (int y = -1; y <= 1; ++y) {
+        for (int x = -1; x <= 1; ++x) {
+            if (line_filter == 2 && x != 0 && y != 0) continue;
+            ivec2 at = tap_pixel(pixel, ivec2(x, y));
+            vec4 tap = unpack_normal(texelFetch(closed_normal, at, 0));
+            away = max(away, dot(tap.xyz * tap.w, towards));
+            coverage = min(coverage, tap.w);
+        }
+    }
+    return max(1.0 - FRONT_SLOPE * away, 1.0 - coverage);
+}
+
 // Returns the strength of the line at a pixel in [0, 1], as if there were no previous image. `scale` multiplies the
 // thresholds.
 float fresh_line(ivec2 pixel, float scale) {
     vec4 own = unpack_normal(texelFetch(closed_normal, pixel, 0));
     vec3 normal = own.xyz * own.w;
-    return line_filter == 1 ? sobel_lines(pixel, normal, scale) : cross_lines(pixel, normal, own.w, scale);
+    float line = line_filter == 1 ? sobel_lines(pixel, normal, scale) : cross_lines(pixel, normal, own.w, scale);
+    return line > 0.0 ? line * kept_line(pixel) : 0.0;
 }
 
 // Returns the upper 16 bits of the sum of the inverse depths of nine taps.

@@ -1,4 +1,5 @@
-// Decodes normals (decode_octahedral of fourd/stylize/normals.py). This text is also valid GLSL ES 3.00.
+// Decodes normals (decode_octahedral of fourd/stylize/normals.py) and weighs points by the side that faces the camera
+// (front_weight of fourd/ops/stylize/reference.py). This text is also valid GLSL ES 3.00.
 
 // Returns the unit normal of a texel, whose components are bytes / 255.
 vec3 decode_octahedral(vec2 texel) {
@@ -6,4 +7,13 @@ vec3 decode_octahedral(vec2 texel) {
     float z = 1.0 - abs(plane.x) - abs(plane.y), folded = max(-z, 0.0);
     plane -= folded * vec2(plane.x > 0.0 ? 1.0 : -1.0, plane.y > 0.0 ? 1.0 : -1.0);
     return vec3(plane, z) / max(length(vec3(plane, z)), 1e-12);
+}
+
+const float BACK_WEIGHT = 0.1;
+
+// Returns the weight of a point in the depth and the normal of a visible surface. `normal` and `position` are in the
+// frame of the camera.
+float front_weight(vec3 normal, vec3 position) {
+    float cosine = -dot(normal, position) / max(length(position), 1e-10);
+    return BACK_WEIGHT + (1.0 - BACK_WEIGHT) * clamp(0.5 + 5.0 * cosine, 0.0, 1.0);
 }

@@ -1,7 +1,7 @@
 // Shades a pixel (stylize_reference of fourd/ops/stylize/reference.py). This text is also valid GLSL ES 3.00. The
-// uniforms have the names and units of the class Numbers in fourd/ops/stylize/parameters.py.
+// uniforms have the names and units of the class Numbers in fourd/ops/stylize/parameters.py. lines.glsl must precede
+// this text.
 
-uniform float ray[6];
 uniform vec3 light;
 uniform float table_alone;
 uniform float table_times_albedo;
@@ -45,9 +45,7 @@ float hatching(vec2 position, float brightness) {
 // Returns the colour of a surface. `own` is the captured colour of the surface. `normal` is the unit normal, or 0
 // without a surface. `inverse_depth` is in 1 / world units.
 vec3 shade(ivec2 pixel, vec3 own, vec3 normal, float inverse_depth) {
-    vec2 position = vec2(pixel) + 0.5;
-    vec3 towards = vec3(ray[0] * position.x + ray[1] * position.y + ray[2],
-                        ray[3] * position.x + ray[4] * position.y + ray[5], 1.0);
+    vec3 towards = ray_of(pixel);
     float facing = unit(-dot(normal, towards) / sqrt(dot(towards, towards)));
     float tone = unit(0.5 + 0.5 * dot(normal, light));
     float along = detail_offset + detail_per_depth / max(inverse_depth, 1e-20);
@@ -57,5 +55,5 @@ vec3 shade(ivec2 pixel, vec3 own, vec3 normal, float inverse_depth) {
     float edge = unit(0.5 + (angle_threshold - facing) / (2.0 * angle_softness));
     colour += angle_strength * edge * (angle_colour - colour);
     float brightness = sqrt(unit(dot(own, vec3(0.299, 0.587, 0.114)) * tone));
-    return colour + hatching(position, brightness) * (hatch_colour - colour);
+    return colour + hatching(vec2(pixel) + 0.5, brightness) * (hatch_colour - colour);
 }

@@ -2,9 +2,9 @@
 // Converts composited colours, normals and depths to the visible surface (class Surface of
 // fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This text is also valid GLSL ES 3.00.
 
-uniform sampler2D colours;  // Premultiplied by alpha. Normals and depths are also premultiplied.
-uniform sampler2D normals;
-uniform sampler2D depths;     // Depth in units of depth_unit, and alpha in the fourth component.
+uniform sampler2D colours;  // Premultiplied by alpha. The other inputs are also premultiplied.
+uniform sampler2D normals;    // Normals times front_weight.
+uniform sampler2D depths;     // Depth in units of depth_unit times front_weight, front_weight, 0, and alpha.
 uniform float depth_unit;     // Unit of `depths`, in world units.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
@@ -29,7 +29,7 @@ void main() {
     vec3 sum = texelFetch(normals, source, 0).xyz;
     float alpha = depth.a, coverage = clamp(3.0 * alpha - 0.5, 0.0, 1.0), square = dot(sum, sum);
     albedo = clamp(vec4(texelFetch(colours, source, 0).rgb, alpha), 0.0, 1.0);
-    inverse_depth = depth.r > 0.0 ? coverage * alpha / (depth.r * depth_unit) : 0.0;
+    inverse_depth = depth.r > 0.0 ? coverage * depth.g / (depth.r * depth_unit) : 0.0;
     vec3 fresh = floor((square > 1e-12 ? sum * (127.0 / sqrt(square)) : vec3(0.0)) + 128.5);
     vec3 old = bytes(texelFetch(old_normal, pixel, 0).xyz);
     float old_depth = texelFetch(old_inverse_depth, pixel, 0).r;

@@ -181,7 +181,7 @@ const sharedDiscVertex = (hasNormals) => `
 uniform vec2 size;
 in vec4 disc;
 in vec4 paint;
-${hasNormals ? "in vec4 normal;\nflat out vec3 disc_normal;" : ""}
+${hasNormals ? "in vec4 normal;\nflat out vec4 disc_normal;" : ""}
 flat out vec3 disc_centre;
 flat out float disc_depth;
 flat out vec4 tint;
@@ -192,14 +192,14 @@ void pass_on(int index) {
   disc_depth = disc.z;
   tint = paint;
   rank = float(index + 1);
-  ${hasNormals ? "disc_normal = normal.xyz;" : ""}
+  ${hasNormals ? "disc_normal = normal;" : ""}
 }
 `;
 
 /**
  * Draws the bounding square of a disc as two triangles. Row 0 of the image is at the bottom of the framebuffer.
  * @param {string} depth GLSL expression of the depth in normalised device coordinates.
- * @param {boolean} hasNormals Whether discs have a normal, which fragments read as `disc_normal`.
+ * @param {boolean} hasNormals Whether discs have a normal and a weight, which fragments read as `disc_normal`.
  */
 export function quadVertex(depth, hasNormals = false) {
   return `${HEADER}

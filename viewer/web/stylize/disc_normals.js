@@ -5,28 +5,35 @@ import { DISC, HEADER, NO_FRAGMENT, quadVertex, spriteVertex } from "../draw/sha
 
 const BYTES_PER_NORMAL = 16;
 
-/** Rotates the normal of one point to the frame of the camera. @param {string} octahedral */
+/**
+ * Rotates the normal of one point to the frame of the camera, and computes the weight of the point.
+ * @param {string} octahedral
+ */
 const normalVertex = (octahedral) => `${HEADER}
 ${octahedral}
 uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes.
+uniform sampler2D xyz;
 uniform vec3 rotation_x;    // The rows of R_camera_world.
 uniform vec3 rotation_y;
 uniform vec3 rotation_z;
+uniform vec3 translation;
 in uint point;
-out vec4 normal;
+out vec4 normal;  // The normal times the weight, and the weight.
 
 void main() {
-  int texel = int(point);
-  vec3 n = decode_octahedral(texelFetch(normals, ivec2(texel & (TEXELS_PER_ROW - 1), texel / TEXELS_PER_ROW), 0).rg);
-  normal = vec4(dot(rotation_x, n), dot(rotation_y, n), dot(rotation_z, n), 0.0);
+  ivec2 at = ivec2(int(point) & (TEXELS_PER_ROW - 1), int(point) / TEXELS_PER_ROW);
+  mat3 turn = transpose(mat3(rotation_x, rotation_y, rotation_z));
+  vec3 turned = turn * decode_octahedral(texelFetch(normals, at, 0).rg);
+  float weight = front_weight(turned, turn * texelFetch(xyz, at, 0).xyz + translation);
+  normal = vec4(weight * turned, weight);
   gl_Position = vec4(0.0);
   gl_PointSize = 1.0;
 }
 `;
 
-/** Outputs the colour, the normal and the depth of a disc, premultiplied by alpha. */
+/** Outputs the colour, the normal, the depth and the weight of a disc, premultiplied by alpha. */
 export const SURFACE_FRAGMENT = `${HEADER}${DISC}
-flat in vec3 disc_normal;
+flat in vec4 disc_normal;
 uniform float depth_unit;  // In world units. It keeps depths in the range of float16.
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 weighted_normal;
@@ -35,8 +42,9 @@ layout(location = 2) out vec4 weighted_depth;
 void main() {
   float alpha = disc_alpha();
   colour = vec4(tint.rgb * alpha, alpha);
-  weighted_normal = vec4(disc_normal * alpha, alpha);
-  weighted_depth = vec4(disc_depth / depth_unit * alpha, 0.0, 0.0, alpha);
+  weighted_normal = vec4(disc_normal.xyz * alpha, alpha);
+  weighted_depth = vec4(disc_depth / depth_unit, 1.0, 0.0, 0.0) * (disc_normal.w * alpha);
+  weighted_depth.a = alpha;
 }
 `;
 
@@ -74,17 +82,20 @@ export class DiscNormals {
   /**
    * Rotates the normals of the points that `discs` has projected last.
    * @param {WebGLTexture} normals
+   * @param {WebGLTexture} xyz
    * @param {Camera} camera
    */
-  project(normals, { rotation }) {
+  project(normals, xyz, { rotation, translation }) {
     const { gl, program } = this;
     const { count } = this.discs;
     if (count === 0) return;
     this.#reserve(count);
     program.use();
     bindTexture(gl, 0, normals);
-    program.integers({ normals: 0 });
+    bindTexture(gl, 1, xyz);
+    program.integers({ normals: 0, xyz: 1 });
     program.floats({ rotation_x: rotation.slice(0, 3), rotation_y: rotation.slice(3, 6), rotation_z: rotation.slice(6, 9) });
+    program.floats({ translation });
     this.discs.transform(this.feedback, this.buffer);
   }
 

@@ -70,7 +70,7 @@ export class StyledDrawing {
     const rests = this.camera !== null && isSameCamera(this.camera, camera);
     this.camera = camera;
     this.turn = 1 - this.turn;
-    this.normals.project(points.textures.loadNormals(picture.clouds), camera);
+    this.normals.project(points.textures.loadNormals(picture.clouds), points.textures.xyz, camera);
     const unit = distanceTo(camera, this.focus);
     const images = this.compositor.drawAll(camera.width, camera.height, layers, {}, { depth_unit: unit });
     gl.bindVertexArray(this.emptyArray);
