@@ -109,7 +109,7 @@ fourd_kernel(splat_triangles
 
 fourd_kernel(stylize
   CPU cpu/stylize.cpp
-  DISPATCH cpu/loops.cpp WIDEST avx512 EXACT
+  DISPATCH cpu/loops.cpp WIDEST avx512 TOLERANT
   BINDING binding.cpp)
 
 fourd_kernel(texture

@@ -31,9 +31,10 @@ class Player {
                       const points::Surface& surface);
 
   private:
-    // Projects and shades the points of the frame.
+    // Projects and shades the points of the frame. Calls work(first, last) for each range of points that were shaded.
+    template <typename Work>
     points::Cloud prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-                          Team& team);
+                          Team& team, const Work& work);
     // Splits the points [begin, end) into short ranges, and calls work(first, last) for each range with visible points.
     template <typename Work>
     void for_visible(std::size_t begin, std::size_t end, const Work& work) const;

@@ -22,8 +22,9 @@ void Sizes::convert(const Frame& frame, std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) density[i] = from_half(frame.density[i]);
 }
 
+template <typename Work>
 points::Cloud Player::prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
-                              Team& team) {
+                              Team& team, const Work& work) {
     const std::size_t count = frame.points.count;
     sizes_.require(count);
     colour_.require(3 * count);
@@ -35,6 +36,7 @@ points::Cloud Player::prepare(const Frame& frame, const points::Settings& settin
     run_parts(team, count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
         for_visible(begin, end, [&](std::size_t first, std::size_t last) {
             shade::shade_some(frame.points, shading, first, last, colour_.data());
+            work(first, last);
         });
     });
     return cloud;
@@ -43,7 +45,7 @@ points::Cloud Player::prepare(const Frame& frame, const points::Settings& settin
 void Player::draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                   const points::Canvas& canvas) {
     Team team(settings.threads);
-    const points::Cloud cloud = prepare(frame, settings, shading, team);
+    const points::Cloud cloud = prepare(frame, settings, shading, team, [](std::size_t, std::size_t) {});
     const points::Loops& loops = points::select_loops(settings.simd);
     workspace_.draw_tiles(team, [&](int index) { loops.draw(workspace_.tile(cloud, settings, index), canvas); });
 }
@@ -51,14 +53,12 @@ void Player::draw(const Frame& frame, const points::Settings& settings, const sh
 void Player::draw_surface(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                           const points::Surface& surface) {
     Team team(settings.threads);
-    points::Cloud cloud = prepare(frame, settings, shading, team);
-    surface_features_.require(points::kSurfaceFeatures * cloud.count);
+    surface_features_.require(points::kSurfaceFeatures * frame.points.count);
     const points::Loops& loops = points::select_loops(settings.simd);
-    run_parts(team, cloud.count, kPointsPerTask, [&](std::size_t begin, std::size_t end) {
-        for_visible(begin, end, [&](std::size_t first, std::size_t last) {
-            loops.join_normals(settings.camera, cloud.xyz, cloud.features, frame.normals, first, last,
-                               surface_features_.data());
-        });
+    // Positions and colours of the points are still in the cache.
+    points::Cloud cloud = prepare(frame, settings, shading, team, [&](std::size_t first, std::size_t last) {
+        loops.join_normals(settings.camera, frame.points.xyz, colour_.data(), frame.normals, first, last,
+                           surface_features_.data());
     });
     cloud.features = surface_features_.data();
     cloud.channels = points::kSurfaceFeatures;
