@@ -182,7 +182,8 @@ def test_style_can_be_switched_off_and_on(name: RendererName, context: moderngl.
 @pytest.mark.parametrize("name", GL_RENDERERS)
 def test_lines_fade_in_as_with_the_cpu(name: RendererName, context: moderngl.Context) -> None:
     """Catches lines of single images at full strength, faint lines after a change of the style or of the camera, and a
-    stylizer without a time."""
+    time of the stylizer that is not measured.
+    """
     still = add_normals(shell_frame(12000, 1), MANIFEST)
     towards = small_camera(2).centre - still.xyz
     towards /= np.linalg.norm(towards, axis=1, keepdims=True)
