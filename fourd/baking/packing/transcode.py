@@ -39,7 +39,8 @@ def transcode_scene(
             if background is not None and manifest.encoding.background is not None:
                 points = background.point_count
                 contents = _contents(reader, BACKGROUND, points, manifest.encoding.background)
-                writer.add_background(contents | (_normals(background, manifest, is_background=True) if adds_normals else {}))
+                contents |= _normals(background, manifest, is_background=True) if adds_normals else {}
+                writer.add_background(contents)
             for index in track(range(manifest.frame_count), manifest.frame_count, "compress"):
                 frame = reader.read_dynamic(index)
                 points = manifest.points[index]

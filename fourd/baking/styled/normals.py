@@ -64,7 +64,8 @@ class FrameNormals:
     ) -> NDArray[np.uint8]:
         xyz = frame.xyz[part]
         # Frames that are read again have equal positions in another array, so the key is computed from the positions.
-        key = hashlib.sha256(xyz[:: max(1, len(xyz) // _SAMPLES)].tobytes() + str((xyz.shape, is_background)).encode()).digest()
+        samples = xyz[:: max(1, len(xyz) // _SAMPLES)].tobytes()
+        key = hashlib.sha256(samples + str((xyz.shape, is_background)).encode()).digest()
         if key not in self._cache:
             normals = _estimate(xyz, frame.blend_weights[part], manifest, is_background)
             if normals.nbytes > self._cache.maxsize:

@@ -16,8 +16,8 @@ vector towards the camera, and L is the unit vector towards the light. The styli
   (Saito and Takahashi 1990). If the state of the previous picture is given, lines fade in where the surface is at rest:
   a line that becomes stronger gets the strength e + p (e_before - e). The surface is at rest where the sum of the
   inverse depths at the filter's nine taps differs by at most 3% between the two pictures.
-- Lines near holes. The back of a surface is visible only through holes in the points, around which depths are irregular.
-  A line is removed if a tap shows the back of a surface, unless another tap shows no surface.
+- Lines near holes. The back of a surface is visible only through holes in the points. Depths around holes are
+  irregular, so a line is removed if a tap shows the back of a surface, unless another tap shows no surface.
 - The picture. C is composited over the paper with opacity s, and the line colour is composited with opacity e.
 
 The inverse depth 1 / z of a plane is a linear function of the pixel. The cross filter therefore draws no lines on
@@ -66,8 +66,9 @@ class Surface:
     Attributes:
         albedo: (H, W, 4) uint8: three colours multiplied by alpha, then alpha.
         inverse_depth: (H, W) float32: coverage divided by mean camera depth, in 1 / world units. In the mean, points
-            whose normals face away from the camera have a small weight (``front_weight`` in fourd/ops/stylize/reference.py). The coverage is
-            clamp(3 alpha - 0.5, 0, 1). The inverse depth is 0 where there is no surface.
+            whose normals face away from the camera have a small weight (``front_weight`` in
+            fourd/ops/stylize/reference.py). The coverage is clamp(3 alpha - 0.5, 0, 1). The inverse depth is 0 where
+            there is no surface.
         normal: (H, W, 4) uint8: the three bytes 127 n + 128, then 255 * coverage. n is the unit normal in the camera's
             frame and points out of the surface. n is 0 where there is no surface.
     """

@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.ops.stylize.parameters import BACK_WEIGHT, FRONT_SLOPE, GAP, SAME_TAPS, TONES, Numbers, StyleParameters, Surface
+from fourd.ops.stylize.parameters import (
+    BACK_WEIGHT,
+    FRONT_SLOPE,
+    GAP,
+    SAME_TAPS,
+    TONES,
+    Numbers,
+    StyleParameters,
+    Surface,
+)
 
 Image = NDArray[np.float32]
 
@@ -147,7 +156,8 @@ def _kept_lines(surface: Surface, parameters: StyleParameters) -> Image:
     surface."""
     coverage, shift = surface.coverage, _Shift(parameters.thickness)
     normal, rays = surface.unit_normal * coverage[..., None], _rays(surface.size, parameters.numbers)
-    at = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1) if parameters.lines == "sobel" or 0 in (down, right)]
+    square = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
+    at = square if parameters.lines == "sobel" else [tap for tap in square if 0 in tap]
     away = np.max([(shift(normal, *tap) * rays).sum(2) for tap in at], axis=0)
     least_coverage = np.min([shift(coverage, *tap) for tap in at], axis=0)
     return np.maximum(_clamp(1 - np.float32(FRONT_SLOPE) * away), 1 - least_coverage).astype(np.float32)

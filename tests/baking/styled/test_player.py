@@ -125,7 +125,8 @@ def test_backgrounds_that_no_camera_sees_face_the_cameras(rng: np.random.Generat
     room = room_frame(600, 6, seed=int(rng.integers(1000)))
     outwards = rng.normal(size=(600, 3))
     outwards /= np.linalg.norm(outwards, axis=1, keepdims=True)
-    sky = replace(room, xyz=(centre + 50 * outwards).astype(np.float32), blend_weights=np.zeros_like(room.blend_weights))
+    xyz = (centre + 50 * outwards).astype(np.float32)
+    sky = replace(room, xyz=xyz, blend_weights=np.zeros_like(room.blend_weights))
     normals = add_normals(sky, described, is_background=True).normals
     assert normals is not None
     assert (decode_octahedral(normals) * outwards).sum(1).max() < -0.5

@@ -15,7 +15,7 @@ from fourd.baking.styled.normals import add_normals
 from fourd.baking.styled.player import StyledPlayer
 from fourd.ops.stylize.parameters import StyleParameters, Surface
 from fourd.ops.stylize.reference import stylize_reference
-from fourd.stylize import PRESETS, Style, decode_octahedral, encode_octahedral, load_style, view_style
+from fourd.stylize import PRESETS, Style, encode_octahedral, load_style, view_style
 from fourd.stylize.tables import make_table
 from fourd.viewer.display import DisplaySettings, RenderRequest
 from fourd.viewer.gl.canvas import Canvas
