@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+
+from fourd.ops.neighbours import nearest_neighbours
 
 NEIGHBOURS = 24
 """Number of nearest points whose positions determine the normal of a point."""
@@ -80,7 +81,7 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
     if count < 3:
         return np.tile(np.array([0, 0, 1], np.float32), (count, 1))
     positions = np.asarray(xyz, np.float32)
-    near = np.asarray(cKDTree(positions).query(positions, k=min(NEIGHBOURS, count), workers=-1)[1])
+    near = nearest_neighbours(positions, positions, min(NEIGHBOURS, count))[1]
     normals = _least_spread(positions, near)
     towards = np.zeros_like(normals) if seen is None else seen.mean_directions(positions)
     is_seen = (towards * towards).sum(1) > 0

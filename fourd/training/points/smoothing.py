@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
+from fourd.ops.neighbours import nearest_neighbours
 from fourd.training.memory import tensor_outside_heap
 from fourd.training.points.frame_points import FramePoints
 
@@ -90,7 +90,7 @@ def fit_planes(xyz: Tensor) -> LocalFit:
     (principal component analysis).
     """
     data = xyz.detach().numpy()
-    found = cKDTree(data).query(data, k=NEIGHBOURS, workers=torch.get_num_threads())
+    found = nearest_neighbours(data, data, NEIGHBOURS, threads=torch.get_num_threads())
     distance, near = np.asarray(found[0], dtype=np.float32), np.asarray(found[1])
     farthest = np.maximum(distance[:, -1:], np.finfo(np.float32).tiny)
     weight = np.exp(-2 * (distance / farthest) ** 2)[..., None]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+
+from fourd.ops.neighbours import nearest_neighbours
 
 NEIGHBOURS = 4
 DEFAULT_SPACING = 0.01
@@ -23,7 +24,7 @@ def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = Non
     queried = xyz if rows is None else xyz[rows]
     if len(xyz) <= NEIGHBOURS:
         return np.full(len(queried), DEFAULT_SPACING, np.float32)
-    distances, _ = cKDTree(xyz).query(queried, k=NEIGHBOURS + 1, workers=-1)
+    distances, _ = nearest_neighbours(xyz, queried, NEIGHBOURS + 1)
     return np.maximum(np.asarray(distances)[:, 1:].mean(axis=1) / MEAN_NEIGHBOUR_DISTANCE, 1e-6).astype(np.float32)
 
 
@@ -35,5 +36,5 @@ def mean_spacing(xyz: NDArray[np.float32]) -> float:
     """
     if len(xyz) <= NEIGHBOURS + 1:
         return DEFAULT_SPACING
-    distances, _ = cKDTree(xyz).query(xyz[:MAX_SAMPLES], k=NEIGHBOURS + 1)
+    distances, _ = nearest_neighbours(xyz, xyz[:MAX_SAMPLES], NEIGHBOURS + 1)
     return float(np.asarray(distances)[:, 1:].mean() / MEAN_NEIGHBOUR_DISTANCE)

@@ -1,0 +1,46 @@
+"""Nearest neighbours of points, searched by several threads that Ctrl-C cannot leave behind."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from fourd.ops.loading import thread_count
+
+BLOCK = 4096
+"""Number of points per search. After Ctrl-C, the searches that have begun run to their end."""
+
+
+def nearest_neighbours(
+    points: NDArray[np.floating], queried: NDArray[np.floating], count: int, *, threads: int = 0
+) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    """Find the nearest points of each queried position.
+
+    The argument ``workers`` of scipy's tree is not used: after Ctrl-C, scipy's threads would continue to read arrays
+    that Python has already freed.
+
+    Args:
+        points: (N, 3) positions.
+        queried: (Q, 3) positions in the same units.
+        count: number of points to find for each position, at least 1.
+        threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
+
+    Returns:
+        distances and indices of the points, nearest first, (Q, count), or (Q,) if ``count`` is 1. If there are fewer
+        than ``count`` points, the missing distances are infinite and the missing indices are N.
+    """
+    tree = cKDTree(points)
+    blocks = [queried[start : start + BLOCK] for start in range(0, max(len(queried), 1), BLOCK)]
+    with ThreadPoolExecutor(thread_count(threads)) as pool:
+        searches = [pool.submit(tree.query, block, k=count) for block in blocks]
+        try:
+            found: list[tuple[Any, Any]] = [search.result() for search in searches]
+        except BaseException:
+            for search in searches:
+                search.cancel()
+            raise
+    return np.concatenate([part[0] for part in found]), np.concatenate([part[1] for part in found])
