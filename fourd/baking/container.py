@@ -40,7 +40,7 @@ from fourd.baking.packed.streams import StreamError, decompress_exactly
 from fourd.baking.scene import FULL_VERSION, OBJECT_VERSION, BakedFrame, SceneBackground, SceneManifest, make_frame
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished_file
-from fourd.storage import Location, parse_location
+from fourd.storage import Location, local_path, parse_location
 
 MANIFEST_NAME = "manifest.json"
 MAX_MANIFEST_BYTES = 64 << 20
@@ -66,14 +66,15 @@ class SceneWriter:
             ``optional_attributes`` from the added frames.
 
     Raises:
-        UserError: if the disk is full or the path cannot be written.
+        UserError: if the disk is full, the path cannot be written, or the path is a URL (see
+            :func:`fourd.storage.upload`).
         ValueError: if frames are not added in order, do not match the manifest or each other, or contain values that
             :data:`fourd.baking.attributes.ATTRIBUTES` excludes. Also if the background of a full scene is not added
             exactly once.
     """
 
     def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
-        self.path = Path(path)
+        self.path = local_path(path, "write a scene")
         self.manifest = manifest
         self._points: list[int] = []
         self._background: int | None = None  # number of points; None until the background is added

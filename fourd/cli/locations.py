@@ -45,13 +45,6 @@ def transfer_progress() -> Track:
     return Tracker(Terminal(stderr=True)).track
 
 
-def require_path(location: Location, option: str) -> Path:
-    """Return a local path. Raises UserError for a URL, which ``option`` does not accept."""
-    if isinstance(location, Path):
-        return location
-    raise UserError(f"{location}: expected a local path with {option}, got a URL; use a folder of this machine")
-
-
 def refuse_urls(arguments: object, words: Sequence[str]) -> None:
     """Raise UserError if a URL was given where only a local path is valid. Without this check, the URL would be used as
     a path.

@@ -13,6 +13,7 @@ import tyro
 from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, option, split_names
 from fourd.configs import assigned_keys, load_overlay, set_values
 from fourd.errors import UserError
+from fourd.storage import local_path
 from fourd.training.config import TrainConfig
 
 SEEDING_METHODS = ("ngp", "sfm")
@@ -175,8 +176,9 @@ def _seeding(background: str) -> dict[str, Any]:
     """Convert the value of ``--background`` to fields of the background config."""
     if background in SEEDING_METHODS:
         return {"seeding": background, "seeds": None}
-    if background.lower().endswith(".ply") or Path(background).is_file():
-        return {"seeds": Path(background)}
+    seeds = local_path(background, "read the points of the background")
+    if background.lower().endswith(".ply") or seeds.is_file():
+        return {"seeds": seeds}
     raise UserError(
         f"--background: expected {', '.join(SEEDING_METHODS)} or a PLY file, got '{background}'; see fourd train --help"
     )

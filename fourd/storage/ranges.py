@@ -23,19 +23,22 @@ def open_object(url: StorageUrl) -> BinaryIO:
         UserError: if the store returns an error or there is no such object. Reads raise UserError if the object has
         changed.
     """
-    return cast(BinaryIO, io.BufferedReader(_Ranges(url), READ_AHEAD_BYTES))
+    require_object(url)
+    store = connect(url)
+    with storage_errors(url):
+        stream = store.open(str(url), "rb", cache_type="none")
+        version = object_version(store.info(str(url)))
+    return cast(BinaryIO, io.BufferedReader(_Ranges(url, store, stream, version), READ_AHEAD_BYTES))
 
 
 class _Ranges(io.RawIOBase):
     """The bytes of one version of an object. Several threads may use one instance, one after another."""
 
-    def __init__(self, url: StorageUrl) -> None:
-        require_object(url)
+    def __init__(self, url: StorageUrl, store: Any, stream: Any, version: str) -> None:
         self._url = url
-        self._store = connect(url)
-        with storage_errors(url):
-            self._stream: Any = self._store.open(str(url), "rb", cache_type="none")
-            self._version = self._read_version()
+        self._store = store
+        self._stream = stream
+        self._version = version
         self._lock = Lock()
 
     def readable(self) -> bool:
@@ -54,7 +57,7 @@ class _Ranges(io.RawIOBase):
         with self._lock, storage_errors(self._url):
             content = self._stream.read(len(buffer))
             # S3 rejects a read of another version. For other stores, the version is compared.
-            if self._url.scheme != "s3" and self._read_version() != self._version:
+            if self._url.scheme != "s3" and object_version(self._store.info(str(self._url))) != self._version:
                 raise changed(self._url)
         buffer[: len(content)] = content
         return len(content)
@@ -63,6 +66,3 @@ class _Ranges(io.RawIOBase):
         if not self.closed:
             self._stream.close()
         super().close()
-
-    def _read_version(self) -> str:
-        return object_version(self._store.info(str(self._url)))

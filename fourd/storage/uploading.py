@@ -20,7 +20,8 @@ from fourd.storage.connection import connect, storage_errors
 from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
-PART_BYTES = 16 << 20
+MEGABYTE = 1 << 20
+PART_BYTES = 16 * MEGABYTE
 """Size of the parts of an upload. One part is in memory at a time."""
 MAX_PARTS = 9000
 """S3 accepts at most 10,000 parts. If a file has more than MAX_PARTS parts of PART_BYTES, it is sent in
@@ -38,7 +39,8 @@ def upload(path: Path, url: StorageUrl, track: Track = untracked) -> None:
     store = connect(url)
     with open_regular(path) as source:
         size = path.stat().st_size
-        part = max(PART_BYTES, math.ceil(size / MAX_PARTS))
+        # Google Cloud Storage needs parts whose size is a multiple of 256 kB.
+        part = max(PART_BYTES, math.ceil(size / MAX_PARTS / MEGABYTE) * MEGABYTE)
         stream = _open(store, url, part)
         try:
             for _ in track(range(math.ceil(size / part)), math.ceil(size / part), f"upload of {url.name}"):

@@ -52,6 +52,18 @@ class StorageUrl:
         return StorageUrl(f"{self.text.rstrip('/')}/{key}")
 
 
+def local_path(location: Path | str, use: str) -> Path:
+    """Return the path of a file or folder on this machine.
+
+    Raises:
+        UserError: if the text is a URL of a store. ``use`` says what the caller cannot do with URLs.
+    """
+    found = location if isinstance(location, Path) else parse_location(location)
+    if isinstance(found, Path):
+        return found
+    raise UserError(f"{found}: expected a local path to {use}, got a URL; use a path of this machine")
+
+
 def require_object(url: StorageUrl) -> None:
     """Raise UserError if a URL names a bucket only, and no object in it."""
     if len(url.path.parts) < 2:

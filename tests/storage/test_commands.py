@@ -125,3 +125,17 @@ def test_bad_storage_is_one_line(
     monkeypatch.setitem(sys.modules, "fsspec", None)
     assert "expected the package s3fs, got none; install it: pip install 'fourd[storage]'" in refusal("s3://bucket/a")
     assert "pip install 'fourd[storage]' gcsfs" in refusal("gs://bucket/a")
+
+
+@pytest.mark.slow
+def test_a_cluster_reads_and_writes_a_bucket(
+    bucket: Bucket, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a fetch stage that cannot be sent to a node, or that runs without the credentials."""
+    pytest.importorskip("ray", reason="needs ray (pip install 'fourd[cluster]')")
+    monkeypatch.chdir(tmp_path)
+    put_folder(bucket.files, ball_capture, f"{bucket.name}/ball")
+    (tmp_path / "small.yaml").write_text(OVERLAY)
+    words = ["make", f"{bucket.url}/ball", "-o", f"{bucket.url}/ball.4dv", "--config", "small.yaml", "--max-steps", 2]
+    assert run(*words, "--ray", "auto") == 0
+    assert SceneReader(f"{bucket.url}/ball.4dv").manifest.frame_count == 3

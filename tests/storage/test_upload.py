@@ -13,7 +13,8 @@ from typing import TypeVar
 import pytest
 
 from fourd.errors import UserError
-from fourd.storage import StorageUrl, check_writable, fetch, local_output, open_object, upload
+from fourd.progress import Track
+from fourd.storage import StorageUrl, check_writable, fetch, local_output, open_object, upload, upload_changed
 from tests.storage.s3_server import Bucket, S3Server, unfinished_uploads
 
 Item = TypeVar("Item")
@@ -154,3 +155,33 @@ def test_a_refusal_comes_before_the_work(bucket: Bucket) -> None:
     check_writable(StorageUrl(f"{bucket.url}/scene.4dv"))
     assert bucket.files.cat_file(f"{bucket.name}/scene.4dv") == b"old"
     assert unfinished_uploads(bucket.files, bucket.name) == []
+
+
+def test_an_unchanged_scene_is_not_uploaded_again(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches an upload of a scene that is already there, and a changed or removed object that is taken for it."""
+    path, url, record = tmp_path / "scene.4dv", StorageUrl(f"{bucket.url}/scene.4dv"), tmp_path / "uploaded.json"
+    key = f"{bucket.name}/scene.4dv"
+    path.write_bytes(b"first")
+    upload_changed(path, url, record)
+    uploads: list[StorageUrl] = []
+
+    def count(path: Path, url: StorageUrl, track: Track) -> None:
+        uploads.append(url)
+        upload(path, url, track)
+
+    monkeypatch.setattr("fourd.storage.uploading.upload", count)
+    upload_changed(path, url, record)
+    assert not uploads
+    bucket.files.pipe_file(key, b"other")
+    upload_changed(path, url, record)
+    assert bucket.files.cat_file(key) == b"first"
+    bucket.files.rm_file(key)
+    upload_changed(path, url, record)
+    path.write_bytes(b"second")
+    upload_changed(path, url, record)
+    assert bucket.files.cat_file(key) == b"second"
+    record.write_text('["half')
+    upload_changed(path, url, record)
+    assert len(uploads) == 4

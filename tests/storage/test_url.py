@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from fourd.baking import SceneWriter
 from fourd.cli.main import main
 from fourd.errors import UserError
 from fourd.storage import StorageUrl, check_writable, open_object, parse_location
+from tests.baking.scenes import manifest
 
 
 @pytest.mark.parametrize(
@@ -58,6 +60,17 @@ def test_a_bucket_is_no_object() -> None:
         )
 
 
+def test_the_library_writes_scenes_to_paths(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a scene in the local folder "s3:" """
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UserError) as caught:
+        SceneWriter("s3://bucket/scene.4dv", manifest())
+    assert str(caught.value) == (
+        "s3://bucket/scene.4dv: expected a local path to write a scene, got a URL; use a path of this machine"
+    )
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -76,6 +89,7 @@ def test_a_bucket_is_no_object() -> None:
         ["serve", "s3://bucket/run"],
         ["calibrate", "s3://bucket/boards", "--board", "board.toml", "-o", "calibration"],
         ["synth", "s3://bucket/capture"],
+        ["train", "capture", "-o", "run", "--max-steps", "1", "--background", "s3://bucket/points.ply"],
     ],
 )
 def test_arguments_without_storage_refuse_urls(

@@ -15,7 +15,6 @@ from fourd.calibration.ambiguities import PrincipalPointMode
 from fourd.calibration.chessboard import Board
 from fourd.calibration.scale import Distance
 from fourd.capture.frame_rate import check_rate
-from fourd.cli.locations import require_path
 from fourd.cli.options import FramesPerSecond, describe, option, parse_offsets
 from fourd.errors import UserError
 from fourd.files import resolved
@@ -26,7 +25,7 @@ from fourd.importing.importer import ImportOptions, import_source
 from fourd.importing.time_offsets import SoundPosition, SyncMethod
 from fourd.processes import locked_folder
 from fourd.progress import Terminal, Tracker
-from fourd.storage import parse_location
+from fourd.storage import local_path
 
 WORDS_HELP = (
     f"FORMAT: {', '.join(each.name for each in FORMATS)}; detected if omitted. "
@@ -129,7 +128,7 @@ def run(arguments: Arguments) -> None:
         raise UserError(f"expected [FORMAT] SRC OUT, got {len(arguments.words)} arguments; see fourd import --help")
     *name, source, out = arguments.words
     for word in (source, out):
-        require_path(parse_location(word), "fourd import")
+        local_path(word, "import a capture")
     console = Terminal(stderr=True)
 
     def log(line: str) -> None:

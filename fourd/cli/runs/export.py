@@ -16,11 +16,11 @@ from fourd.baking.packing.report import PackSettings
 from fourd.baking.playable import PlayableScene, select_frames
 from fourd.baking.rendering import Scene, open_scene
 from fourd.baking.scene import BAKED_LAYERS
-from fourd.cli.locations import OutLocation, require_path, transfer_progress
+from fourd.cli.locations import OutLocation, transfer_progress
 from fourd.cli.options import TIER_HELP, Frames, MaxMbps, check_mbps, check_rendering, describe, option
 from fourd.errors import UserError
 from fourd.progress import Terminal, Tracker
-from fourd.storage import local_output
+from fourd.storage import local_output, local_path
 from fourd.training.points.scratch import Scratch
 
 SCRATCH = ".export"
@@ -107,7 +107,7 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
         raise UserError("--to: expected no --tier and no --max-mbps, got at least one; they are for .4dv files")
     if not 0 <= arguments.degree <= 3:
         raise UserError(f"--degree: expected 0 to 3, got {arguments.degree}")
-    out = require_path(arguments.out, "--to")
+    out = local_path(str(arguments.out), "export files for other programs")
     if not arguments.source.is_dir() or not (arguments.source / "config.yaml").exists():
         with open_scene(arguments.source) as scene:
             _write(arguments, out, kind, scene, console)
