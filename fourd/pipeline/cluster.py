@@ -71,6 +71,10 @@ def run_job(job: Job) -> Outcome:
         job.stage.run(Context(Console(file=text, width=1000), job.cores))
     except UserError as error:
         return Outcome(node, tuple(text.getvalue().splitlines()), str(error))
+    except KeyboardInterrupt:
+        # Ray would report a cancelled task. The request to stop came from the page of fourd serve.
+        stopped = "expected a stage that finishes, got one that was stopped; run the command again to resume"
+        return Outcome(node, tuple(text.getvalue().splitlines()), stopped)
     return Outcome(node, tuple(text.getvalue().splitlines()))
 
 

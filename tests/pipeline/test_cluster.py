@@ -41,6 +41,10 @@ def fail(files: CounterFiles, settings: NoSettings, context: Context) -> None:
     raise UserError(f"{files.count}: expected something else")
 
 
+def stop(files: CounterFiles, settings: NoSettings, context: Context) -> None:
+    raise KeyboardInterrupt
+
+
 def die_once(files: CounterFiles, settings: NoSettings, context: Context) -> None:
     """Kill this process in the first call. In the second call, finish the work."""
     if not files.count.exists():
@@ -76,6 +80,16 @@ def test_a_job_checks_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert (tmp_path / "a" / "copy").read_text() == "text"
     failed = run_job(replace(job, stage=Stage("fail", fail, CounterFiles(tmp_path / "x"), NoSettings())))
     assert failed.error == f"{tmp_path / 'x'}: expected something else"
+
+
+def test_a_stopped_training_is_no_lost_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a stop on the page of a run that is reported as a lost worker, or repeated."""
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setenv("FOURD_THREADS", "1")
+    monkeypatch.chdir(tmp_path)
+    stage = Stage("stop", stop, CounterFiles(tmp_path / "x"), NoSettings())
+    stopped = run_job(Job(stage, 1, tmp_path, __version__))
+    assert stopped.error == "expected a stage that finishes, got one that was stopped; run the command again to resume"
 
 
 @pytest.mark.skipif(HAS_RAY, reason="ray is installed here")

@@ -3,9 +3,10 @@
     python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
 
 The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. In every second window, it
-asks the server as often as the page does. In the other windows, the server's process is stopped (SIGSTOP). The result
-is the ratio of the speeds of neighbouring windows. With --browser, Chromium shows the page instead, on the same
-machine, and opens an empty page in the other windows. With --scene, the tab with the scene is open too.
+asks the server as often as the page does. In the other windows, the server's process is stopped (SIGSTOP). The results
+are the ratios of the speeds of neighbouring windows: in steps per second of training time, and in steps per second of
+CPU time of the training, which depends less on other programs. With --browser, Chromium shows the page instead, on the
+same machine, and opens an empty page in the other windows. With --scene, the tab with the scene is open too.
 """
 
 from __future__ import annotations
@@ -50,40 +51,55 @@ def main() -> None:
         run = Path(temporary) / "run"
         watching = browsing if arguments.browser else asking
         with (
-            training(arguments.capture, run, rest),
+            training(arguments.capture, run, rest) as trainer,
             serving(run) as (server, url),
             watching(url, arguments.scene) as watch,
         ):
-            measure(run, server, watch, arguments.windows, arguments.seconds)
+            measure(run, (trainer, server), watch, arguments.windows, arguments.seconds)
 
 
-def measure(run: Path, server: int, watch: Callable[[bool], None], windows: int, seconds: float) -> None:
-    """Print the speeds in watched and unwatched windows, and the CPU time of the server."""
-    speeds: dict[bool, list[float]] = {False: [], True: []}
-    used, ratios = 0.0, []
+def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None], windows: int, seconds: float) -> None:
+    """Print the speeds in watched and unwatched windows, and the CPU time of the server.
+
+    Args:
+        run: the run's folder.
+        processes: the processes of the training and of the server.
+        watch: starts and stops watching.
+        windows: number of pairs of windows.
+        seconds: length of a window.
+    """
+    trainer, server = processes
+    found: dict[bool, list[tuple[float, float]]] = {False: [], True: []}
+    trained = served = 0.0
     for pair in range(windows):
         for watched in (False, True) if pair % 2 == 0 else (True, False):
             os.kill(server, signal.SIGCONT if watched else signal.SIGSTOP)
             watch(watched)
             time.sleep(SETTLE_SECONDS)
-            cpu, first = cpu_seconds(server), last_record(run)
+            (step, time_before), cpu, served_before = next_record(run), cpu_seconds(trainer), cpu_seconds(server)
             time.sleep(seconds)
-            last = last_record(run)
-            used += (cpu_seconds(server) - cpu) if watched else 0.0
-            speeds[watched].append((last[0] - first[0]) / (last[1] - first[1]))
-        ratios.append(speeds[True][-1] / speeds[False][-1])
-        print(f"{speeds[False][-1]:.2f} {speeds[True][-1]:.2f} {ratios[-1]:.3f}", flush=True)
+            (last, time_after), cpu_after = next_record(run), cpu_seconds(trainer)
+            found[watched].append(((last - step) / (time_after - time_before), (last - step) / (cpu_after - cpu)))
+            if watched:
+                trained += cpu_after - cpu
+                served += cpu_seconds(server) - served_before
+        print(f"{found[False][-1]} {found[True][-1]}", flush=True)
     os.kill(server, signal.SIGCONT)
-    for watched, found in speeds.items():
-        print(f"{'watched' if watched else 'not watched'}: median of {statistics.median(found):.2f} steps per second")
-    quarters = statistics.quantiles(ratios, n=4) if len(ratios) > 1 else [ratios[0]] * 3
-    print(f"ratio of neighbouring windows: median {quarters[1]:.3f}, quartiles {quarters[0]:.3f} to {quarters[2]:.3f}")
-    print(f"CPU time of the server while it is watched: {100 * used / (windows * seconds):.2f} % of one core")
+    for index, unit in enumerate(("second of training time", "second of CPU time of the training")):
+        speeds = {watched: [pair[index] for pair in pairs] for watched, pairs in found.items()}
+        ratios = [b / a for a, b in zip(speeds[False], speeds[True], strict=True)]
+        quarters = statistics.quantiles(ratios, n=4) if len(ratios) > 1 else [ratios[0]] * 3
+        print(
+            f"steps per {unit}: {statistics.median(speeds[False]):.2f} not watched, "
+            f"{statistics.median(speeds[True]):.2f} watched; ratio of neighbouring windows: median {quarters[1]:.3f}, "
+            f"quartiles {quarters[0]:.3f} to {quarters[2]:.3f}"
+        )
+    print(f"CPU time of the server while it is watched: {100 * served / trained:.2f} % of that of the training")
 
 
 @contextmanager
-def training(capture: Path, run: Path, options: list[str]) -> Iterator[None]:
-    """Train until the ``with`` block ends. The block starts after 50 steps."""
+def training(capture: Path, run: Path, options: list[str]) -> Iterator[int]:
+    """Train until the ``with`` block ends. The block starts after 50 steps. Yields the process."""
     command = [sys.executable, "-m", "fourd.cli.main", "train", str(capture), "-o", str(run)]
     process = subprocess.Popen([*command, "--max-steps", "10000000", *options], stdout=sys.stderr)
     try:
@@ -91,9 +107,9 @@ def training(capture: Path, run: Path, options: list[str]) -> Iterator[None]:
             if process.poll() is not None:
                 sys.exit("fourd train ended")
             time.sleep(0.5)
-        yield
+        yield process.pid
     finally:
-        process.send_signal(signal.SIGINT)
+        process.terminate()  # SIGINT is ignored if a shell has started this program with &
         process.wait()
 
 
@@ -110,7 +126,7 @@ def serving(run: Path) -> Iterator[tuple[int, str]]:
         yield process.pid, match[0]
     finally:
         process.send_signal(signal.SIGCONT)
-        process.send_signal(signal.SIGINT)
+        process.terminate()  # SIGINT is ignored if a shell has started this program with &
         process.wait()
 
 
@@ -153,11 +169,19 @@ def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
         browser.close()
 
 
-def last_record(run: Path) -> tuple[int, float]:
-    """The step and the training time in seconds of the last complete record."""
-    records = [json.loads(line) for line in (run / "metrics.jsonl").read_text().split("\n")[:-1]]
-    last = next(record for record in reversed(records) if "psnr" in record)
-    return last["step"], last["seconds"]
+def next_record(run: Path) -> tuple[int, float]:
+    """Wait for the next record of a training step. Returns its step and its training time in seconds."""
+    with (run / "metrics.jsonl").open() as stream:
+        stream.seek(0, os.SEEK_END)
+        line = ""
+        while True:
+            line += stream.readline()
+            if not line.endswith("\n"):
+                time.sleep(0.01)
+                continue
+            if "psnr_smooth" in (record := json.loads(line)):
+                return record["step"], record["seconds"]
+            line = ""
 
 
 def cpu_seconds(process: int) -> float:

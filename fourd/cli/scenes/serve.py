@@ -56,7 +56,10 @@ def run(arguments: Arguments) -> None:
     source = arguments.source
     is_run = source.is_dir() and not is_site(source)
     if is_run and not (source / "config.yaml").exists():
-        raise UserError(f"{source}: expected a .4dv file, a run or a folder of fourd web, got another folder")
+        raise UserError(
+            f"{source}: expected a .4dv file, a run or a folder of fourd web, got another folder; a folder is a run as "
+            "soon as its training starts"
+        )
     if arguments.style and is_site(source):
         raise UserError(f"--style: expected a scene or a run, got the site {source}; use fourd web --style")
     if arguments.token is not None and not is_run:

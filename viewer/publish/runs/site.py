@@ -98,11 +98,15 @@ class RunSite:
             segment: number of the segment from 1, or None for the run itself.
         """
         folder = self.run if segment is None else segment_folder(self.run, segment - 1)
-        key = (folder, step)
+        path = folder / VALIDATION / f"{step:07d}.png"
+        try:
+            key = (path, path.stat().st_mtime_ns)
+        except OSError:
+            return None
         with self._lock:
             found = self._pictures.get(key)
         if found is None:
-            found = _read_picture(folder / VALIDATION / f"{step:07d}.png")
+            found = _read_picture(path)
             if found is None:
                 return None
             with self._lock:
