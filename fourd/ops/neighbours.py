@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from fourd.ops.loading import thread_count
 
 BLOCK = 4096
-"""Number of points per search. After Ctrl-C, the searches that have begun run to their end."""
+"""Number of points per search. After Ctrl-C, running searches continue to their end."""
 
 
 def nearest_neighbours(
