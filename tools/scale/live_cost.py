@@ -2,11 +2,12 @@
 
     python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
 
-The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. In every second window, it
-asks the server as often as the page does. In the other windows, the server's process is stopped (SIGSTOP). The results
-are the ratios of the speeds of neighbouring windows: in steps per second of training time, and in steps per second of
-CPU time of the training, which depends less on other programs. With --browser, Chromium shows the page instead, on the
-same machine, and opens an empty page in the other windows. With --scene, the tab with the scene is open too.
+The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. In every second window,
+it sends requests to the server at the rate of the page. In the other windows, the server's process is stopped
+(SIGSTOP). The results are the ratios of the speeds of neighbouring windows, in two units: in steps per second of
+training time, and in steps per second of the training's CPU time, which depends less on other programs. With
+--browser, Chromium shows the page on the same machine instead, and an empty page in the other windows. With --scene,
+the tab with the scene is also open.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from fourd.training.live.state import read_state
 from tests.viewer.web.conftest import CHROMIUM, DEFAULT_FLAGS, DRIVER_FLAGS, FLAGS
 
 PAGE_SECONDS = 2.0
-"""Interval at which the page asks."""
+"""Interval in seconds between the page's requests."""
 SETTLE_SECONDS = 3.0
 """Time between the start of a window and the start of its measurement."""
 
@@ -45,7 +46,7 @@ def main() -> None:
     parser.add_argument("--windows", type=int, default=12, help="number of pairs of windows")
     parser.add_argument("--seconds", type=float, default=20.0, help="length of a window")
     parser.add_argument("--browser", action="store_true", help="show the page in Chromium")
-    parser.add_argument("--scene", action="store_true", help="also ask for the scene")
+    parser.add_argument("--scene", action="store_true", help="also request the scene")
     arguments = parser.parse_args(own)
     with tempfile.TemporaryDirectory() as temporary:
         run = Path(temporary) / "run"
@@ -132,7 +133,7 @@ def serving(run: Path) -> Iterator[tuple[int, str]]:
 
 @contextmanager
 def asking(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
-    """Ask the server as the page does. The yielded function starts and stops this."""
+    """Send the page's requests to the server. The yielded function starts and stops the requests."""
     is_asking, ended = threading.Event(), threading.Event()
     threading.Thread(target=ask, args=(url, with_scene, is_asking, ended), daemon=True).start()
     yield lambda watched: is_asking.set() if watched else is_asking.clear()
@@ -140,7 +141,7 @@ def asking(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
 
 
 def ask(url: str, with_scene: bool, is_asking: threading.Event, ended: threading.Event) -> None:
-    """Ask every two seconds while ``is_asking`` is set."""
+    """Send requests every two seconds while ``is_asking`` is set."""
     seen: list[int] = []
     while not ended.wait(PAGE_SECONDS):
         if not is_asking.is_set():

@@ -1,4 +1,5 @@
-"""Scenes that are written again when their source changes: when a file is exported again, or while a run trains."""
+"""Scenes that are written again when their source changes. The source is a file that is exported again, or a run
+that trains."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""What a run shows to programs that watch it, and the requests that it takes from them, as small files in ``live/``.
+"""Small files in ``live/``, with the state of a training for other programs, and with requests of other programs to
+the training.
 
-The files are the only connection between training and ``fourd serve``. Training opens no port and waits for no other
-program.
+The files are the only connection between training and ``fourd serve``. Training opens no port, and does not wait for
+other programs.
 """

@@ -1,4 +1,4 @@
-"""The connection of the training loop with programs that watch the run."""
+"""Connects the training loop with programs that watch the run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from fourd.training.live.control import Action, ControlReader
 from fourd.training.live.state import MAX_REASON, Phase, TrainingState, training_lock, write_state
 
 CONTROL_SECONDS = 0.5
-"""Minimum time in seconds between two looks at the control file."""
+"""Minimum time in seconds between two reads of the control file."""
 STATE_SECONDS = 1.0
 """Minimum time in seconds between two writes of the state file, if only the numbers have changed."""
 
@@ -56,8 +56,8 @@ class NoSession:
 class LiveSession:
     """A context manager that writes the state of a training and reads the requests to it.
 
-    Both are done between training steps. :meth:`show` and :meth:`look` return at once if the last write or look was a
-    moment ago. A state that cannot be written is left out, because training does not depend on it.
+    Both are done between training steps. :meth:`show` and :meth:`look` return at once if less than the minimum time
+    has passed. If the state cannot be written, training continues without it.
 
     Attributes:
         wanted: the last request that was not yet answered, or None.
@@ -83,7 +83,7 @@ class LiveSession:
         return self
 
     def look(self) -> None:
-        """Look for a request, at most every half second."""
+        """Read a new request, at most every half second."""
         now = time.monotonic()
         if now < self._next_look:
             return
@@ -97,11 +97,11 @@ class LiveSession:
             self.wanted = request.action
 
     def answered(self) -> None:
-        """Forget the request, because it was answered."""
+        """Discard the request after it was answered."""
         self.wanted = None
 
     def show(self, progress: StepCount, phase: Phase = "training") -> None:
-        """Write the state: at once if the phase has changed, otherwise at most once per second."""
+        """Write the state. If the phase has changed, it is written at once, otherwise at most once per second."""
         self._progress = progress
         now = time.monotonic()
         if phase == self._phase and now < self._next_write:

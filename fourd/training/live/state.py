@@ -1,4 +1,5 @@
-"""The state of a training, as the file ``live/state.json`` of the run and a lock on the folder ``live/``."""
+"""The state of a training. It consists of the file ``live/state.json`` of the run and of a lock on the folder
+``live/``."""
 
 from __future__ import annotations
 
@@ -66,7 +67,7 @@ def write_state(run: Path, state: TrainingState) -> None:
     """Replace the state file of a run.
 
     The file is replaced in one step. It is not synced to the disk, because syncing can take longer than a training
-    step, and a state is worthless after a power failure.
+    step, and the state is not needed after a power failure.
     """
     path = run / LIVE / STATE_NAME
     temporary = path.with_name(f"{UNFINISHED}{STATE_NAME}")

@@ -1,4 +1,4 @@
-"""Requests to a training: pause, resume, save, stop, and requests that a training must ignore."""
+"""Requests to a training to pause, resume, save and stop, and requests that a training must ignore."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_a_paused_run_has_the_same_result(
 
 
 def test_a_stopped_run_is_resumed(ball_capture: Path, tmp_path: Path, unbroken: dict[str, torch.Tensor]) -> None:
-    """Catches a stop that loses steps, and a resumed run that obeys the request that stopped it."""
+    """Catches a stop that loses steps, and a resumed run that stops again because of the old request."""
     run = tmp_path / "run"
     create_run(ball_capture, run, CONFIG)
     output = io.StringIO()
@@ -134,7 +134,7 @@ def test_a_stopped_run_is_resumed(ball_capture: Path, tmp_path: Path, unbroken: 
 
 
 def test_saving_on_request(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a request to save that pauses the run, or that is answered again after each step."""
+    """Catches a request to save that pauses the run, and a request that is answered again after each step."""
     run = tmp_path / "run"
     create_run(ball_capture, run, CONFIG)
     train_with(run, 2, lambda: request(run, "save"))
@@ -146,7 +146,7 @@ def test_saving_on_request(ball_capture: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"session": "x"}', '{"session": 1, "action": "stop"}', "[" * 4000])
 def test_a_broken_request_is_reported_once(content: str, tmp_path: Path) -> None:
-    """Catches a training that ends because of a broken control file, and one that ignores the file silently."""
+    """Catches a training that ends because of a broken control file, and a broken control file that is not reported."""
     (tmp_path / "live").mkdir()
     reader = ControlReader(tmp_path, "session")
     assert reader.read() is None
@@ -162,6 +162,6 @@ def test_a_broken_request_is_reported_once(content: str, tmp_path: Path) -> None
 
 
 def test_requests_before_the_start_are_ignored(tmp_path: Path) -> None:
-    """Catches a training that obeys a file that was there before it started."""
+    """Catches a training that follows a request that was written before the training started."""
     write_request(tmp_path, ControlRequest("session", "stop"))
     assert ControlReader(tmp_path, "session").read() is None

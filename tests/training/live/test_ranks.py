@@ -17,7 +17,7 @@ from tests.training.distributed.test_ranks import OVERLAY, start_ranks
 
 @pytest.mark.slow
 def test_ranks_pause_and_stop_together(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches ranks that wait for each other for ever, because only one of them pauses or stops."""
+    """Catches ranks that wait for each other without end, because only one of them pauses or stops."""
     (tmp_path / "small.yaml").write_text(OVERLAY)
     run = tmp_path / "run"
     words = ["fourd.cli.main", "train", str(ball_capture), "-o", str(run), "--config", str(tmp_path / "small.yaml")]

@@ -1,4 +1,4 @@
-"""The state of a training as other processes see it."""
+"""The state of a training that other processes read."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_the_end_of_a_training(error: BaseException | None, phase: str, reason: 
 
 
 def test_the_state_of_a_killed_training(tmp_path: Path) -> None:
-    """Catches a run that seems to train for ever after its process was killed."""
+    """Catches a run whose state remains `training` after its process was killed."""
     program = (
         "import sys, time, pathlib\n"
         "from rich.console import Console\n"
@@ -85,7 +85,7 @@ def test_the_state_of_a_killed_training(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("host", [STATE.host, "another"])
 def test_without_locks_the_age_decides(host: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches a training that never runs or never ends on systems without locks, and on other machines."""
+    """Catches a wrong answer to whether a run trains, on systems without locks and on other machines."""
     if host == STATE.host:
         monkeypatch.setattr("fourd.training.live.state._is_locked", lambda folder: None)
     state = replace(STATE, host=host, updated=time.time())
@@ -112,7 +112,7 @@ def test_without_locks_the_age_decides(host: str, tmp_path: Path, monkeypatch: p
     ],
 )
 def test_damaged_states_are_no_states(change: dict[str, object], tmp_path: Path) -> None:
-    """Catches a server that passes values of any type and size on to its pages."""
+    """Catches values of wrong types and sizes that reach the pages."""
     (tmp_path / "live").mkdir()
     write_state(tmp_path, STATE)
     assert read_state(tmp_path) == STATE
@@ -121,7 +121,7 @@ def test_damaged_states_are_no_states(change: dict[str, object], tmp_path: Path)
 
 
 def test_files_that_are_no_states(tmp_path: Path) -> None:
-    """Catches a server that fails or waits because of a strange file."""
+    """Catches a server that fails or waits if the state file is a folder, a link or a named pipe."""
     path = tmp_path / "live" / "state.json"
     assert read_state(tmp_path) is None
     path.parent.mkdir()

@@ -87,7 +87,7 @@ class Access:
         return None if self.is_token(kept) else _WRONG_TOKEN
 
     def refusal_of_control(self, headers: Message) -> str | None:
-        """Why a request that changes the training is refused, or None.
+        """Why a request that changes the training is refused, as a sentence for the user, or None if it is accepted.
 
         Pages of other sites must not be able to send such requests with the user's browser. Browsers send the header
         X-Fourd-Request to another site only if that site allows it, which this server never does. They also name the
@@ -104,7 +104,7 @@ class Access:
     def _refuse_name(self, host: str) -> str | None:
         """Refuse names of the server other than those of this machine.
 
-        The owner of another name can let it point to this machine, and pages under that name would then be of the same
+        The owner of another name can make it resolve to this machine. Pages under that name would then have the same
         origin as this server.
         """
         name = _name_of(host)

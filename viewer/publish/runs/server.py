@@ -31,7 +31,7 @@ class RunHandler(SiteHandler):
             self._send_text(HTTPStatus.FORBIDDEN, refusal)
             return
         if urlsplit(self.path).path != "/run/control":
-            self._send_text(HTTPStatus.NOT_FOUND, "The server has no such address.")
+            self._send_text(HTTPStatus.NOT_FOUND, "This address does not exist on the server.")
             return
         length = self.headers.get("Content-Length", "")
         if not length.isdecimal() or len(length) > 4 or int(length) > MAX_REQUEST_BYTES:

@@ -29,9 +29,9 @@ from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, 
 from fourd.viewer.publish.site import copy_training_page
 
 STATUS_SECONDS = 1.0
-"""Time for which an answer is reused, however many pages ask."""
+"""Time in seconds for which an answer is reused for all pages."""
 ASKED_SECONDS = 10.0
-"""A scene is baked only if a page has asked for it within this time."""
+"""A scene is baked only if a page has requested it within this time, in seconds."""
 BAKING_SHARE = 0.02
 """Maximum share of the machine's CPU time that baking uses while the run trains."""
 MAX_PICTURE_PIXELS = 1 << 26
@@ -137,8 +137,8 @@ class RunSite:
             raise Refused(f"The request cannot be written into the folder of the run: {error}") from error
 
     def watch(self) -> None:
-        """Bake new checkpoints while pages ask for the scene, until :meth:`stop`. The calling thread gets the lowest
-        priority, so that training goes first."""
+        """Bake new checkpoints while pages request the scene, until :meth:`stop`. The calling thread gets the lowest
+        priority, so that it does not slow down training."""
         if sys.platform == "linux":
             with suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)

@@ -1,4 +1,4 @@
-"""What the page of a run shows, as JSON data."""
+"""The JSON data that the page of a run shows."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DIGITS = 12
 """Maximum number of digits in the name of a validation picture."""
 
 ShownPhase = Phase | Literal["ended", "idle"]
-"""The phase of a run. ``ended``: the training ended without a last state, because its process was killed. ``idle``: the
+"""The phase of a run. ``ended``: the training's process was killed before it wrote its last state. ``idle``: the
 run has no state."""
 
 
@@ -58,7 +58,7 @@ def find_active(run: Path) -> ActiveRun:
 def picture_steps(run: Path, last: int) -> list[int]:
     """The steps of the newest validation pictures up to the step ``last``, in ascending order.
 
-    Pictures of later steps are left from a training that was killed after its last checkpoint.
+    Pictures of later steps come from a training that was killed after its last checkpoint.
     """
     names = [path.stem for path in (run / VALIDATION).glob("*.png")]
     steps = sorted(int(name) for name in names if name.isdecimal() and len(name) <= _DIGITS)

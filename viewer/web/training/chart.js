@@ -228,7 +228,7 @@ function keepSetting(key, value) {
   try {
     localStorage.setItem(`fourd ${key}`, value);
   } catch {
-    // Without storage, the setting lasts until the page is loaded again.
+    // Without storage, the setting is kept until the page is loaded again.
   }
 }
 

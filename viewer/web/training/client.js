@@ -34,7 +34,7 @@ export async function fetchCurves() {
 }
 
 /**
- * Asks for the scene of the newest checkpoint. The server bakes it only while a page asks.
+ * Requests the scene of the newest checkpoint. The server bakes it only while a page requests it.
  * @returns {Promise<SceneState>}
  */
 export async function fetchScene() {

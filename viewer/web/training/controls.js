@@ -2,7 +2,7 @@ import { Refusal, sendRequest } from "./client.js";
 import { buttonById, byId, setText } from "./elements.js";
 /** @typedef {import("./client.js").Status} Status */
 
-/** Time after which the page no longer waits for the effect of a button. */
+/** Time in milliseconds after which the page no longer waits for the effect of a button. */
 const PATIENCE_MS = 120000;
 
 const CONTINUE = "Continue it with fourd train --resume, or with the fourd make command that started it.";
@@ -16,7 +16,7 @@ const WAITING = {
 
 /** The buttons that control the training. */
 export class Controls {
-  /** @param {() => void} refresh Asks the server for the state. */
+  /** @param {() => void} refresh Requests the state from the server. */
   constructor(refresh) {
     this.pause = buttonById("pause");
     this.save = buttonById("save");

@@ -7,10 +7,10 @@ import { SceneTab } from "./scene_tab.js";
 import { showStatus } from "./summary.js";
 
 const POLL_MS = 2000;
-/** Time between two requests while the run does not train. */
+/** Time in milliseconds between two requests while the run does not train. */
 const IDLE_POLL_MS = 5000;
 
-/** Follows a run: asks the server for its state, and shows it. */
+/** Follows a run: requests its state from the server, and shows it. */
 class TrainingPage {
   constructor() {
     this.curves = new Curves(byId("charts"));
@@ -21,7 +21,7 @@ class TrainingPage {
     this.shown = "";
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
-    // Hidden pages do not ask. A page that is shown again asks at once.
+    // Hidden pages send no requests. A page that is shown again sends a request at once.
     document.addEventListener("visibilitychange", () => document.hidden || this.#poll());
   }
 

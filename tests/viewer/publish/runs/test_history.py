@@ -24,7 +24,7 @@ def record(step: int, **values: float | None) -> str:
 
 
 def test_a_log_that_grows(tmp_path: Path) -> None:
-    """Catches a reader that reads lines twice, and one that parses the half of a line that is being written."""
+    """Catches a reader that reads lines twice, and a reader that parses an incomplete line while it is written."""
     found = RunHistory(tmp_path)
     found.update()
     assert (found.series, found.step, found.last("psnr")) == ({}, 0, None)
@@ -55,7 +55,7 @@ def test_a_resumed_run(tmp_path: Path) -> None:
 
 
 def test_damaged_lines_are_counted(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a reader that fails on a damaged line, and one that keeps a line without end in memory."""
+    """Catches a reader that fails on a damaged line, and a reader that keeps a line of any length in memory."""
     lines: list[str | bytes] = [
         "{",
         "[1]",
@@ -87,7 +87,7 @@ def test_damaged_lines_are_counted(tmp_path: Path, rng: np.random.Generator) -> 
 
 
 def test_values_that_are_no_numbers_are_left_out(tmp_path: Path) -> None:
-    """Catches NaN in the answer, which browsers cannot parse, and names and series without limit."""
+    """Catches NaN in the answer, which browsers cannot parse, and names and series without a limit of their size."""
     huge = '{"step": 1, "a": 1e999, "b": NaN, "c": null, "d": "1", "e": true, "f": ' + "9" * 400 + "}\n"
     append(tmp_path, huge + record(2, **{"x" * 65: 1.0}) + record(3, **{f"s{i}": i for i in range(100)}))
     found = RunHistory(tmp_path)

@@ -1,4 +1,4 @@
-"""The server of a run: tokens, names, origins, data and requests to the training."""
+"""The server of a run: its tokens, host names, origins and data, and the requests to the training."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CONTROL = {"X-Fourd-Request": "control"}
 
 @pytest.fixture(autouse=True)
 def fresh_answers(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Compute each answer anew."""
+    """Disable the reuse of answers."""
     monkeypatch.setattr(run_site, "STATUS_SECONDS", 0.0)
 
 
@@ -83,7 +83,7 @@ def ask(
 
 
 def test_the_state_of_a_run(run: Path) -> None:
-    """Catches wrong numbers on the page, and a page that does not notice that the run has ended."""
+    """Catches wrong numbers on the page, and a page that does not show that the run has ended."""
     with serving(run) as server:
         page = ask(server, "/")[2].decode()
         assert "<title>a run</title>" in page
@@ -115,7 +115,7 @@ def test_unchanged_answers_are_not_sent_again(run: Path) -> None:
 
 
 def test_the_parts_of_a_run_with_segments(run: Path) -> None:
-    """Catches the page of the last segment while another segment trains."""
+    """Catches a page that shows the last segment while another segment trains."""
     for index in range(3):
         with training(run / "segments" / f"{index:03d}"):
             pass
@@ -204,7 +204,8 @@ def test_requests_to_the_training(run: Path) -> None:
     ],
 )
 def test_pages_of_other_sites_cannot_stop_a_run(headers: dict[str, str], expected: int, run: Path) -> None:
-    """Catches a foreign page that sends requests with the user's browser, also under a name that points here."""
+    """Catches a page of another site that sends requests with the user's browser, also if the site's name resolves
+    to this machine."""
     with serving(run) as server, training(run) as session:
         body = {"session": session, "action": "stop"}
         status, answer, content = ask(server, "/run/control", headers, "POST", body)
@@ -229,14 +230,14 @@ def test_pages_of_other_sites_cannot_stop_a_run(headers: dict[str, str], expecte
     ],
 )
 def test_malformed_requests(body: bytes, path: str, expected: int, run: Path) -> None:
-    """Catches a traceback, and a request of any size that is read into memory."""
+    """Catches a traceback, and a request that is read into memory without a limit of its size."""
     with serving(run) as server, training(run):
         assert ask(server, path, CONTROL, "POST", body)[0] == expected
         assert not (run / "live" / "control.json").exists()
 
 
 def test_a_token_is_needed_for_everything(run: Path) -> None:
-    """Catches a page, picture or request without a token, and a token that stays in the address."""
+    """Catches a page, picture or request that is answered without a token, and a token that stays in the address."""
     with serving(run, TOKEN) as server, training(run) as session:
         body = {"session": session, "action": "stop"}
         for path in ("/", "/run/status.json", "/run/pictures/10.jpg", "/player/fourd-player.js", "/none"):
@@ -330,7 +331,7 @@ def test_serving_a_run(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytes
 
 
 def test_the_scene_is_baked_only_for_a_page_that_asks(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches baking that slows down training although nobody looks, and baking of each checkpoint while it trains."""
+    """Catches baking while no page shows the scene, and baking of each checkpoint of a run that trains."""
     site = RunSite(run, run.parent / "site", "light", Terminal(quiet=True))
     baked: list[str] = []
 

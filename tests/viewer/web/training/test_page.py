@@ -1,4 +1,4 @@
-"""The page of a run in a browser: curves, pictures, buttons, and what survives reloads and restarts."""
+"""The page of a run in a browser: its curves, pictures and buttons, reloads of the page, and restarts of the server."""
 
 from __future__ import annotations
 
@@ -86,8 +86,8 @@ def wait_for(page: Any, selector: str, text: str) -> None:
 
 
 def test_a_run_is_watched_and_controlled(run: Path, tmp_path: Path, open_run: Callable[..., Any]) -> None:
-    """Catches curves without values, a page that is wider than a phone, buttons that send another request, and a page
-    that does not notice the end of the training."""
+    """Catches curves without values, a page that is wider than a phone, buttons that send another request, and a
+    page that does not show the end of the training."""
     with serving(run, tmp_path / "site") as server:
         with LiveSession(run, 1000, True, Terminal(quiet=True)) as live:
             live.show(StepCount(400, 120.0, 0.4))
@@ -134,8 +134,8 @@ def test_a_run_is_watched_and_controlled(run: Path, tmp_path: Path, open_run: Ca
 def test_a_restarted_server_and_its_token(
     run: Path, tmp_path: Path, open_run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a page that stops when the server stops, a token in the address, and a page that is silent about a wrong
-    token."""
+    """Catches a page that does not continue after a restart of the server, a token in the address, and a wrong token
+    that is not reported."""
     # Without this, the threads of a stopped server would answer on connections that the browser keeps open.
     monkeypatch.setattr(RunHandler, "protocol_version", "HTTP/1.0")
     with serving(run, tmp_path / "site", token=TOKEN) as server:
