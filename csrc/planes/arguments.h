@@ -1,5 +1,5 @@
-// Checks and converts the arguments of K-Planes, for the CPU and a GPU. fourd/ops/planes/op.py checks values. This file
-// checks shapes, because a kernel would read past the end of an array with a wrong shape.
+// Converts the arguments of the K-Planes kernels for the CPU and a GPU, and checks their shapes, because a kernel would
+// read past the end of an array with a wrong shape. fourd/ops/planes/op.py checks their values.
 #pragma once
 
 #include <nanobind/nanobind.h>

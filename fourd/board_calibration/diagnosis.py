@@ -30,7 +30,7 @@ FEW_PICTURES = 3
 The other images are searched only if these images show no board, because the search for all dictionaries is slow.
 """
 MAX_TRIALS = 60
-"""Number of random samples per homography. A small number is enough, because most markers are detected correctly."""
+"""Number of random samples per homography. Few samples are enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
 """If more than this share of the markers lies at the expected positions, no further size of the board is tried."""

@@ -16,7 +16,7 @@ VERSION = 1
 DEFAULT_FPS = 30.0
 """Playback rate in 1/s of captures, runs and scenes if the frame rate of the recording is not known."""
 UNKNOWN_RATE = f"frame rate not known, plays at {DEFAULT_FPS:g} per second"
-"""Text of ``fourd check`` and ``fourd info`` for recordings without a known frame rate."""
+"""Text that ``fourd check`` and ``fourd info`` print for recordings without a known frame rate."""
 MAX_FPS = 1000.0
 FPS_IS_FOR_PICTURES = "expected image files, got videos, whose frame times give the rate; omit --fps"
 STANDARD_RATES = (

@@ -54,7 +54,7 @@ class Fisheye:
     Attributes:
         fov_deg: field of view in degrees, above 0 and at most 360. This is the angle across the largest circle that
             fits in the image. Pixels outside this circle stay black.
-        samples: rays in each pixel along rows and along columns.
+        samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
     """
 
     fov_deg: float = 180.0
@@ -84,7 +84,7 @@ class Panorama:
     top to bottom. The viewing direction is in the middle. Viewers for headsets open such images.
 
     Attributes:
-        samples: rays in each pixel along rows and along columns.
+        samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
     """
 
     samples: int = 1

@@ -22,8 +22,8 @@ class MeshSettings:
             their mattes.
         least_views: a share in (0, 1]. At least this share of all views must see a hull point.
         trim: whether to remove protruding parts of the hull before fitting. The remaining hull still covers all mattes.
-        remesh: edge length after isotropic remeshing, in units of a cube's side. With 0, the triangles of the grid are
-            kept.
+        remesh: edge length after isotropic remeshing, as a multiple of the side of a grid cell. With 0, the triangles
+            of the grid are kept.
         fit: settings of the fit.
     """
 

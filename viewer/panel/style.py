@@ -1,4 +1,4 @@
-"""The Style section: the choice of a style, its fields, and its time per image."""
+"""The Style section: a list of styles, input fields for the chosen style, and the time of the stylizer per image."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _draw(state: ViewerState) -> None:
     if imgui.button("Save"):
         state.defer(state.save_style)
     imgui.same_line()
-    if imgui.button("Reset"):  # a style file is read again
+    if imgui.button("Reset"):  # choosing a style file reads it again
         session.choose_style(session.style_name)
     imgui.same_line()
     imgui.text_disabled(f"stylizing: {state.timings.medians()['style']:.1f} ms")
