@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+MAX_HIDDEN = 4096
+"""Maximum width of the hidden layers."""
+
 
 def require(condition: bool, message: str) -> None:
     """Raise ValueError(message) if ``condition`` is false. The code that reads config files adds the name of the file
@@ -86,7 +89,7 @@ class ModelConfig:
 
     def __post_init__(self) -> None:
         low, high = self.radius_range
-        require(self.hidden >= 1, f"hidden: expected at least 1, got {self.hidden}")
+        require(1 <= self.hidden <= MAX_HIDDEN, f"hidden: expected 1 to {MAX_HIDDEN}, got {self.hidden}")
         require(self.neighbours >= 1, f"neighbours: expected at least 1, got {self.neighbours}")
         require(
             0 < low < self.radius_start < high,

@@ -9,6 +9,9 @@ from typing import Literal
 from fourd.background.radiance.config import RadianceConfig
 from fourd.model.config import ModelConfig, PlanesConfig, require
 
+MAX_POINTS = 1 << 24
+"""Maximum number of points in a frame or a background, which is also the limit of the OpenGL renderers."""
+
 
 @dataclass(frozen=True)
 class LossConfig:
@@ -110,7 +113,7 @@ class BackgroundConfig:
     needs a model with image-based colour."""
 
     def __post_init__(self) -> None:
-        require(self.points >= 1, f"points: expected at least 1, got {self.points}")
+        require(1 <= self.points <= MAX_POINTS, f"points: expected 1 to {MAX_POINTS}, got {self.points}")
         require(0 <= self.share <= 1, f"share: expected 0 to 1, got {self.share}")
         require(self.window_px >= 16, f"window_px: expected at least 16, got {self.window_px}")
         require(self.margin_px >= 0, f"margin_px: expected 0 or more, got {self.margin_px}")
@@ -303,7 +306,7 @@ class TrainConfig:
     points that do not fit into the caches are read again when they are needed."""
 
     def __post_init__(self) -> None:
-        require(self.points >= 1, f"points: expected at least 1, got {self.points}")
+        require(1 <= self.points <= MAX_POINTS, f"points: expected 1 to {MAX_POINTS}, got {self.points}")
         require(self.smoothing >= 0, f"smoothing: expected 0 or more, got {self.smoothing}")
         require(self.hull_inset >= 0, f"hull_inset: expected 0 or more, got {self.hull_inset}")
         require(1 <= self.layers <= 64, f"layers: expected 1 to 64, got {self.layers}")
