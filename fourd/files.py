@@ -126,7 +126,7 @@ def remove_unfinished_file(target: Path | str) -> None:
         except OSError:
             continue
         try:
-            if _try_lock(descriptor):
+            if try_lock(descriptor) is not False:
                 path.unlink(missing_ok=True)
         finally:
             os.close(descriptor)
@@ -173,24 +173,25 @@ def _create_temporary(target: Path) -> tuple[int, str]:
             dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix
         )
         # Another process may have removed the file before it was locked, because it looked like a leftover.
-        if _try_lock(descriptor) and os.path.exists(name):
+        if try_lock(descriptor) is not False and os.path.exists(name):
             return descriptor, name
         os.close(descriptor)
 
 
-def _try_lock(descriptor: int) -> bool:
-    """Lock an open file until its descriptor is closed. Returns False if another process holds the lock.
+def try_lock(descriptor: int) -> bool | None:
+    """Lock an open file or folder until its descriptor is closed. Returns False if another process holds a lock.
 
-    On Windows, where open files cannot be renamed, and on file systems without locks, nothing is locked.
+    Returns None if nothing is locked: on Windows, where open files cannot be renamed, and on file systems without
+    locks.
     """
     if sys.platform == "win32":
-        return True
+        return None
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
     except OSError:
-        return True
+        return None
     return True
 
 

@@ -212,7 +212,7 @@ class SceneReader:
     """
 
     def __init__(self, path: Location | str) -> None:
-        self.path = parse_location(path) if isinstance(path, str) else path
+        self.path = parse_location(path)
         self._zip = open_zip(self.path)
         self._background: BakedFrame | None = None
         self._lock = Lock()

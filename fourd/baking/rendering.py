@@ -45,7 +45,7 @@ class Scene:
     """
 
     def __init__(self, path: Location | str, *, cache_bytes: int = CACHE_BYTES) -> None:
-        self._reader = open_reader(parse_location(path) if isinstance(path, str) else path)
+        self._reader = open_reader(parse_location(path))
         manifest = self._reader.manifest
         largest = max((manifest.frame_nbytes(index) for index in range(manifest.frame_count)), default=0)
         # ``cache_bytes`` includes the memory of the background, which the reader keeps. The largest frame must fit in

@@ -52,13 +52,13 @@ class StorageUrl:
         return StorageUrl(f"{self.text.rstrip('/')}/{key}")
 
 
-def local_path(location: Path | str, use: str) -> Path:
+def local_path(location: Location | str, use: str) -> Path:
     """Return the path of a file or folder on this machine.
 
     Raises:
         UserError: if the text is a URL of a store. ``use`` says what the caller cannot do with URLs.
     """
-    found = location if isinstance(location, Path) else parse_location(location)
+    found = parse_location(location)
     if isinstance(found, Path):
         return found
     raise UserError(f"{found}: expected a local path to {use}, got a URL; use a path of this machine")
@@ -79,12 +79,14 @@ def is_url(text: str) -> bool:
     return URL.fullmatch(text) is not None
 
 
-def parse_location(text: str) -> Location:
-    """Convert a text to a local path, or to a URL. file:// URLs become local paths.
+def parse_location(text: Location | str) -> Location:
+    """Convert a text to a local path, or to a URL. file:// URLs become local paths. Locations are returned unchanged.
 
     Raises:
         UserError: if the scheme is not supported, or the URL names no bucket.
     """
+    if not isinstance(text, str):
+        return text
     match = URL.fullmatch(text)
     if match is None:
         return Path(text)

@@ -181,9 +181,11 @@ def _is_json(content: bytes) -> bool:
 
 def _without_times(state: bytes) -> bytes:
     """The state of a training without the fields that differ between two equal trainings."""
-    if not _is_json(state):
+    try:
+        fields = json.loads(state)
+    except ValueError:
         return state
-    return json.dumps({name: value for name, value in json.loads(state).items() if name not in STATE_TIMES}).encode()
+    return json.dumps({name: value for name, value in fields.items() if name not in STATE_TIMES}).encode()
 
 
 def _content(path: Path) -> bytes:

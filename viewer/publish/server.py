@@ -6,7 +6,7 @@ import errno
 import os
 import posixpath
 import re
-from contextlib import suppress
+from collections.abc import Mapping
 from dataclasses import dataclass
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -121,15 +121,21 @@ class SiteHandler(BaseHTTPRequestHandler):
 
     def _refuse(self, status: HTTPStatus, headers: dict[str, str] | None = None) -> None:
         content = f"{status.value} {status.phrase}\n".encode()
+        self._send_whole(status, {**(headers or {}), "Content-Type": "text/plain; charset=utf-8"}, content)
+
+    def _send_whole(self, status: HTTPStatus, headers: Mapping[str, str], content: bytes) -> None:
+        """Send a response whose content is in memory."""
         self.send_response(status)
-        for name, value in (headers or {}).items():
+        for name, value in headers.items():
             self.send_header(name, value)
-        self.send_header("Content-Type", "text/plain; charset=utf-8")
-        self.send_header("Content-Length", str(len(content)))
+        if status is not HTTPStatus.NOT_MODIFIED:
+            self.send_header("Content-Length", str(len(content)))
         self.end_headers()
         if self.command != "HEAD":
-            with suppress(OSError):
+            try:
                 self.wfile.write(content)
+            except OSError:
+                self.close_connection = True
 
 
 class SiteServer(ThreadingHTTPServer):

@@ -6,6 +6,7 @@
 
 #include "common/inline.h"
 #include "points/cpu/tiles.h"
+#include "points/front_weight.h"
 #include "points/octahedral.h"
 
 namespace fourd::points::FOURD_SIMD {

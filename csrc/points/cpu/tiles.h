@@ -35,7 +35,7 @@ struct Visits {
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 // The features of a point for draw_surface are its colour, its normal times its weight, its weight (front_weight in
-// points/octahedral.h), and its depth times its weight. They are adjacent in memory, because tiles read the features of
+// points/front_weight.h), and its depth times its weight. They are adjacent in memory, because tiles read the features of
 // scattered points.
 constexpr int kSurfaceFeatures = 8;
 constexpr std::size_t kJoinedPoints = 64;

@@ -107,7 +107,7 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
         raise UserError("--to: expected no --tier and no --max-mbps, got at least one; they are for .4dv files")
     if not 0 <= arguments.degree <= 3:
         raise UserError(f"--degree: expected 0 to 3, got {arguments.degree}")
-    out = local_path(str(arguments.out), "export files for other programs")
+    out = local_path(arguments.out, "export files for other programs")
     if not arguments.source.is_dir() or not (arguments.source / "config.yaml").exists():
         with open_scene(arguments.source) as scene:
             _write(arguments, out, kind, scene, console)

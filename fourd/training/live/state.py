@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from fourd.errors import UserError
-from fourd.files import UNFINISHED
+from fourd.files import UNFINISHED, try_lock
 from fourd.limits import read_json
 from fourd.training.run_layout import LIVE
 
@@ -124,14 +124,10 @@ def _is_locked(folder: Path) -> bool | None:
     except OSError:
         return False
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:
-        return None
+        is_free = try_lock(descriptor)
     finally:
         os.close(descriptor)
-    return False
+    return None if is_free is None else not is_free
 
 
 def _parse(content: Any) -> TrainingState | None:

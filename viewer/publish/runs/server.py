@@ -114,22 +114,16 @@ class RunHandler(SiteHandler):
         self._send(status, "text/plain; charset=utf-8", f"{sentence}\n".encode())
 
     def _send(self, status: HTTPStatus, kind: str, content: bytes, etag: str = "") -> None:
-        self.send_response(status)
+        headers = {
+            "Content-Type": kind,
+            "X-Content-Type-Options": "nosniff",
+            "Cache-Control": "no-cache" if etag else "no-store",
+        }
         if self.close_connection:
-            self.send_header("Connection", "close")
-        self.send_header("Content-Type", kind)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Cache-Control", "no-cache" if etag else "no-store")
+            headers["Connection"] = "close"
         if etag:
-            self.send_header("ETag", etag)
-        if status is not HTTPStatus.NOT_MODIFIED:
-            self.send_header("Content-Length", str(len(content)))
-        self.end_headers()
-        if self.command != "HEAD":
-            try:
-                self.wfile.write(content)
-            except OSError:
-                self.close_connection = True
+            headers["ETag"] = etag
+        self._send_whole(status, headers, content)
 
 
 class RunServer(SiteServer):

@@ -13,6 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from cachetools import LRUCache
 from PIL import Image
 
 from fourd.baking.files.encoding import Tier
@@ -76,7 +77,7 @@ class RunSite:
         self._answers: _Answers | None = None
         self._history = RunHistory(run)
         self._history_of = run
-        self._pictures: dict[tuple[Path, int], bytes] = {}
+        self._pictures: LRUCache[tuple[Path, int], bytes] = LRUCache(MAX_PICTURES)
         self._stopped = threading.Event()
         self._asked = -ASKED_SECONDS
         self._next_bake = 0.0
@@ -110,8 +111,6 @@ class RunSite:
             if found is None:
                 return None
             with self._lock:
-                while len(self._pictures) >= MAX_PICTURES:
-                    del self._pictures[next(iter(self._pictures))]
                 self._pictures[key] = found
         return found
 
