@@ -5,9 +5,10 @@ WERROR ?= OFF
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
-NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*')
+NATIVE := $(shell find csrc -type f -not -path 'csrc/tests/*' -not -path 'csrc/fuzz/*')
 
-.PHONY: help install install-locked demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count fuzz
+.PHONY: help install install-locked demo test test-slow lint docs clean sanitize sanitize-address sanitize-thread count
+.PHONY: fuzz fuzz-readers fuzz-kernels
 
 help:
 	@echo "make demo       synthetic capture -> trained 4D scene -> video, in demo/"
@@ -16,7 +17,7 @@ help:
 	@echo "make lint       ruff, mypy and import-linter"
 	@echo "make docs       the documentation as a site, in build/site/"
 	@echo "make sanitize   the C++ kernels under ASan, UBSan and TSan"
-	@echo "make fuzz       the readers of files, with coverage feedback, for SECONDS=60"
+	@echo "make fuzz       the readers of files, and the kernels if Clang exists, with coverage feedback, for SECONDS=60 each"
 	@echo "make count      the C++ kernels' instructions against those accepted before"
 	@echo "make install-locked  install packages with the hashes in requirements.lock; then use the targets above"
 	@echo "make clean      remove the environment and everything built"
@@ -73,11 +74,17 @@ sanitize-thread: install
 	$(BIN)/cmake --build build/tsan
 	build/tsan/hostile 60
 
-# Fuzz the readers for SECONDS in all. The corpora are in build/fuzz/.
+# Fuzz for SECONDS each. The corpora, which grow, and the inputs that fail are in build/fuzz/.
 SECONDS ?= 60
-fuzz: install
+fuzz: fuzz-readers install
+	$(BIN)/python tools/security/fuzz_kernels.py --seconds $(SECONDS) --optional
+
+fuzz-readers: install
 	$(BIN)/pip install --quiet -c constraints.txt atheris
 	$(BIN)/python -m tests.hostile.fuzz --seconds $(SECONDS)
+
+fuzz-kernels: install
+	$(BIN)/python tools/security/fuzz_kernels.py --seconds $(SECONDS)
 
 count: install
 	PATH=$(abspath $(BIN)):$$PATH $(BIN)/python tools/count_instructions.py

@@ -5,7 +5,9 @@ from images.
 from __future__ import annotations
 
 import shutil
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +16,7 @@ import pytest
 
 from tests.faults.chain import (
     COMMANDS,
+    MAKE,
     Command,
     Outcome,
     Zygote,
@@ -27,6 +30,21 @@ from tests.faults.operations import MODES, Mode
 
 QUICK_FAULTS = 2
 """Number of faults of each kind in the quick test."""
+PAIRS = 4
+"""Number of times that each command runs twice at once."""
+MAX_DELAY = 1.5
+"""Maximum time in seconds between the starts of two commands."""
+READERS = (
+    Command(("eval", "run", "--views", "00"), "run"),
+    Command(("render", "run", "--path", "orbit", "--steps", "2", "-o", "out/images"), "out"),
+    Command(("render", "out/scene.4dv", "--path", "orbit", "--steps", "2", "-o", "out/images"), "out"),
+    Command(("pack", "out/scene.4dv", "-o", "out/packed.4dv"), "out"),
+    Command(("web", "out/scene.4dv", "-o", "out/site"), "out"),
+    Command(("mesh", "capture", "-o", "out/meshes"), "out"),
+    MAKE,
+    Command(("verify", "run"), "run"),
+)
+"""Further commands for the folder in which all of COMMANDS have run."""
 CODES: dict[Mode, tuple[int, ...]] = {
     "full": (0, 2),
     "memory": (0, 2),
@@ -146,3 +164,36 @@ def test_every_fault_loses_nothing(chain: Chain) -> None:
     faults = all_faults(chain)
     print(f"{len(faults)} faults of {sum(len(stage.operations) for stage in chain.stages)} operations")
     run_faults(chain, faults)
+
+
+def run_two(chain: Chain, other: Zygote, command: Command, delay: float) -> str:
+    """Run a command, and the same command ``delay`` seconds later. Returns a description of what is wrong."""
+    with ThreadPoolExecutor() as pool:
+        first = pool.submit(chain.zygote.run, command, chain.root)
+        time.sleep(delay)
+        second = pool.submit(other.run, command, chain.root)
+        outcomes = [first.result(), second.result()]
+    wrong = [message for outcome in outcomes if (message := _wrong_message(command, "full", outcome))]
+    if not wrong and all(outcome.code for outcome in outcomes):
+        wrong = [f"neither ended: {outcome.text[-300:]}" for outcome in outcomes]
+    if leftovers(chain.root):
+        wrong.append(f"left over: {leftovers(chain.root)}")
+    return "; ".join(wrong)
+
+
+@pytest.mark.slow
+def test_two_commands_at_once_lose_nothing(chain: Chain, tmp_path: Path, rng: np.random.Generator) -> None:
+    """Catches commands that use each other's unfinished files, and a second command that ends with a traceback."""
+    wrong = []
+    with Zygote(tmp_path) as other:
+        for stage in chain.stages * PAIRS:
+            restore(stage.before, chain.root)
+            fault = run_two(chain, other, stage.command, float(rng.uniform(0, MAX_DELAY)))
+            is_same = contents(chain.root) == stage.after
+            if fault or not is_same:
+                wrong.append(f"{stage.command.name}: {fault or 'other contents than of one command'}")
+        for command in READERS * PAIRS:
+            fault = run_two(chain, other, command, float(rng.uniform(0, MAX_DELAY)))
+            if fault:
+                wrong.append(f"{command.name}: {fault}")
+    assert not wrong, "\n".join(wrong)

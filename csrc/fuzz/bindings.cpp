@@ -1,0 +1,160 @@
+// Calls the bound functions of fourd._native with arguments from a fuzzer's input (libFuzzer, `make fuzz-kernels`).
+// The functions are called through Python, so that the checks of the bindings are part of the test. A call must end with
+// a result, a ValueError or a MemoryError, without a report of a sanitizer.
+#include <nanobind/nanobind.h>
+#include <nanobind/stl/string.h>
+
+#include <cstdio>
+#include <cstdlib>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "fuzz/arguments.h"
+#include "fuzz/rules.h"
+#include "fuzz/shapes.h"
+#include "fuzz/signature.h"
+
+extern "C" PyObject* PyInit__native();
+
+namespace {
+
+namespace nb = nanobind;
+using namespace fourd::fuzz;
+
+constexpr int kMaxCalls = 3;
+constexpr unsigned kTries = 3000;  // At the start, for each function and each of its rules.
+
+struct Function {
+    std::string name;
+    nb::object callable, owner;  // `owner` is the class of a method.
+    std::vector<Parameter> parameters;
+    std::vector<Rules> rules;
+};
+
+struct State {
+    std::vector<Function> functions;
+    const Function* build_rays = nullptr;
+    const Function* build_discs = nullptr;
+};
+
+State* state = nullptr;  // Never deleted, because Python ends before static objects do.
+
+std::vector<Rules> rules_of(const std::string& name) {
+    std::vector<Rules> out;
+    for (const Shapes& shapes : kShapes) {
+        if (name == shapes.function) out.push_back(parse_rules(shapes.rules));
+    }
+    if (out.empty()) out.emplace_back();
+    return out;
+}
+
+void add_functions(const nb::object& owner, const std::string& prefix, bool is_class) {
+    for (nb::handle key : nb::object(owner.attr("__dict__")).attr("keys")()) {
+        const std::string name = nb::cast<std::string>(nb::str(key));
+        const nb::object value = owner.attr(name.c_str());
+        if (nb::isinstance<nb::type_object>(value)) {
+            add_functions(value, name + ".", true);
+        } else if (nb::hasattr(value, "__nb_signature__") && name[0] != '_') {
+            const nb::object overload = value.attr("__nb_signature__")[0];
+            const std::string signature = nb::cast<std::string>(nb::str(nb::object(overload[0])));
+            Function function{prefix + name, value, is_class ? owner : nb::none(), parse_signature(signature), {}};
+            function.rules = rules_of(function.name);
+            if (!function.parameters.empty()) state->functions.push_back(std::move(function));
+        }
+    }
+}
+
+// Calls a function. The objects that it needs are made by other functions with the same sizes.
+nb::object call(const Function& function, const Rules& rules, Bytes& bytes, Sizes& sizes, int perturbed) {
+    ArgumentMaker maker(bytes, sizes, rules, perturbed);
+    nb::object tree;
+    nb::list arguments;
+    if (!function.owner.is_none()) arguments.append(function.owner());
+    for (const Parameter& parameter : function.parameters) {
+        // The tree of a mesh consists of memory of the kernels, which only build_rays makes.
+        const int part = parameter.name == "nodes" ? 0 : parameter.name == "blocks" ? 1 : -1;
+        if (part >= 0) {
+            if (!tree.is_valid()) tree = call(*state->build_rays, state->build_rays->rules[0], bytes, sizes, -1);
+            arguments.append(tree[part]);
+        } else if (parameter.kind == Kind::object) {
+            arguments.append(call(*state->build_discs, state->build_discs->rules[0], bytes, sizes, -1));
+        } else {
+            arguments.append(maker.make(parameter));
+        }
+    }
+    return function.callable(*arguments);
+}
+
+// Returns whether the arguments were accepted.
+bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
+    try {
+        Sizes sizes(bytes);
+        const unsigned flags = bytes.byte();
+        call(function, rules, bytes, sizes, flags >= 224 ? static_cast<int>(flags % 32) : -1);
+        return true;
+    } catch (const TooLarge&) {
+    } catch (nb::python_error& error) {
+        if (error.matches(PyExc_ValueError) || error.matches(PyExc_MemoryError)) return false;
+        std::fprintf(stderr, "%s: expected a result or a ValueError, got: %s\n", function.name.c_str(), error.what());
+        std::abort();
+    }
+    return false;
+}
+
+// Finds rules that no call fits any more, because the function has changed.
+void check_rules() {
+    for (const Function& function : state->functions) {
+        for (const Rules& rules : function.rules) {
+            unsigned tries = 0;
+            for (bool is_accepted = false; !is_accepted; ++tries) {
+                if (tries == kTries) {
+                    std::fprintf(stderr, "%s: expected arguments that the function accepts, got none in %u tries; correct "
+                                 "the rule in csrc/fuzz/shapes.h\n", function.name.c_str(), kTries);
+                    std::exit(2);
+                }
+                Values values(tries);
+                std::vector<std::uint8_t> content(512);
+                for (std::uint8_t& byte : content) byte = static_cast<std::uint8_t>(values.bits());
+                content[0] = 0;
+                Bytes bytes(content.data(), content.size());
+                is_accepted = try_call(function, rules, bytes);
+            }
+        }
+    }
+}
+
+void start_python() {
+    PyImport_AppendInittab("_native", &PyInit__native);
+    PyConfig config;
+    PyConfig_InitPythonConfig(&config);
+    config.install_signal_handlers = 0;
+    PyConfig_SetBytesString(&config, &config.program_name, FUZZ_PYTHON);
+    const PyStatus status = Py_InitializeFromConfig(&config);
+    PyConfig_Clear(&config);
+    if (PyStatus_Exception(status)) Py_ExitStatusException(status);
+}
+
+}  // namespace
+
+extern "C" int LLVMFuzzerInitialize(int*, char***) {
+    start_python();
+    state = new State;
+    add_functions(nb::module_::import_("_native"), "", false);
+    for (const Function& function : state->functions) {
+        if (function.name == "build_rays") state->build_rays = &function;
+        if (function.name == "build_discs") state->build_discs = &function;
+    }
+    check_rules();
+    std::fprintf(stderr, "%zu functions\n", state->functions.size());
+    return 0;
+}
+
+extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
+    Bytes bytes(data, size);
+    for (int i = 0; i < kMaxCalls && !bytes.is_empty(); ++i) {
+        const Function& function = state->functions[bytes.byte() % state->functions.size()];
+        try_call(function, function.rules[bytes.byte() % function.rules.size()], bytes);
+    }
+    return 0;
+}

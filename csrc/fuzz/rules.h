@@ -1,0 +1,72 @@
+// The rules of shapes.h, parsed and evaluated for one call.
+#pragma once
+
+#include <algorithm>
+#include <cctype>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "fuzz/bytes.h"
+#include "fuzz/signature.h"
+
+namespace fourd::fuzz {
+
+struct Rule {
+    std::vector<std::string> axes;  // Expressions of the free axes. Empty if the axes are independent.
+    std::string length, limit;      // Expressions, or empty.
+};
+
+using Rules = std::map<std::string, Rule>;
+
+inline Rules parse_rules(const std::string& text) {
+    Rules out;
+    for (const std::string& part : split(text, ' ')) {
+        const std::size_t end = part.find_first_of("=*<");
+        Rule& rule = out[part.substr(0, end)];
+        const std::size_t equals = part.find('=');
+        if (part[end] == '<') rule.limit = part.substr(end + 1);
+        if (part[end] == '*') rule.length = part.substr(end + 1, equals - end - 1);
+        if (equals != std::string::npos) rule.axes = split(part.substr(equals + 1), ',');
+    }
+    return out;
+}
+
+// The sizes of one call, by letter. A size is read from the input when it is used first.
+class Sizes {
+  public:
+    explicit Sizes(Bytes& bytes) : bytes_(bytes) {}
+
+    std::size_t of(char letter) {
+        const auto [place, is_new] = sizes_.try_emplace(letter, 0);
+        if (is_new) place->second = bytes_.size();
+        return place->second;
+    }
+
+    // `halvings` is the number of arrays before in the list.
+    std::size_t evaluate(const std::string& expression, std::size_t halvings) {
+        std::size_t sum = 0, product = 1, number = 0;
+        for (std::size_t i = 0; i < expression.size(); ++i) {
+            const char letter = expression[i];
+            if (std::isdigit(static_cast<unsigned char>(letter))) {
+                number = 10 * number + static_cast<std::size_t>(letter - '0');
+                if (i + 1 == expression.size() || !std::isdigit(static_cast<unsigned char>(expression[i + 1]))) {
+                    product *= number, number = 0;
+                }
+            } else if (letter == '+') {
+                sum += product, product = 1;
+            } else if (letter != '>') {
+                const bool is_halved = i + 1 < expression.size() && expression[i + 1] == '>';
+                const std::size_t size = of(letter);
+                product *= is_halved ? std::max<std::size_t>(1, size >> std::min<std::size_t>(halvings, 32)) : size;
+            }
+        }
+        return sum + product;
+    }
+
+  private:
+    Bytes& bytes_;
+    std::map<char, std::size_t> sizes_;
+};
+
+}  // namespace fourd::fuzz

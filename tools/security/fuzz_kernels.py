@@ -1,0 +1,106 @@
+"""Fuzz the kernels' bound functions with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer.
+
+    python tools/security/fuzz_kernels.py --seconds 60
+
+    python tools/security/fuzz_kernels.py --seconds 3600 --keep
+
+libFuzzer is a part of Clang (apt-get install clang). The first call builds csrc/fuzz, which takes some minutes. The
+corpus, which grows, is in build/fuzz/kernels/. An input that crashes, hangs or needs 2 GB is written to
+build/fuzz/kernels-KIND-HASH. Call build/fuzz-native/bindings with this file to repeat the crash.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+
+from fourd.files import write_text_atomically
+
+ROOT = Path(__file__).resolve().parents[2]
+STORED = ROOT / "csrc" / "fuzz" / "corpus.txt"
+"""The smallest inputs that were found to reach all code. A line is one input in hexadecimal digits."""
+FOLDER = ROOT / "build" / "fuzz"
+COMPILERS = ("clang++", *(f"clang++-{version}" for version in range(24, 13, -1)))
+MAX_BYTES = 512
+"""Maximum size in bytes of an input."""
+OPTIONS = (f"-max_len={MAX_BYTES}", "-timeout=30", "-rss_limit_mb=2048", "-detect_leaks=0", "-print_final_stats=1")
+"""Options of libFuzzer. Leaks are not reported, because Python keeps memory until the process ends."""
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """Build the fuzzer and run it."""
+
+    seconds: int = 60
+    """Time in seconds, without the time of the build."""
+    keep: bool = False
+    """Afterwards, replace csrc/fuzz/corpus.txt by the smallest inputs that reach all code reached now."""
+    optional: bool = False
+    """Only print a note, and do not fail, if there is no Clang."""
+
+
+def main(arguments: Arguments) -> int:
+    """Return the exit code: 0 if no input failed."""
+    compiler = next((found for name in COMPILERS if (found := shutil.which(name))), None)
+    if compiler is None:
+        print("fuzz_kernels: expected clang++, got none, so no kernel was fuzzed; install clang", file=sys.stderr)
+        return 0 if arguments.optional else 2
+    program = build(compiler, ROOT / "build" / "fuzz-native")
+    corpus = FOLDER / "kernels"
+    corpus.mkdir(parents=True, exist_ok=True)
+    for number, content in enumerate(read_corpus(STORED)):
+        (corpus / f"stored-{number:05d}").write_bytes(content)
+    code = fuzz(
+        program, [f"-max_total_time={arguments.seconds}", f"-artifact_prefix={FOLDER / 'kernels'}-", str(corpus)]
+    )
+    if code == 0 and arguments.keep:
+        smallest = FOLDER / "kernels-merged"
+        shutil.rmtree(smallest, ignore_errors=True)
+        smallest.mkdir()
+        code = fuzz(program, ["-merge=1", str(smallest), str(corpus)])
+        write_corpus(STORED, [path.read_bytes() for path in smallest.iterdir()])
+    return 2 if code else 0
+
+
+def build(compiler: str, folder: Path) -> Path:
+    """Build the program `bindings` and return its path."""
+    nanobind = subprocess.run(
+        [sys.executable, "-m", "nanobind", "--cmake_dir"], check=True, capture_output=True, text=True
+    ).stdout.strip()
+    cmake = shutil.which("cmake", path=str(Path(sys.executable).parent)) or "cmake"
+    options = [
+        f"-DCMAKE_CXX_COMPILER={compiler}",
+        f"-DPython_EXECUTABLE={sys.executable}",
+        f"-Dnanobind_DIR={nanobind}",
+    ]
+    source = str(ROOT / "csrc" / "fuzz")
+    subprocess.run([cmake, "-S", source, "-B", str(folder), "-G", "Unix Makefiles", *options], check=True)
+    subprocess.run([cmake, "--build", str(folder), "--parallel", "2"], check=True)
+    return folder / "bindings"
+
+
+def fuzz(program: Path, words: Sequence[str]) -> int:
+    return subprocess.run([str(program), *OPTIONS, *words], check=False).returncode
+
+
+def read_corpus(path: Path) -> list[bytes]:
+    """The inputs in a file with one input per line. Lines that start with # are comments."""
+    lines = path.read_text().splitlines() if path.exists() else []
+    return [bytes.fromhex(line) for line in lines if not line.startswith("#")]
+
+
+def write_corpus(path: Path, inputs: Sequence[bytes]) -> None:
+    lines = sorted((content.hex() for content in inputs), key=lambda line: (len(line), line))
+    write_text_atomically(
+        path, "# Inputs of csrc/fuzz, by tools/security/fuzz_kernels.py --keep\n" + "\n".join(lines) + "\n"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Arguments, description=__doc__)))
