@@ -62,6 +62,19 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 
+// Whether the pair and the triangle of the owner exist. Both always exist for the codes that analyse() finds. The bindings
+// cannot check codes that a caller passes to the backward kernels.
+FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code code) {
+    if (pair.axis == 0 ? pair.column + 1 >= view.width : pair.row + 1 >= view.height) return false;
+    const std::size_t first = view.pixel(pair.row, pair.column);
+    const Mesh& mesh = view.plan.mesh;
+    const int triangle =
+        triangle_at(mesh, view.rast(owner_is_neighbour(code, pair.axis) ? view.neighbour(first, pair.axis) : first));
+    if (triangle == kNoTriangle) return false;
+    const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
+    return mesh.has(of[0]) && mesh.has(of[1]) && mesh.has(of[2]);
+}
+
 // A crossing, the pixel that it changes, and the pixel whose colour is blended in.
 struct Blend {
     Crossing crossing;

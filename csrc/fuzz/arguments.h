@@ -19,6 +19,8 @@ namespace nb = nanobind;
 
 constexpr std::size_t kMaxElements = 1 << 16;  // Of one array, so that a call takes milliseconds.
 
+constexpr std::size_t kHatchSpacing = 28;  // Index in stylize::Numbers. It is at least 1, and the others may be less.
+
 // Thrown if the sizes of a call are too large.
 struct TooLarge {};
 
@@ -118,7 +120,9 @@ class ArgumentMaker {
         const long limit = rule.limit.empty() ? 9 : static_cast<long>(sizes_.evaluate(rule.limit, 0));
         for (std::size_t i = 0; i < count; ++i) {
             if (parameter.dtype == "float32") {
-                reinterpret_cast<float*>(data)[i] = static_cast<float>(real(values, mode));
+                const bool is_style = parameter.name == "numbers" && mode < 4;
+                const double value = is_style ? values.uniform(0, 1) + (i == kHatchSpacing) : real(values, mode);
+                reinterpret_cast<float*>(data)[i] = static_cast<float>(value);
             } else if (parameter.dtype == "float64") {
                 reinterpret_cast<double*>(data)[i] = real(values, mode);
             } else if (parameter.dtype == "int32") {

@@ -45,6 +45,11 @@ struct AntialiasInputs {
         codes.resize(pixels);
     }
 
+    // Replaces the codes by bytes that antialias::blend() does not write.
+    void invent_codes(Random& random) {
+        for (std::uint8_t& code : codes) code = static_cast<std::uint8_t>(random_int(random, 0, 255));
+    }
+
     antialias::Gradients gradients() {
         return {gradient.data(), codes.data(), 2.0f, to_colours.data(), to_positions.data()};
     }

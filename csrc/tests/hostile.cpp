@@ -219,6 +219,8 @@ void run_antialias(unsigned seed, const char* simd) {
     fourd::antialias::blend(inputs.mesh, inputs.images, settings, inputs.out.data(), inputs.codes.data());
     fourd::antialias::blend_backward(inputs.mesh, inputs.images, settings, inputs.gradients());
     inputs.expect_finite_results(seed);
+    inputs.invent_codes(random);
+    fourd::antialias::blend_backward(inputs.mesh, inputs.images, settings, inputs.gradients());
 }
 
 void run_edge_gradients(unsigned seed, const char* simd) {

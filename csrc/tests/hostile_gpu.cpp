@@ -152,6 +152,8 @@ void run_antialias(unsigned seed) {
                                   nullptr);
     fourd::antialias::cuda::blend_backward(inputs.mesh, inputs.images, inputs.gradients(), nullptr);
     inputs.expect_finite_results(seed);
+    inputs.invent_codes(random);
+    fourd::antialias::cuda::blend_backward(inputs.mesh, inputs.images, inputs.gradients(), nullptr);
 }
 
 void run_edge_gradients(unsigned seed) {

@@ -90,11 +90,22 @@ struct TextureArguments {
         return out;
     }
 
-    // The shapes of level 0 and of the mip levels that are built from level 0.
-    static std::vector<Extents> chain_extents(const Level& base, const std::vector<LevelOut>& mips) {
-        std::vector<Extents> out = extents_of(mips);
-        out.insert(out.begin(), extents_of(std::vector<Level>{base})[0]);
+    // Checks the shapes of level 0 and of the mip levels that are built from level 0, and returns them as one Shape.
+    static texture::Shape shape_of_chain(const Level& base, const std::vector<LevelOut>& mips) {
+        std::vector<Extents> extents = extents_of(mips);
+        extents.insert(extents.begin(), extents_of(std::vector<Level>{base})[0]);
+        const texture::Shape out = shape_of(extents);
+        require_chain(out);
         return out;
+    }
+
+    // The kernels that build mip levels compute each texel from two texels of an axis.
+    static void require_chain(const texture::Shape& shape) {
+        for (int level = 0; level + 1 < shape.level_count; ++level) {
+            for (const int side : {texture::side_at(shape.height, level), texture::side_at(shape.width, level)}) {
+                require(side == 1 || side % 2 == 0, "levels: expected even sides in every level before the last");
+            }
+        }
     }
 
     // Checks the shapes of the levels of a texture, and returns them as one Shape.

@@ -34,6 +34,7 @@ void sample_texture_backward(const std::vector<Arguments::Level>& levels, const 
     const Arguments arguments(levels, uv, uv_da, bias, filter, boundary, clamp_threads(threads),
                               simd_named(simd.c_str()));
     arguments.require_picture(gradient, "gradient: unexpected shape");
+    if (is_chain) Arguments::require_chain(arguments.query.texture.shape);
     const texture::Gradients out = arguments.gradients(out_levels, out_uv, out_uv_da, out_bias);
     nb::gil_scoped_release release;
     texture::sample_backward(arguments.query, gradient.data(), is_chain, out);
@@ -41,7 +42,7 @@ void sample_texture_backward(const std::vector<Arguments::Level>& levels, const 
 
 void build_mips(const Arguments::Level& texture, int threads, const std::string& simd,
                 const std::vector<Arguments::LevelOut>& out) {
-    const texture::Shape shape = Arguments::shape_of(Arguments::chain_extents(texture, out));
+    const texture::Shape shape = Arguments::shape_of_chain(texture, out);
     std::vector<float*> mips;
     for (const Arguments::LevelOut& level : out) mips.push_back(level.data());
     const int team = clamp_threads(threads);

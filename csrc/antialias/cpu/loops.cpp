@@ -116,7 +116,13 @@ void blend_backward(const Plan& plan, const Rows& rows, const Gradients& gradien
         for_nonzero(codes, view.width, [&](int column) FOURD_INLINE_LAMBDA {
             for (int axis = own ? 0 : 1; axis < 2; ++axis) {
                 if (edge_of(codes[column], axis) == 0) continue;
-                const Blend blend(view, {row, column, axis}, codes[column]);
+                const Pair pair{row, column, axis};
+                if (!has_owner(view, pair, codes[column])) {
+                    // count() counts these codes, too.
+                    if (own && contributions) *contributions++ = {0, 0, 0, 0}, *contributions++ = {0, 0, 0, 0};
+                    continue;
+                }
+                const Blend blend(view, pair, codes[column]);
                 if (gradients.colours) move_gradient(view, blend, begin, end, gradients);
                 if (!own || !contributions) continue;
                 contribute(view, blend, gradients, contributions);

@@ -34,7 +34,7 @@ FOURD_DEVICE static inline void for_crossings(const View& view, const Place& pla
     for (const Pair& pair : pairs) {
         if (pair.row < 0 || pair.column < 0) continue;
         const Code code = codes[view.pixel(pair.row, pair.column)];
-        if (edge_of(code, pair.axis) != 0) body(Blend(view, pair, code));
+        if (edge_of(code, pair.axis) != 0 && has_owner(view, pair, code)) body(Blend(view, pair, code));
     }
 }
 
@@ -87,8 +87,9 @@ struct BlendPositionsBackward {
         const Place place(plan.images, index);
         const View view(plan, place.image);
         for (int axis = 0; axis < 2; ++axis) {
-            if (edge_of(code, axis) == 0) continue;
-            const Blend blend(view, {place.row, place.column, axis}, code);
+            const Pair pair{place.row, place.column, axis};
+            if (edge_of(code, axis) == 0 || !has_owner(view, pair, code)) continue;
+            const Blend blend(view, pair, code);
             if (!blend.crossing.differentiable) continue;
             const float factor = crossing_gradient(view, blend, gradients.gradient) * gradients.boost;
             for (int k = 0; k < 2; ++k) {

@@ -33,12 +33,13 @@ void sample_texture_backward(const std::vector<Arguments::Level>& levels, const 
                              const std::optional<Arguments::BiasOut>& out_bias) {
     const Arguments arguments(levels, uv, uv_da, bias, filter, boundary, 1, Simd::baseline);
     arguments.require_picture(gradient, "gradient: unexpected shape");
+    if (is_chain) Arguments::require_chain(arguments.query.texture.shape);
     texture::cuda::sample_backward(arguments.query, gradient.data(), is_chain,
                                    arguments.gradients(out_levels, out_uv, out_uv_da, out_bias), stream_of(stream));
 }
 
 void build_mips(const Arguments::Level& texture, std::uintptr_t stream, const std::vector<Arguments::LevelOut>& out) {
-    const texture::Shape shape = Arguments::shape_of(Arguments::chain_extents(texture, out));
+    const texture::Shape shape = Arguments::shape_of_chain(texture, out);
     std::vector<float*> mips;
     for (const Arguments::LevelOut& level : out) mips.push_back(level.data());
     texture::cuda::build_mips(shape, texture.data(), mips.data(), stream_of(stream));

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
 
+from fourd.ops.loading import load_native
 from fourd.raster.triangles import texture, texture_construct_mip
 
 TEX = torch.zeros(1, 8, 8, 3)
@@ -72,3 +74,10 @@ def test_faces_must_be_square() -> None:
     """Catches faces whose sides differ, which have no common edges."""
     with pytest.raises(ValueError, match=r"tex: expected square faces \(B, 6, N, N, C\), got \(1, 6, 4, 8, 3\)"):
         texture_construct_mip(torch.zeros(1, 6, 4, 8, 3), cube_mode=True)
+
+
+def test_the_binding_refuses_chains_with_odd_sides() -> None:
+    """Catches mip levels that are written past the end of their array, if a caller does not use fourd.raster."""
+    fine, coarse = np.zeros((1, 1, 2, 3, 2), np.float32), np.zeros((1, 1, 1, 1, 2), np.float32)
+    with pytest.raises(ValueError, match="expected even sides in every level before the last"):
+        load_native().build_mips(fine, 1, "baseline", [coarse])
