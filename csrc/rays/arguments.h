@@ -81,8 +81,7 @@ struct RayArguments {
 
     static rays::Hits hits(std::size_t count, const GridOut& t, const GridOut& u, const GridOut& v,
                            const IndexGridOut& triangle) {
-        const std::size_t layers = t.shape(1);
-        require(layers >= 1 && layers <= 1 << 20, "layers: expected 1 to 2^20");
+        const std::size_t layers = layers_of(t);
         for (const GridOut* const array : {&t, &u, &v}) {
             require(array->shape(0) == count && array->shape(1) == layers, "hits: unexpected shape");
         }
@@ -95,11 +94,10 @@ struct RayArguments {
                                         const Grid& to_t, const Grid& to_u, const Grid& to_v, int threads,
                                         const PositionsOut& to_xyz, const PositionsOut& to_origins,
                                         const PositionsOut& to_directions) {
-        const std::size_t count = origins.shape(0), layers = t.shape(1);
+        const std::size_t count = origins.shape(0), layers = layers_of(t);
         require(directions.shape(0) == count && to_origins.shape(0) == count && to_directions.shape(0) == count &&
                     to_xyz.shape(0) == xyz.shape(0),
                 "gradients: unexpected shape");
-        require(layers <= 1 << 20, "layers: expected at most 2^20");
         for (const Grid* const array : {&t, &u, &v, &to_t, &to_u, &to_v}) {
             require(array->shape(0) == count && array->shape(1) == layers, "hits: unexpected shape");
         }
@@ -107,6 +105,13 @@ struct RayArguments {
         return {origins.data(), directions.data(), count, static_cast<int>(layers), t.data(), u.data(), v.data(),
                 triangle.data(), to_t.data(), to_u.data(), to_v.data(), to_xyz.data(), to_origins.data(),
                 to_directions.data(), threads};
+    }
+
+  private:
+    template <typename Hits>
+    static std::size_t layers_of(const Hits& t) {
+        require(t.shape(1) >= 1 && t.shape(1) <= 1 << 20, "layers: expected 1 to 2^20");
+        return t.shape(1);
     }
 };
 

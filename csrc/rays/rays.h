@@ -9,6 +9,8 @@
 #include <cstdint>
 
 #include "common/buffer.h"
+#include "common/host_device.h"
+#include "common/inline.h"
 #include "common/simd.h"
 
 namespace fourd::rays {
@@ -32,8 +34,18 @@ struct alignas(64) Block {
 struct Mesh {
     const float* xyz;  // (vertices, 3).
     std::size_t vertices;
-    const std::int32_t* tri;  // (triangles, 3), each below `vertices`.
+    const std::int32_t* tri;  // (triangles, 3). A triangle with a vertex that does not exist is never hit.
     std::size_t triangles;
+
+    // Writes the three vertices of a triangle. Returns false if the triangle or one of its vertices does not exist.
+    FOURD_HD FOURD_INLINE bool find(std::int32_t triangle, std::size_t* corners) const {
+        if (triangle < 0 || static_cast<std::size_t>(triangle) >= triangles) return false;
+        for (std::size_t k = 0; k < 3; ++k) {
+            corners[k] = static_cast<std::uint32_t>(tri[3 * static_cast<std::size_t>(triangle) + k]);
+            if (corners[k] >= vertices) return false;
+        }
+        return true;
+    }
 };
 
 struct Tree {

@@ -282,6 +282,8 @@ void run_rays(unsigned seed, const char* simd) {
     }
     expect_finite(inputs.u, "barycentric weights", seed);
     expect_finite(inputs.v, "barycentric weights", seed);
+    inputs.invent_hits(random);
+    fourd::rays::trace_backward(inputs.mesh(), inputs.gradients());
     const float hostile = seed % 2 ? 0.1f : 0.0f;
     expect_finite(inputs.composite_discs(random, hostile, fourd::rays::composite_discs), "picture of discs", seed);
 }

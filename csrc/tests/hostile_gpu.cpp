@@ -226,6 +226,8 @@ void run_rays(unsigned seed) {
     fourd::rays::cuda::occluded(inputs.view(tree), inputs.query, inputs.flags.data(), nullptr);
     fourd::rays::cuda::trace_backward(inputs.mesh(), inputs.gradients(), nullptr);
     expect_finite(inputs.u, "barycentric weights", seed);
+    inputs.invent_hits(random);
+    fourd::rays::cuda::trace_backward(inputs.mesh(), inputs.gradients(), nullptr);
     const auto composite = [](const auto&... arguments) { fourd::rays::cuda::composite_discs(arguments..., nullptr); };
     expect_finite(inputs.composite_discs(random, hostile, composite), "picture of discs", seed);
 }

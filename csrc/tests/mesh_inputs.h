@@ -86,7 +86,8 @@ struct RayInputs {
         const std::size_t count = random_int(random, 0, 200);
         layers = random_int(random, 1, 9);
         xyz = random_floats(random, 3 * static_cast<std::size_t>(vertices), -1, 1, hostile);
-        for (int i = 0; i < 3 * triangles; ++i) tri.push_back(random_int(random, 0, vertices - 1));
+        const int outside = hostile > 0 ? 1 : 0;  // Whether triangles have vertices that do not exist.
+        for (int i = 0; i < 3 * triangles; ++i) tri.push_back(random_int(random, -outside, vertices - 1 + outside));
         origins = random_floats(random, 3 * count, -2, 2, hostile);
         directions = random_floats(random, 3 * count, -1, 1, hostile);
         limits = random_floats(random, 2 * count + 1, -2, 4, hostile);
@@ -111,6 +112,11 @@ struct RayInputs {
         return {origins.data(), directions.data(), query.count, layers, t.data(), u.data(), v.data(), triangle.data(),
                 to_hits.data(), to_hits.data(), to_hits.data(), to_xyz.data(), to_origins.data(), to_directions.data(),
                 query.threads};
+    }
+
+    // Replaces the triangles of the hits by indices that trace() does not write.
+    void invent_hits(Random& random) {
+        for (std::int32_t& index : triangle) index = random_int(random, -2, static_cast<int>(tri.size()));
     }
 
     // Composites discs at the vertices, with radii and densities that may be invalid. Returns the picture.

@@ -37,10 +37,9 @@ void trace_backward(const Mesh& mesh, const HitGradients& gradients) {
             for (std::size_t hit = ray * layers; hit < (ray + 1) * layers; ++hit) {
                 float* const y = per_hit.data() + 3 * hit;
                 y[0] = y[1] = y[2] = 0.0f;
-                const std::int32_t triangle = gradients.triangle[hit];
-                if (triangle < 0) continue;
-                const std::int32_t* const at = mesh.tri + 3 * static_cast<std::size_t>(triangle);
-                const auto corner = [&](int k) { return mesh.xyz + 3 * static_cast<std::size_t>(at[k]); };
+                std::size_t at[3];
+                if (!mesh.find(gradients.triangle[hit], at)) continue;
+                const auto corner = [&](int k) { return mesh.xyz + 3 * at[k]; };
                 hit_gradient(gradients.directions + 3 * ray, corner(0), corner(1), corner(2), gradients.to_t[hit],
                              gradients.to_u[hit], gradients.to_v[hit], y);
                 for (int i = 0; i < 3; ++i) {
@@ -54,11 +53,11 @@ void trace_backward(const Mesh& mesh, const HitGradients& gradients) {
     });
     std::fill_n(gradients.xyz, 3 * mesh.vertices, 0.0f);
     for (std::size_t hit = 0; hit < hits; ++hit) {
-        const std::int32_t triangle = gradients.triangle[hit];
-        if (triangle < 0) continue;
+        std::size_t at[3];
+        if (!mesh.find(gradients.triangle[hit], at)) continue;
         const float u = gradients.u[hit], v = gradients.v[hit], weights[3] = {u, v, (1.0f - u) - v};
         for (std::size_t k = 0; k < 3; ++k) {
-            float* const to = gradients.xyz + 3 * static_cast<std::size_t>(mesh.tri[3 * static_cast<std::size_t>(triangle) + k]);
+            float* const to = gradients.xyz + 3 * at[k];
             for (std::size_t i = 0; i < 3; ++i) to[i] -= weights[k] * per_hit[3 * hit + i];
         }
     }

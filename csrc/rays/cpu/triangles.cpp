@@ -25,9 +25,10 @@ Buffer<Reference> references_of(const Mesh& mesh, Team& team) {
             Reference& reference = out[i];
             reference.box = kEmptyBox;
             reference.index = static_cast<std::int32_t>(i);
-            bool is_valid = true;
-            for (std::size_t k = 0; k < 3; ++k) {
-                const float* const at = mesh.xyz + 3 * static_cast<std::size_t>(mesh.tri[3 * i + k]);
+            std::size_t corners[3];
+            bool is_valid = mesh.find(reference.index, corners);
+            for (std::size_t k = 0; is_valid && k < 3; ++k) {
+                const float* const at = mesh.xyz + 3 * corners[k];
                 for (int axis = 0; axis < 3; ++axis) is_valid = is_valid && absolute(at[axis]) <= kMaxMagnitude;
                 extend(&reference.box, at);
             }
@@ -42,15 +43,15 @@ LeafBox move_block(const Mesh& mesh, Block* block) {
     LeafBox box = kEmptyLeafBox;
     for (int lane = 0; lane < kWidth; ++lane) {
         const std::int32_t triangle = block->triangle[lane];
-        const float* at[3] = {nullptr, nullptr, nullptr};
-        bool is_valid = triangle >= 0;
+        std::size_t corners[3] = {0, 0, 0};
+        bool is_valid = mesh.find(triangle, corners);
         for (std::size_t k = 0; is_valid && k < 3; ++k) {
-            at[k] = mesh.xyz + 3 * static_cast<std::size_t>(mesh.tri[3 * static_cast<std::size_t>(triangle) + k]);
-            for (int axis = 0; axis < 3; ++axis) is_valid = is_valid && absolute(at[k][axis]) <= kMaxMagnitude;
+            const float* const at = mesh.xyz + 3 * corners[k];
+            for (int axis = 0; axis < 3; ++axis) is_valid = is_valid && absolute(at[axis]) <= kMaxMagnitude;
         }
         for (int k = 0; k < 3; ++k) {
             for (int axis = 0; axis < 3; ++axis) {
-                const float value = is_valid ? at[k][axis] : __builtin_nanf("");
+                const float value = is_valid ? mesh.xyz[3 * corners[k] + axis] : __builtin_nanf("");
                 block->corner[k][axis][lane] = value;
                 if (value < box.bounds[2 * axis]) box.bounds[2 * axis] = value;
                 if (value > box.bounds[2 * axis + 1]) box.bounds[2 * axis + 1] = value;

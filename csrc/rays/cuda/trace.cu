@@ -75,13 +75,8 @@ struct Backward {
         const std::size_t layers = static_cast<std::size_t>(gradients.layers);
         float to_origin[3] = {0.0f, 0.0f, 0.0f}, to_direction[3] = {0.0f, 0.0f, 0.0f};
         for (std::size_t hit = ray * layers; hit < (ray + 1) * layers; ++hit) {
-            const std::int32_t triangle = gradients.triangle[hit];
-            if (triangle < 0 || static_cast<std::size_t>(triangle) >= mesh.triangles) continue;
             std::size_t at[3];
-            for (std::size_t k = 0; k < 3; ++k) {
-                at[k] = static_cast<std::uint32_t>(mesh.tri[3 * static_cast<std::size_t>(triangle) + k]);
-                if (at[k] >= mesh.vertices) return;
-            }
+            if (!mesh.find(gradients.triangle[hit], at)) continue;
             float y[3];
             hit_gradient(gradients.directions + 3 * ray, mesh.xyz + 3 * at[0], mesh.xyz + 3 * at[1],
                          mesh.xyz + 3 * at[2], gradients.to_t[hit], gradients.to_u[hit], gradients.to_v[hit], y);

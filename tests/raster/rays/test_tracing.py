@@ -290,6 +290,23 @@ def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
         visibility(bvh, *rays, margin=0.7)
 
 
+def test_the_bindings_check_arguments() -> None:
+    """Catches a division by zero and reads past the end of arrays, if a caller does not use fourd.raster."""
+    native, rays, xyz = load_native(), np.ones((4, 3), np.float32), np.ones((3, 3), np.float32)
+    tri = np.array([[0, 1, 2], [0, 1, 3], [-1, 1, 2]], np.int32)
+    none, outputs = np.zeros((4, 0), np.float32), (np.zeros_like(xyz), np.zeros_like(rays), np.zeros_like(rays))
+    with pytest.raises(ValueError, match=r"layers: expected 1 to 2\^20"):
+        native.trace_rays_backward(
+            xyz, tri, rays, rays, none, none, none, none.astype(np.int32), none, none, none, 1, *outputs
+        )
+    hits = np.ones((4, 1), np.float32)
+    triangle = np.array([[1], [2], [3], [2**31 - 1]], np.int32)
+    native.trace_rays_backward(xyz, tri, rays, rays, hits, hits, hits, triangle, hits, hits, hits, 1, *outputs)
+    assert not any(out.any() for out in outputs)
+    nodes, blocks, _ = native.build_rays(xyz, tri, 1)
+    assert np.isfinite(native.rays_cost(nodes, blocks))
+
+
 def test_the_operator_passes_opcheck(rng: np.random.Generator) -> None:
     """Catches a fake implementation that returns wrong shapes, and gradients that torch.compile cannot use."""
     xyz, tri = random_soup(rng, 20)
