@@ -194,7 +194,7 @@ def _bake_points(
     evaluated = model.evaluate(
         points.xyz, points.spacing, time, explicit_sh=parameters.get("sh"), rgb=parameters.get("rgb")
     )
-    sh = model.harmonics(evaluated)
+    sh = model.harmonics(evaluated, is_training=False)
     weights, rgb = _bake_blending(model, evaluated, sources, get_source_view)
     count = evaluated.xyz.shape[0]
     return BakedFrame(

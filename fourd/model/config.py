@@ -56,6 +56,11 @@ class ModelConfig:
     `explicit`, training optimises 48 coefficients for each point of each frame."""
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH when it is added to the image-based colour."""
+    high_sh_share: float = 0.6
+    """Factor on the SH coefficients of degrees 2 and 3 in rendered and exported scenes, from 0 to 1. Training uses the
+    whole coefficients. With `appearance: both`, these coefficients mainly correct errors that the image-based colours
+    have in single training views. New views have other errors, so that smaller coefficients give a higher PSNR. With
+    `appearance: sh`, this key has no effect, because the whole colour comes from SH."""
     own_colour: float = 0.6
     """Share of the own colour of a point in the point's image-based colour, at least 0 and less than 1. Each point of
     each frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a
@@ -97,3 +102,4 @@ class ModelConfig:
         )
         require(0 <= self.own_colour < 1, f"own_colour: expected 0 or more, and less than 1, got {self.own_colour}")
         require(self.sh_range > 0, f"sh_range: expected more than 0, got {self.sh_range}")
+        require(0 <= self.high_sh_share <= 1, f"high_sh_share: expected 0 to 1, got {self.high_sh_share}")

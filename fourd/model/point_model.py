@@ -18,8 +18,11 @@ from fourd.model.residual import ResidualField
 from fourd.model.shadow import Shadow, ShadowField
 from fourd.model.shared_linear import shared_linear
 from fourd.model.sources import OCCLUSION_FALLOFF_SPACINGS, SourceSamples, SourceViews, sample_sources
+from fourd.model.spherical_harmonics import SH_TERMS
 
 RGB = 3
+LOW_SH_TERMS = 4
+"""Number of SH basis functions of degrees 0 and 1."""
 
 
 @dataclass(frozen=True)
@@ -170,6 +173,7 @@ class PointModel(nn.Module):
         *,
         shadow: Shadow | None = None,
         train_encoder: bool = True,
+        is_training: bool = True,
     ) -> Tensor:
         """RGB (N, 3) of points as seen from ``viewer``, not clamped (4K4D, eq. 2).
 
@@ -181,6 +185,8 @@ class PointModel(nn.Module):
                 as bytes.
             train_encoder: whether the image encoder gets a gradient. Without this gradient, a training step takes a
                 third less time than with it.
+            is_training: whether the colours are those of a training step. Otherwise, the SH coefficients are those of
+                an exported scene; see :meth:`harmonics`.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:
@@ -194,7 +200,7 @@ class PointModel(nn.Module):
             colours = mix_own_colours(samples.colours, samples.visibility, points.rgb, self.config.own_colour)
             colour = blend(logits, samples.visibility, colours, sources.weights)
             colour = colour if shadow is None else shadow.apply(colour)
-        sh = self.harmonics(points)
+        sh = self.harmonics(points, is_training=is_training)
         if sh is not None:
             part = harmonics_colour(sh, unit_directions(points.xyz, viewer), self.sh_range, self.sh_base)
             part = part if shadow is None else shadow.detach_inside(part)
@@ -215,16 +221,24 @@ class PointModel(nn.Module):
         model has no image-based colour."""
         return None if self.image_encoder is None else self.image_encoder(images)
 
-    def harmonics(self, points: EvaluatedPoints) -> Tensor | None:
+    def harmonics(self, points: EvaluatedPoints, *, is_training: bool) -> Tensor | None:
         """SH coefficients (N, 3, 16) of the points, from the MLP or from ``explicit_sh``. The result is None if the
-        model uses no SH."""
+        model uses no SH.
+
+        Outside training, ``high_sh_share`` multiplies the coefficients of degrees 2 and 3, unless the model uses only
+        SH.
+        """
         if self.config.appearance == "ibr":
             return None
         if self.harmonics_head is not None:
             assert points.features.harmonics is not None
-            return self.harmonics_head(points.features.harmonics)
-        assert points.explicit_sh is not None, "explicit spherical harmonics must be passed with the points"
-        return points.explicit_sh.reshape(-1, 3, 16)
+            sh = self.harmonics_head(points.features.harmonics)
+        else:
+            assert points.explicit_sh is not None, "explicit spherical harmonics must be passed with the points"
+            sh = points.explicit_sh.reshape(-1, 3, SH_TERMS)
+        if is_training or self.config.appearance == "sh":
+            return sh
+        return torch.cat([sh[..., :LOW_SH_TERMS], self.config.high_sh_share * sh[..., LOW_SH_TERMS:]], dim=-1)
 
     def blend_logits(
         self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None

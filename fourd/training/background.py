@@ -59,6 +59,7 @@ def create_background(
             sh="mlp",
             continuous=False,
             own_colour=0.0,
+            high_sh_share=1.0,
         ),
         centre - contraction.radius,
         centre + contraction.radius,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -218,3 +219,20 @@ def test_only_continuous_blending_depends_on_the_viewer() -> None:
         evaluated = built.evaluate(xyz, torch.full((20,), 0.02), 0.1)
         first, second = (built.colour(evaluated, viewer, sources) for viewer in ring(5)[1:3])
         assert torch.equal(first, second) is not continuous
+
+
+@pytest.mark.parametrize(("appearance", "share"), [("both", 0.5), ("sh", 1.0)])
+def test_rendered_colours_have_a_share_of_the_high_sh_degrees(appearance: Literal["both", "sh"], share: float) -> None:
+    """Catches a share that changes training or the degrees 0 and 1, and a share that changes models whose whole colour
+    comes from SH."""
+    built = model(replace(SMALL, appearance=appearance, sh="explicit", high_sh_share=0.5))
+    explicit = torch.randn(20, 48, generator=torch.Generator().manual_seed(8))
+    evaluated = built.evaluate(points(), torch.full((20,), 0.02), 0.4, explicit_sh=explicit)
+    assert torch.equal(built.harmonics(evaluated, is_training=True), explicit.reshape(20, 3, 16))
+    rendered = built.harmonics(evaluated, is_training=False)
+    assert torch.equal(rendered[..., :4], explicit.reshape(20, 3, 16)[..., :4])
+    assert torch.equal(rendered[..., 4:], share * explicit.reshape(20, 3, 16)[..., 4:])
+    sources, viewer = None if appearance == "sh" else views(), ring(7)[1]
+    shrunk = replace(evaluated, explicit_sh=rendered.reshape(20, 48))
+    expected = built.colour(shrunk, viewer, sources)
+    torch.testing.assert_close(built.colour(evaluated, viewer, sources, is_training=False), expected)

@@ -133,7 +133,8 @@ class FullScene:
             shadow = None
             if model.shadow is not None and shadow_time is not None:
                 shadow = model.shadow(evaluated.xyz, shadow_time)
-            return RenderablePoints.of(evaluated, model.colour(evaluated, camera, plates, shadow=shadow))
+            colour = model.colour(evaluated, camera, plates, shadow=shadow, is_training=False)
+            return RenderablePoints.of(evaluated, colour)
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
         return (view.rgb / np.float32(255)).astype(np.float32)

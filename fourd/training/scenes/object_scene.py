@@ -108,7 +108,7 @@ class ObjectScene:
             if self.model.config.appearance != "sh":
                 selected = self.views.sources(sources.indices, frame).weighted(sources.weights)
                 views = with_surface_depth(selected, evaluated, self.model.config.occlusion)
-            return [RenderablePoints.of(evaluated, self.model.colour(evaluated, camera, views))]
+            return [RenderablePoints.of(evaluated, self.model.colour(evaluated, camera, views, is_training=False))]
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
         return view.premultiplied()[0].numpy()

@@ -30,7 +30,7 @@ def frame_gradients(model: PointModel, frame: int) -> None:
     points = torch.Generator().manual_seed(frame)
     xyz = torch.rand(200, 3, generator=points, dtype=torch.float64)
     evaluated = model.evaluate(xyz, torch.full((200,), 0.05, dtype=torch.float64), frame / 3)
-    harmonics = model.harmonics(evaluated)
+    harmonics = model.harmonics(evaluated, is_training=True)
     assert harmonics is not None
     loss = (evaluated.radius * xyz[:, 0]).sum() + (evaluated.density * xyz[:, 1]).sum()
     if frame == 0:
