@@ -8,6 +8,7 @@
 #include <cstdlib>
 #include <map>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "fuzz/arguments.h"
@@ -23,6 +24,11 @@ namespace nb = nanobind;
 using namespace fourd::fuzz;
 
 constexpr int kMaxCalls = 3;
+#if __has_feature(thread_sanitizer)
+constexpr int kThreads = 3;  // Threads that call the same functions at once, each with its own arguments.
+#else
+constexpr int kThreads = 1;
+#endif
 constexpr unsigned kTries = 20000;  // At the start, for each function and each of its rules.
 
 struct Function {
@@ -123,6 +129,14 @@ void check_rules() {
     }
 }
 
+void call_functions(const std::uint8_t* data, std::size_t size) {
+    Bytes bytes(data, size);
+    for (int i = 0; i < kMaxCalls && !bytes.is_empty(); ++i) {
+        const Function& function = state->functions[bytes.byte() % state->functions.size()];
+        try_call(function, function.rules[bytes.byte() % function.rules.size()], bytes);
+    }
+}
+
 void start_python() {
     PyImport_AppendInittab("_native", &PyInit__native);
     PyConfig config;
@@ -150,10 +164,14 @@ extern "C" int LLVMFuzzerInitialize(int*, char***) {
 }
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {
-    Bytes bytes(data, size);
-    for (int i = 0; i < kMaxCalls && !bytes.is_empty(); ++i) {
-        const Function& function = state->functions[bytes.byte() % state->functions.size()];
-        try_call(function, function.rules[bytes.byte() % function.rules.size()], bytes);
-    }
+    const nb::gil_scoped_release release;
+    std::vector<std::thread> others;
+    const auto call_with_lock = [=] {
+        const nb::gil_scoped_acquire acquire;
+        call_functions(data, size);
+    };
+    for (int i = 1; i < kThreads; ++i) others.emplace_back(call_with_lock);
+    call_with_lock();
+    for (std::thread& other : others) other.join();
     return 0;
 }

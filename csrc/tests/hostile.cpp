@@ -1,5 +1,5 @@
-// Runs the kernels on small random and invalid inputs, in sanitizer builds. This program checks that there are no
-// accesses out of bounds and no data races, and that results are finite for any points.
+// Runs the kernels on small random and invalid inputs, in sanitizer builds. Three threads call the kernels at once. This
+// program checks that there are no accesses out of bounds and no data races, and that results are finite for any points.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>
@@ -256,6 +256,10 @@ void run_mesh(unsigned seed, const char* simd) {
     fourd::interpolate::interpolate(inputs.interpolation(), inputs.out.data(), inputs.out_da.data());
     fourd::interpolate::interpolate_backward(inputs.interpolation(), inputs.gradients());
     inputs.expect_finite_results(seed);
+    inputs.invent_triangles(random);
+    fourd::rasterize::rasterize_backward(inputs.query, inputs.rast.data(), inputs.grad_rast.data(),
+                                         inputs.grad_db.data(), inputs.grad_pos.data());
+    fourd::interpolate::interpolate_backward(inputs.interpolation(), inputs.gradients());
 }
 
 void run_soft_triangles(unsigned seed, const char* simd) {
@@ -309,7 +313,7 @@ int main(int count, char** arguments) {
     const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(arguments[1])) : 200;
     for (const char* simd : {"baseline", "avx2", "avx512"}) {
         if (!fourd::simd_available(simd)) continue;
-        for (unsigned seed = 0; seed < runs; ++seed) {
+        fourd::tests::for_seeds(runs, [simd](unsigned seed) {
             run_points(seed, simd);
             run_planes(seed, simd);
             run_hashgrid(seed, simd);
@@ -328,7 +332,7 @@ int main(int count, char** arguments) {
             fourd::tests::run_stylize(seed, simd);
             fourd::tests::run_pixel_filter(seed, simd);
             run_texture(seed, simd);
-        }
+        });
         std::printf("all kernels, %s: %u inputs each\n", simd, runs);
     }
 }

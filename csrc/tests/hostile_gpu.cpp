@@ -201,6 +201,10 @@ void run_mesh(unsigned seed) {
     fourd::interpolate::cuda::interpolate(inputs.interpolation(), inputs.out.data(), inputs.out_da.data(), nullptr);
     fourd::interpolate::cuda::interpolate_backward(inputs.interpolation(), inputs.gradients(), nullptr);
     inputs.expect_finite_results(seed);
+    inputs.invent_triangles(random);
+    fourd::rasterize::cuda::rasterize_backward(query, inputs.rast.data(), inputs.grad_rast.data(),
+                                               inputs.grad_db.data(), inputs.grad_pos.data(), nullptr);
+    fourd::interpolate::cuda::interpolate_backward(inputs.interpolation(), inputs.gradients(), nullptr);
 }
 
 void run_soft_triangles(unsigned seed) {
@@ -255,7 +259,7 @@ void run_pixel_filter(unsigned seed) {
 
 int main(int count, char** arguments) {
     const unsigned runs = count > 1 ? static_cast<unsigned>(std::atoi(arguments[1])) : 100;
-    for (unsigned seed = 0; seed < runs; ++seed) {
+    fourd::tests::for_seeds(runs, [](unsigned seed) {
         run_points(seed);
         run_play(seed);
         run_planes(seed);
@@ -269,6 +273,6 @@ int main(int count, char** arguments) {
         run_rays(seed);
         run_texture(seed);
         run_pixel_filter(seed);
-    }
+    });
     std::printf("all kernels, emulated GPU: %u inputs each\n", runs);
 }

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstdint>
 
+#include "common/triangle_id.h"
 #include "interpolate/interpolate.h"
 #include "rasterize/rasterize.h"
 #include "rays/discs.h"
@@ -50,6 +51,13 @@ struct MeshInputs {
         for (int i = random_int(random, 0, 3); i > 0; --i) diff.push_back(random_int(random, 0, channels - 1));
         out.resize(pixels * channels), out_da.resize(2 * pixels * diff.size()), grad_attr.resize(attr.size());
         from_rast.resize(4 * pixels), from_db.resize(4 * pixels);
+    }
+
+    // Replaces the triangles of the pixels by any triangles, also by triangles that rasterize() does not draw.
+    void invent_triangles(Random& random) {
+        for (std::size_t i = 3; i < rast.size(); i += 4) {
+            rast[i] = value_of_triangle(random_int(random, -1, static_cast<int>(query.triangles)));
+        }
     }
 
     interpolate::Query interpolation() const {

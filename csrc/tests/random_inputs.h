@@ -6,6 +6,7 @@
 #include <cstdlib>
 #include <limits>
 #include <random>
+#include <thread>
 #include <vector>
 
 #include "points/points.h"
@@ -42,6 +43,19 @@ inline Floats random_floats(Random& random, std::size_t count, float low, float 
         if (uniform(random, 0, 1) < hostile_share) value = kHostile[random_int(random, 0, 8)];
     }
     return values;
+}
+
+// Calls body(seed) for the seeds [0, count) in three threads, so that calls of the kernels overlap.
+template <typename Body>
+void for_seeds(unsigned count, const Body& body) {
+    constexpr unsigned kCallers = 3;
+    std::vector<std::thread> callers;
+    for (unsigned caller = 0; caller < kCallers; ++caller) {
+        callers.emplace_back([=] {
+            for (unsigned seed = caller; seed < count; seed += kCallers) body(seed);
+        });
+    }
+    for (std::thread& caller : callers) caller.join();
 }
 
 inline points::Settings random_settings(Random& random, const char* simd) {

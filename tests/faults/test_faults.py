@@ -41,7 +41,11 @@ READERS = (
     Command(("pack", "out/scene.4dv", "-o", "out/packed.4dv"), "out"),
     Command(("web", "out/scene.4dv", "-o", "out/site"), "out"),
     Command(("mesh", "capture", "-o", "out/meshes"), "out"),
+    Command(("fit-triangles", "capture", "-o", "out/mesh.ply", "--triangles", "500", "--max-steps", "2"), "out"),
+    Command(("synth", "out/synthetic", "--frames", "1", "--cameras", "3", "--size", "32"), "out"),
     MAKE,
+    Command(("check", "capture"), "capture"),
+    Command(("info", "run"), "run"),
     Command(("verify", "run"), "run"),
 )
 """Further commands for the folder in which all of COMMANDS have run."""

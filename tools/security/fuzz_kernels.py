@@ -1,12 +1,16 @@
-"""Fuzz the kernels' bound functions with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer.
+"""Fuzz the kernels' bound functions with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer. With
+--threads, three threads of Python call the functions at once, under ThreadSanitizer.
 
     python tools/security/fuzz_kernels.py --seconds 60
 
     python tools/security/fuzz_kernels.py --seconds 3600 --keep
 
+    python tools/security/fuzz_kernels.py --seconds 60 --threads
+
 libFuzzer is a part of Clang (apt-get install clang). The first call builds csrc/fuzz, which takes some minutes. The
 corpus, which grows, is in build/fuzz/kernels/. An input that crashes, hangs or needs 2 GB is written to
-build/fuzz/kernels-KIND-HASH. Call build/fuzz-native/bindings with this file to repeat the crash.
+build/fuzz/kernels-KIND-HASH. Call build/fuzz-native/bindings, or build/fuzz-threads/bindings, with this file to repeat
+the crash.
 """
 
 from __future__ import annotations
@@ -42,6 +46,8 @@ class Arguments:
     """Time in seconds, without the time of the build."""
     keep: bool = False
     """Afterwards, replace csrc/fuzz/corpus.txt by the smallest inputs that reach all code reached now."""
+    threads: bool = False
+    """Call the functions in three threads at once."""
     optional: bool = False
     """Only print a note, and do not fail, if there is no Clang."""
 
@@ -52,7 +58,8 @@ def main(arguments: Arguments) -> int:
     if compiler is None:
         print("fuzz_kernels: expected clang++, got none, so no kernel was fuzzed; install clang", file=sys.stderr)
         return 0 if arguments.optional else 2
-    program = build(compiler, ROOT / "build" / "fuzz-native")
+    name, sanitizers = ("threads", "thread") if arguments.threads else ("native", "address,undefined")
+    program = build(compiler, ROOT / "build" / f"fuzz-{name}", f"{sanitizers},fuzzer-no-link")
     corpus = FOLDER / "kernels"
     corpus.mkdir(parents=True, exist_ok=True)
     for number, content in enumerate(read_corpus(STORED)):
@@ -69,14 +76,15 @@ def main(arguments: Arguments) -> int:
     return 2 if code else 0
 
 
-def build(compiler: str, folder: Path) -> Path:
-    """Build the program `bindings` and return its path."""
+def build(compiler: str, folder: Path, sanitizers: str) -> Path:
+    """Build the program `bindings` with sanitizers and return its path."""
     nanobind = subprocess.run(
         [sys.executable, "-m", "nanobind", "--cmake_dir"], check=True, capture_output=True, text=True
     ).stdout.strip()
     cmake = shutil.which("cmake", path=str(Path(sys.executable).parent)) or "cmake"
     options = [
         f"-DCMAKE_CXX_COMPILER={compiler}",
+        f"-DFOURD_SANITIZE={sanitizers}",
         f"-DPython_EXECUTABLE={sys.executable}",
         f"-Dnanobind_DIR={nanobind}",
     ]

@@ -43,6 +43,7 @@ struct Tile {
 struct GradientTile {
     Screen screen;
     const float* pos;              // (vertices, 4): positions for the image.
+    std::size_t vertices;          // Number of vertices.
     const std::int32_t* tri;       // (triangles, 3).
     const std::int32_t* visible;   // (slots,): triangle of each slot.
     int slots;                     // Number of slots, at most kTilePixels.

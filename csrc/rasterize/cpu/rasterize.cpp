@@ -90,8 +90,8 @@ void rasterize_backward(const Query& query, const float* rast, const float* grad
         memory.sums.require(kSumStride * count);
         values[index].triangles.assign(slots.triangles(), slots.triangles() + count);
         values[index].values = Buffer<float>(12 * count);
-        loops.backward({make_screen(query.width, query.height), query.pos_of(image), query.tri, slots.triangles(),
-                        slots.count(), slots.slot_of(), place.column, place.row, memory.records(count),
+        loops.backward({make_screen(query.width, query.height), query.pos_of(image), query.vertices, query.tri,
+                        slots.triangles(), slots.count(), slots.slot_of(), place.column, place.row, memory.records(count),
                         memory.sums.data(), grad_rast + image * image_size,
                         grad_db == nullptr ? nullptr : grad_db + image * image_size, values[index].values.data()});
     });

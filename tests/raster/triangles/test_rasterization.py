@@ -253,3 +253,13 @@ def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
         rasterize(pos[0], tri, SIZE, ranges=torch.tensor([[50, 11]], dtype=torch.int32))
     with pytest.raises(ValueError, match=r"pos: expected shape \(V, 4\), got \(2, 40, 4\)"):
         rasterize(pos, tri, SIZE, ranges=torch.tensor([[0, 1]], dtype=torch.int32))
+
+
+def test_images_of_triangles_without_vertices_have_no_gradient() -> None:
+    """Catches reads past the end of the positions, if a caller passes an image that the rasterizer did not draw."""
+    pos, grad_pos = np.ones((1, 3, 4), np.float32), np.ones((1, 3, 4), np.float32)
+    tri = np.array([[0, 1, 2**30], [-1, 1, 2]], np.int32)
+    rast, upstream = np.ones((1, 4, 4, 4), np.float32), np.ones((1, 4, 4, 4), np.float32)
+    rast[:, 2:, :, 3] = 2
+    load_native().rasterize_triangles_backward(pos, tri, None, rast, 1, "baseline", upstream, upstream, grad_pos)
+    assert not grad_pos.any()
