@@ -6,6 +6,7 @@
 #include <nanobind/ndarray.h>
 
 #include <optional>
+#include <type_traits>
 
 #include "binding/require.h"
 #include "interpolate/interpolate.h"
@@ -23,7 +24,7 @@ struct InterpolateArguments {
 
     interpolate::Query query;
 
-    // `diff` has indices of channels. op.py checks that these indices are below the number of channels.
+    // `diff` has indices of channels. For arrays on a GPU, only op.py checks that they are below the number of channels.
     InterpolateArguments(const Attributes<const float>& attr, const Image<const float>& rast, const Triangles& tri,
                          const std::optional<Image<const float>>& rast_db, const Channels& diff, int threads,
                          Simd simd) {
@@ -50,6 +51,11 @@ struct InterpolateArguments {
         require(attr.shape(0) == 1 || attr.shape(0) == rast.shape(0), "attr: expected one mesh, or one for each image");
         require(attr.shape(2) >= 1, "attr: expected at least 1 channel");
         require(diff.shape(0) == 0 || rast_db, "rast_db: expected derivatives if diff is not empty");
+        if constexpr (std::is_same_v<Device, nanobind::device::cpu>) {
+            for (std::size_t i = 0; i < diff.shape(0); ++i) {
+                require(static_cast<std::uint32_t>(diff.data()[i]) < attr.shape(2), "diff: expected indices of channels");
+            }
+        }
         image(rast, 4, "rast: unexpected shape");
         if (rast_db) image(*rast_db, 4, "rast_db: unexpected shape");
     }

@@ -23,14 +23,14 @@ def missing_bytes(path: Path) -> int:
     with open_regular(path) as stream:
         if stream.read(len(HEADER)) != HEADER:
             return 0
-        header = _size(stream)
-        if header is None:
+        header, file_size = _size(stream), path.stat().st_size
+        if header is None or header > file_size:
             return 0
         stream.seek(header, 1)
         if stream.read(len(SEGMENT)) != SEGMENT:
             return 0
         segment = _size(stream)
-        return 0 if segment is None else max(0, stream.tell() + segment - path.stat().st_size)
+        return 0 if segment is None else max(0, stream.tell() + segment - file_size)
 
 
 def _size(stream: BinaryIO) -> int | None:

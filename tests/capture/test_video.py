@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fourd.capture.layout import find_videos
-from fourd.capture.matroska import SEGMENT, missing_bytes
+from fourd.capture.matroska import HEADER, SEGMENT, missing_bytes
 from fourd.capture.video import VideoReader, index_video
 from fourd.capture.video_index import index_capture
 from fourd.capture.video_list import CACHE, NAME, Video, align_offsets, common_frames, list_videos, write_video_list
@@ -150,6 +150,8 @@ def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
     for length in range(60):
         path.write_bytes(content[:length])
         assert missing_bytes(path) == 0
+    path.write_bytes(HEADER + b"\x01" + b"\xfe" * 7)  # a header of 2^56 bytes, to whose end no system can seek
+    assert missing_bytes(path) == 0
 
 
 def test_dropped_frame_keeps_the_times_of_later_frames(tmp_path: Path, rng: np.random.Generator) -> None:

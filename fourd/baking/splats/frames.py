@@ -78,7 +78,8 @@ def frame_from_splats(cloud: SplatCloud) -> BakedFrame:
     count = pieces[source]
     position = np.where(count > 1, index / np.maximum(count - 1, 1) - 0.5, 0.0) * _SPREAD
     shift = (position * scale[source, 0])[:, None] * longest[source]
-    radius = RADIUS_PER_SCALE * np.where(count > 1, scale[source, 1], np.sqrt(scale[source, 0] * scale[source, 1]))
+    with np.errstate(over="ignore"):  # The radius is clipped below.
+        radius = RADIUS_PER_SCALE * np.where(count > 1, scale[source, 1], np.sqrt(scale[source, 0] * scale[source, 1]))
     sh = np.zeros((len(source), 3, SH_TERMS), np.float32)
     sh[..., : cloud.sh.shape[-1]] = cloud.sh[source] / SPLAT_SH_RANGE
     return BakedFrame(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from fourd.baking.shade import shade
 from fourd.baking.splats.cloud import SplatCloud, rotate_cloud
-from fourd.baking.splats.frames import MAX_PIECES, SPLAT_SH_BASE, SPLAT_SH_RANGE, frame_from_splats
+from fourd.baking.splats.frames import MAX_HALF, MAX_PIECES, SPLAT_SH_BASE, SPLAT_SH_RANGE, frame_from_splats
 from fourd.baking.splats.ply import read_splat_ply, write_splat_ply
 from fourd.baking.splats.raw import read_splat, write_splat
 from fourd.baking.splats.reader import SplatReader
@@ -171,3 +172,12 @@ def test_random_damage_never_escapes(tmp_path: Path, rng: np.random.Generator, s
             assert "\n" not in str(error)  # noqa: PT017
         else:
             assert frame.find_invalid_array() is None
+
+
+def test_huge_splats_print_no_warning(rng: np.random.Generator) -> None:
+    """Catches a warning of NumPy between the lines of a command that reads a splat of 10^30 metres."""
+    cloud = random_cloud(rng, 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        frame = frame_from_splats(replace(cloud, scale=np.full((4, 3), 1e30, np.float32)))
+    assert (frame.radius == np.float16(MAX_HALF)).all()

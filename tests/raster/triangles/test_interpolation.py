@@ -179,3 +179,5 @@ def test_wrong_arguments_are_named(rng: np.random.Generator) -> None:
         interpolate(attr, rast, tri, rast_db, "some")  # type: ignore[arg-type]
     with pytest.raises(TypeError, match="rast: expected dtype float32, got float64"):
         interpolate(attr, rast.double(), tri)
+    with pytest.raises(ValueError, match="diff: expected indices of channels"):
+        interpolate_attributes(attr[None], rast, tri, rast_db, [3], 0)
