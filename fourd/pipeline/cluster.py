@@ -103,21 +103,27 @@ class Cluster:
         Raises:
             UserError: after all stages have ended, if one of them failed. The message names the stage and its node.
         """
-        pending = {self._start(stage): stage for stage in stages}
         failures: list[str] = []
+        finished = self._finished(stages, context, failures)
+        yield from finished if len(stages) == 1 else context.track(finished, len(stages), "stages on the cluster")
+        if failures:
+            more = f" (and {len(failures) - 1} more stages failed)" if len(failures) > 1 else ""
+            raise UserError(failures[0] + more)
+
+    def _finished(self, stages: Sequence[AnyStage], context: Context, failures: list[str]) -> Iterator[AnyStage]:
+        """Start the stages, and yield each of them when it is finished. Messages of failed stages are appended to
+        ``failures``."""
+        pending = {self._start(stage): stage for stage in stages}
         while pending:
             (reference, *_), _ = self._ray.wait(list(pending), num_returns=1)
             stage = pending.pop(reference)
             outcome = self._result(stage, reference)
             for line in outcome.lines:
                 context.log(line)
-            if outcome.error is not None:
+            if outcome.error is None:
+                yield stage
+            else:
                 failures.append(f"{stage.name} on node {outcome.node}: {outcome.error}")
-                continue
-            yield stage
-        if failures:
-            more = f" (and {len(failures) - 1} more stages failed)" if len(failures) > 1 else ""
-            raise UserError(failures[0] + more)
 
     def _start(self, stage: AnyStage) -> Any:
         cores = self._segment_cores if stage.is_parallel else self._node_cores

@@ -37,7 +37,8 @@ REACH = {
 def connect(url: StorageUrl) -> Any:
     """Open the fsspec file system of a URL. Nothing is sent to the store.
 
-    Listings are not cached, so that changes by other programs are seen.
+    fsspec keeps the file system, and returns it again to later calls of this thread, because its preparation takes
+    longer than a request. Listings are not cached, so that changes by other programs are seen.
 
     Raises:
         UserError: if the package for the scheme is not installed.
@@ -52,7 +53,7 @@ def connect(url: StorageUrl) -> Any:
     with storage_errors(url):
         if url.scheme == "memory":
             return fsspec.filesystem("memory")
-        return fsspec.filesystem(url.scheme, skip_instance_cache=True, use_listings_cache=False)
+        return fsspec.filesystem(url.scheme, use_listings_cache=False)
 
 
 @contextmanager

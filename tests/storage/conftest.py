@@ -12,7 +12,9 @@ from tests.storage.s3_server import ENVIRONMENT, Bucket, S3Server
 
 @pytest.fixture(scope="session")
 def s3_server() -> Iterator[S3Server]:
-    """A local S3 server for all tests. The tests that use it are skipped without s3fs and moto."""
+    """A local S3 server for all tests, and the file system with which they read and write it. The tests that use it are
+    skipped without s3fs and moto.
+    """
     pytest.importorskip("s3fs", reason="needs s3fs (pip install 'fourd[storage]')")
     pytest.importorskip("moto.server", reason="needs moto (pip install 'fourd[dev]')")
     started = S3Server.start()
@@ -26,6 +28,15 @@ def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Bucket:
     for name, value in ENVIRONMENT.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server.endpoint)
-    files, name = s3_server.files(), f"bucket-{secrets.token_hex(6)}"
-    files.mkdir(name)
-    return Bucket(name, files)
+    name = f"bucket-{secrets.token_hex(6)}"
+    s3_server.files.mkdir(name)
+    return Bucket(name, s3_server.files)
+
+
+@pytest.fixture
+def new_connections() -> Iterator[None]:
+    """Connections made in the test read the environment again. Without this fixture, tests share their connections."""
+    clear = pytest.importorskip("s3fs").S3FileSystem.clear_instance_cache
+    clear()
+    yield
+    clear()

@@ -22,27 +22,25 @@ ENVIRONMENT = {
 
 @dataclass(frozen=True)
 class S3Server:
-    """A running server, and the address of its endpoint."""
+    """A running server, the address of its endpoint, and a file system without caches that accesses it."""
 
     server: Any
     endpoint: str
+    files: Any
 
     @classmethod
     def start(cls) -> S3Server:
         """Start a server on a free port."""
+        import fsspec
         from moto.server import ThreadedMotoServer
 
         server = ThreadedMotoServer(ip_address="127.0.0.1", port=0, verbose=False)
         server.start()
         host, port = server.get_host_and_port()
-        return cls(server, f"http://{host}:{port}")
-
-    def files(self) -> Any:
-        """A file system without caches."""
-        import fsspec
-
-        options = {"key": "test", "secret": "test", "endpoint_url": self.endpoint}
-        return fsspec.filesystem("s3", skip_instance_cache=True, use_listings_cache=False, **options)
+        endpoint = f"http://{host}:{port}"
+        options = {"key": "test", "secret": "test", "endpoint_url": endpoint}
+        files = fsspec.filesystem("s3", skip_instance_cache=True, use_listings_cache=False, **options)
+        return cls(server, endpoint, files)
 
     @contextmanager
     def refusing(self) -> Iterator[None]:

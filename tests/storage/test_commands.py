@@ -9,6 +9,7 @@ import pytest
 
 from fourd.baking import SceneReader
 from fourd.cli.main import main
+from tests.captures import write_ball_capture
 from tests.storage.s3_server import Bucket, put_folder, unfinished_uploads
 
 OVERLAY = """\
@@ -17,13 +18,19 @@ model: {hidden: 8, planes: {levels: 1, features: 4, base_resolution: 8}}
 """
 
 
+@pytest.fixture(scope="module")
+def small_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A capture of a ball: 4 cameras, 2 frames, 48 x 48. The tests need only that the commands accept it."""
+    return write_ball_capture(tmp_path_factory.mktemp("ball"), cameras=4, frames=2, size=48)
+
+
 def run(*words: object) -> int:
     return main([str(word) for word in words])
 
 
 def test_a_scene_is_made_from_and_in_a_bucket(
     bucket: Bucket,
-    ball_capture: Path,
+    small_capture: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -32,7 +39,7 @@ def test_a_scene_is_made_from_and_in_a_bucket(
     upload of an unchanged scene.
     """
     monkeypatch.chdir(tmp_path)
-    put_folder(bucket.files, ball_capture, f"{bucket.name}/captures/ball")
+    put_folder(bucket.files, small_capture, f"{bucket.name}/captures/ball")
     scene = f"{bucket.url}/scenes/ball.4dv"
     (tmp_path / "small.yaml").write_text(OVERLAY)
     words = ["make", f"{bucket.url}/captures/ball", "-o", scene, "--config", "small.yaml", "--max-steps", "3"]
@@ -57,7 +64,7 @@ def test_a_scene_is_made_from_and_in_a_bucket(
     assert run("info", scene) == 0
     assert f"{scene}: a 4D scene" in capsys.readouterr().out.replace("\n", "")
     assert run("verify", scene) == 0
-    assert capsys.readouterr().out == f"{scene}: whole; 3 frames\n"
+    assert capsys.readouterr().out == f"{scene}: whole; 2 frames\n"
     assert run("render", scene, "--views", "00", "--frames", "0:1", "-o", "pictures") == 0
     assert (tmp_path / "pictures/00/000000.png").exists()
     assert run("view", scene, "--screenshot", "one.png", "--renderer", "cpu") == 0
@@ -68,27 +75,27 @@ def test_a_scene_is_made_from_and_in_a_bucket(
 
 
 def test_a_run_keeps_the_copy_of_its_capture(
-    bucket: Bucket, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: Bucket, small_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a run that cannot be resumed, evaluated or exported, because its capture was a temporary copy."""
     monkeypatch.chdir(tmp_path)
-    put_folder(bucket.files, ball_capture, f"{bucket.name}/ball")
+    put_folder(bucket.files, small_capture, f"{bucket.name}/ball")
     (tmp_path / "small.yaml").write_text(OVERLAY)
     words = ["train", f"{bucket.url}/ball", "-o", "run", "--config", "small.yaml", "--test-views", "03"]
     assert run(*words, "--max-steps", 2) == 0
     assert run(*words, "--max-steps", 3, "--resume") == 0
-    assert (tmp_path / "run/source/ball/intri.yml").read_bytes() == (ball_capture / "intri.yml").read_bytes()
+    assert (tmp_path / "run/source/ball/intri.yml").read_bytes() == (small_capture / "intri.yml").read_bytes()
     assert run("eval", "run", "--json", "scores.json") == 0
     assert run("export", "run", "-o", f"{bucket.url}/scene.4dv") == 0
     bucket.files.get_file(f"{bucket.name}/scene.4dv", str(tmp_path / "scene.4dv"))
-    assert SceneReader(tmp_path / "scene.4dv").manifest.frame_count == 3
+    assert SceneReader(tmp_path / "scene.4dv").manifest.frame_count == 2
 
 
 def test_check_and_info_describe_a_capture_in_a_bucket(
-    bucket: Bucket, ball_capture: Path, capsys: pytest.CaptureFixture[str]
+    bucket: Bucket, small_capture: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Catches a report that names the temporary copy."""
-    put_folder(bucket.files, ball_capture, f"{bucket.name}/ball")
+    put_folder(bucket.files, small_capture, f"{bucket.name}/ball")
     assert run("check", f"{bucket.url}/ball", "--quick") == 0
     assert run("info", f"{bucket.url}/ball") == 0
     printed = capsys.readouterr().out
@@ -102,6 +109,7 @@ def test_check_and_info_describe_a_capture_in_a_bucket(
 def test_bad_storage_is_one_line(
     words: list[str],
     bucket: Bucket,
+    new_connections: None,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -119,6 +127,7 @@ def test_bad_storage_is_one_line(
     assert "got 'The specified bucket does not exist'; check the bucket" in refusal("s3://no-such-bucket/a")
     assert "got nothing; check the bucket and name" in refusal(f"{bucket.url}/nothing")
     monkeypatch.setenv("AWS_ACCESS_KEY_ID", "")
+    sys.modules["s3fs"].S3FileSystem.clear_instance_cache()
     assert "credentials" in refusal(f"{bucket.url}/a")
     monkeypatch.setitem(sys.modules, "s3fs", None)
     assert "expected the package s3fs, got none; install it: pip install 'fourd[storage]'" in refusal("s3://bucket/a")
@@ -129,13 +138,13 @@ def test_bad_storage_is_one_line(
 
 @pytest.mark.slow
 def test_a_cluster_reads_and_writes_a_bucket(
-    bucket: Bucket, ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: Bucket, small_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a fetch stage that cannot be sent to a node, or that runs without the credentials."""
     pytest.importorskip("ray", reason="needs ray (pip install 'fourd[cluster]')")
     monkeypatch.chdir(tmp_path)
-    put_folder(bucket.files, ball_capture, f"{bucket.name}/ball")
+    put_folder(bucket.files, small_capture, f"{bucket.name}/ball")
     (tmp_path / "small.yaml").write_text(OVERLAY)
     words = ["make", f"{bucket.url}/ball", "-o", f"{bucket.url}/ball.4dv", "--config", "small.yaml", "--max-steps", 2]
     assert run(*words, "--ray", "auto") == 0
-    assert SceneReader(f"{bucket.url}/ball.4dv").manifest.frame_count == 3
+    assert SceneReader(f"{bucket.url}/ball.4dv").manifest.frame_count == 2

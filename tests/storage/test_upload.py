@@ -107,7 +107,7 @@ def test_an_output_is_uploaded_only_if_the_work_succeeds(bucket: Bucket) -> None
 
 
 def test_a_lost_connection_leaves_the_old_object(
-    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: Bucket, new_connections: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches a traceback and a lost object if the store stops during an upload."""
     monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)

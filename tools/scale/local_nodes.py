@@ -1,0 +1,103 @@
+"""A Ray cluster of several nodes on this machine, for simulations and measurements. Each node has its own processes."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+STORE_BYTES = 80 << 20
+"""Size of the object store of each node. Ray needs at least 75 MB."""
+
+
+TITLE = "ray::"
+"""Prefix of the titles of workers."""
+ATTEMPTS = 5
+"""Number of times that the start of a node is tried."""
+
+
+class LocalNodes:
+    """The nodes of a cluster, apart from the head. The head has no core, so that it runs no stages."""
+
+    def __init__(self, cluster: Any, cores: int) -> None:
+        """Use ``cluster``, a ray.cluster_utils.Cluster. Each node has ``cores`` cores."""
+        self._cluster = cluster
+        self._cores = cores
+
+    @property
+    def address(self) -> str:
+        """HOST:PORT for ``fourd make --ray``."""
+        return str(self._cluster.address)
+
+    def add(self) -> None:
+        """Start one more node. On a busy machine, its processes may not answer in time. They are then started again."""
+        for attempt in range(ATTEMPTS):
+            try:
+                self._cluster.add_node(num_cpus=self._cores, object_store_memory=STORE_BYTES, include_dashboard=False)
+                return
+            except Exception:
+                if attempt == ATTEMPTS - 1:
+                    raise
+
+    def remove(self, index: int) -> None:
+        """Kill all processes of a node, as if the machine had lost power."""
+        self._cluster.remove_node(sorted(self._cluster.worker_nodes, key=id)[index], allow_graceful=False)
+
+    def stages(self) -> dict[int, str]:
+        """Process identifiers of the running stages -> names of the stages. Needs Linux."""
+        raylets = {node.all_processes["raylet"][0].process.pid for node in self._cluster.worker_nodes}
+        found = {}
+        for folder in Path("/proc").glob("[0-9]*"):
+            try:
+                # Ray changes the title of a worker to the name of its task.
+                title = (folder / "cmdline").read_bytes().split(b"\0")[0].decode(errors="replace")
+                parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            except OSError:  # The process has ended.
+                continue
+            if parent in raylets and title.startswith(TITLE) and title != f"{TITLE}IDLE":
+                found[int(folder.name)] = title.removeprefix(TITLE)
+        return found
+
+    def count(self) -> int:
+        """Number of nodes."""
+        return len(self._cluster.worker_nodes)
+
+
+@contextmanager
+def local_nodes(count: int, cores: int) -> Iterator[LocalNodes]:
+    """Start a cluster of ``count`` nodes with ``cores`` cores each for the duration of the ``with`` block.
+
+    The cores may be more than the machine has. Ray then starts as many tasks, which share the machine's cores.
+    """
+    from ray.cluster_utils import Cluster
+
+    # Workers import the tools from the root of the repository.
+    os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    head = {"num_cpus": 0, "object_store_memory": STORE_BYTES, "include_dashboard": False}
+    cluster = Cluster(initialize_head=True, head_node_args=head)
+    try:
+        nodes = LocalNodes(cluster, cores)
+        for _ in range(count):
+            nodes.add()
+        yield nodes
+    finally:
+        cluster.shutdown()
+
+
+def store_bytes(ray: Any) -> int:
+    """Bytes in the object stores of all nodes of the cluster to which ``ray`` is connected."""
+    from ray._private.internal_api import get_memory_info_reply, get_state_from_address
+
+    state = get_state_from_address(ray.get_runtime_context().gcs_address)
+    return int(get_memory_info_reply(state).store_stats.object_store_bytes_used)
+
+
+def resident_bytes() -> int:
+    """Memory of this process. Needs Linux."""
+    if sys.platform != "linux":
+        sys.exit("expected Linux, whose /proc has the memory of this process")
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

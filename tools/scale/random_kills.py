@@ -1,0 +1,162 @@
+"""Kill workers and drivers of ``fourd make --ray`` at random moments, and compare the scenes.
+
+    fourd synth CAPTURE --frames 84 --cameras 4 --size 48
+    python tools/scale/random_kills.py CAPTURE --workers 20 --drivers 20 -- --segment 12 --points 500 --max-steps 20
+
+The command is repeated until all kills are done. A killed worker is the process of a running stage, and Ray starts the
+stage again. After the driver (the process of the command) was killed, the same command is started again at once. All
+kills are kill -9. The cluster is one node with two
+cores on this machine. The program ends with the exit code 1 if a scene differs from that of the uninterrupted command,
+or if a segment was trained again that had been finished before the kill.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from fourd.pipeline.cluster import RETRIES
+from tools.scale.local_nodes import LocalNodes, local_nodes
+
+CORES = 2
+KILLS_HELP = "mean number of kills in the time that the uninterrupted command needs (default 12)"
+TRAINED = "train "
+"""Prefix of the names of the stages that train segments."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A call of ``fourd make`` on the cluster at ``address``, and the folder of its scene."""
+
+    capture: Path
+    folder: Path
+    address: str
+    options: tuple[str, ...]
+
+    @property
+    def scene(self) -> Path:
+        return self.folder / "scene.4dv"
+
+    @property
+    def work(self) -> Path:
+        return self.folder / "scene.work"
+
+    def start(self) -> subprocess.Popen[str]:
+        """Start the command. Its output is appended to a file."""
+        words = [sys.executable, "-m", "fourd", "make", self.capture, "-o", self.scene, "--ray", self.address]
+        self.folder.mkdir(exist_ok=True)
+        with (self.folder / "output").open("a") as out:
+            return subprocess.Popen(
+                [*map(str, words), *self.options], stdout=out, stderr=subprocess.STDOUT, cwd=self.folder, text=True
+            )
+
+    def finish(self, process: subprocess.Popen[str]) -> None:
+        """Wait until the command has ended. It must succeed."""
+        if process.wait() != 0:
+            sys.exit(f"exit code {process.returncode}\n{(self.folder / 'output').read_text()[-2000:]}")
+
+    def finished_segments(self) -> dict[str, dict[str, int]]:
+        """Names of the finished stages that train -> time of the last change of each checkpoint file."""
+        record = self.work / "stages.json"
+        names = json.loads(record.read_text()) if record.exists() else {}
+        trained = [name for name in names if name.startswith(TRAINED) and not name.endswith(" started")]
+        return {name: self._checkpoints(name.removeprefix(TRAINED)) for name in trained}
+
+    def _checkpoints(self, segment: str) -> dict[str, int]:
+        folder = self.work / "run" / "segments" / segment / "checkpoints"
+        return {path.name: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def main() -> None:
+    arguments = _parse_arguments()
+    rng = random.Random(arguments.seed)
+    kinds = ["worker"] * arguments.workers + ["driver"] * arguments.drivers
+    rng.shuffle(kinds)
+    with tempfile.TemporaryDirectory() as folder, local_nodes(1, CORES) as nodes:
+        command = Command(arguments.capture.resolve(), Path(folder) / "out", nodes.address, arguments.options)
+        start = time.monotonic()
+        command.finish(command.start())
+        seconds = time.monotonic() - start
+        expected = command.scene.read_bytes()
+        print(f"uninterrupted: {seconds:.0f} s, {len(command.finished_segments())} segments", flush=True)
+        killed: list[str] = []
+        while len(killed) < len(kinds):
+            shutil.rmtree(command.folder)
+            before, start = len(killed), time.monotonic()
+            repeated = run_with_kills(
+                command, nodes, kinds, killed, lambda: rng.uniform(0, 2 * seconds / arguments.kills)
+            )
+            same = command.scene.read_bytes() == expected
+            print(f"{time.monotonic() - start:.0f} s, killed: {', '.join(killed[before:])}", flush=True)
+            print(f"{repeated} finished segments were repeated; scene: {'same' if same else 'DIFFERENT'}", flush=True)
+            if repeated or not same:
+                sys.exit(1)
+    print(f"killed {arguments.workers} workers and {arguments.drivers} drivers")
+
+
+def run_with_kills(
+    command: Command, nodes: LocalNodes, kinds: Sequence[str], killed: list[str], interval: Callable[[], float]
+) -> int:
+    """Run the command until it has succeeded, and kill a process after each interval in seconds.
+
+    ``kinds`` are the kinds of all kills. Each kill is described in ``killed``. Returns the number of finished segments
+    that were repeated.
+    """
+    process, deadline = command.start(), time.monotonic() + interval()
+    kept: dict[str, dict[str, int]] = {}
+    victims: list[str] = []
+    while process.poll() is None:
+        time.sleep(0.02)
+        if len(killed) == len(kinds) or time.monotonic() < deadline:
+            continue
+        running = {pid: name for pid, name in nodes.stages().items() if victims.count(name) < RETRIES}
+        if not running:
+            continue
+        # A segment that finishes while its process is killed is no error.
+        kept = {**command.finished_segments(), **kept}
+        pid, name = min(running.items(), key=lambda item: (victims.count(item[1]), item))
+        if kinds[len(killed)] == "worker":
+            os.kill(pid, signal.SIGKILL)
+            kept.pop(name, None)
+            victims.append(name)
+        else:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+            process, victims = command.start(), []
+        killed.append(f"{kinds[len(killed)]} at {name}")
+        deadline = time.monotonic() + interval()
+    command.finish(process)
+    finished = command.finished_segments()
+    return sum(finished.get(name) != files for name, files in kept.items())
+
+
+def _parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("capture", type=Path, help="a capture with masks")
+    parser.add_argument("--workers", type=int, default=20, help="number of killed workers (default 20)")
+    parser.add_argument("--drivers", type=int, default=20, help="number of killed drivers (default 20)")
+    parser.add_argument("--kills", type=float, default=12.0, help=KILLS_HELP)
+    parser.add_argument("--seed", type=int, default=0, help="seed of the moments (default 0)")
+    parser.epilog = "The words after -- are options of fourd make."
+    words = sys.argv[1:]
+    own = words[: words.index("--")] if "--" in words else words
+    arguments = parser.parse_args(own)
+    arguments.options = tuple(words[len(own) + 1 :])
+    return arguments
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""Simulate ``fourd make --ray`` on a cluster of several nodes, whose nodes fail while it runs.
+
+    python tools/scale/simulate_cluster.py --nodes 16 --failures 8
+    python tools/scale/simulate_cluster.py --nodes 2 --frames 18000 --seconds 0.2
+
+The stages wait instead of working (:mod:`tools.scale.simulated_stages`). The graph, the runner, the tasks and the
+retries are those of ``fourd make``, and each node has the processes of a Ray node. A failure kills all processes of a
+random node and adds a new node. The program compares the scene with that of an uninterrupted run without a cluster,
+counts the units that were lost and repeated, and watches the memory and the progress bar.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import itertools
+import random
+import re
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from rich.console import Console
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from fourd.pipeline.cluster import join_cluster
+from fourd.pipeline.runner import Runner
+from fourd.pipeline.stage import Context
+from tools.scale.local_nodes import LocalNodes, local_nodes, resident_bytes, store_bytes
+from tools.scale.simulated_stages import Simulation
+
+MEGABYTE = 1 << 20
+BAR = re.compile(r"stages on the cluster[^\n]*?(\d+)/(\d+)")
+"""The progress bar: finished stages, and all stages."""
+
+
+@dataclass
+class Watched:
+    """What was measured during a run.
+
+    Attributes:
+        seconds: duration of the run.
+        failures: number of nodes that failed.
+        samples: memory of the driver and bytes in all object stores, about once per second.
+    """
+
+    seconds: float = 0.0
+    failures: int = 0
+    samples: list[tuple[int, int]] = field(default_factory=list)
+
+
+def main() -> None:
+    arguments = _parse_arguments()
+    with tempfile.TemporaryDirectory() as folder:
+        simulation = Simulation(
+            Path(folder) / "cluster",
+            arguments.cameras,
+            arguments.frames,
+            arguments.segment,
+            arguments.units,
+            arguments.seconds,
+        )
+        simulation.write_capture()
+        expected = _expected_scene(simulation)
+        text, start = io.StringIO(), time.monotonic()
+        with local_nodes(arguments.nodes, 1) as nodes, join_cluster(nodes.address, 1) as cluster:
+            console = Console(file=text, force_terminal=True, width=120, force_interactive=True)
+            runner = Runner(Context(console), simulation.folder / "stages.json", cluster.execute, is_parallel=True)
+            print(f"{nodes.count()} nodes after {time.monotonic() - start:.0f} s", flush=True)
+            watched = run_watched(lambda: simulation.run(runner), nodes, arguments)
+        report(simulation, expected, watched, arguments.nodes)
+        report_memory(watched.samples)
+        report_bar(text.getvalue())
+
+
+def report(simulation: Simulation, expected: str, watched: Watched, nodes: int) -> None:
+    """Print the durations, whether the scene is as expected, and the number of repeated units."""
+    stages = [stage for group in simulation.groups() for stage in group]
+    units = sum(stage.settings.units for stage in stages)
+    segments = sum(stage.is_parallel for stage in stages)
+    alone = len(stages) - segments
+    waits = (alone + -(-segments // nodes) * simulation.units) * simulation.seconds
+    lost = simulation.started_units() - units
+    same = simulation.scene.read_text() == expected
+    print(f"{segments} segments and {alone} other stages, {units} units of {simulation.seconds:g} s")
+    print(f"{watched.seconds:.1f} s; waiting alone takes {waits:.1f} s on {nodes} nodes without failures")
+    verdict = "same" if same else "DIFFERENT"
+    print(f"{watched.failures} failures; {lost} units were lost and repeated; scene: {verdict}")
+    if not same:
+        sys.exit(1)
+
+
+def report_memory(samples: list[tuple[int, int]]) -> None:
+    """Print the largest memory of the driver and of the object stores in each tenth of the run."""
+    tenths = [samples[len(samples) * part // 10 : len(samples) * (part + 1) // 10] for part in range(10)]
+    for name, place, unit in (("driver, MB", 0, MEGABYTE), ("object stores, kB", 1, 1024)):
+        largest = [f"{max(sample[place] for sample in tenth) / unit:.0f}" for tenth in tenths if tenth]
+        print(f"{name}: {' '.join(largest)}")
+
+
+def report_bar(text: str) -> None:
+    """Print whether the progress bar of the segments grew steadily and ended at its full length."""
+    shown = [(int(done), int(count)) for done, count in BAR.findall(text)]
+    steady = all(before <= after for (before, _), (after, _) in itertools.pairwise(shown))
+    whole = bool(shown) and shown[-1][0] == shown[-1][1]
+    print(f"bar: {len(shown)} states, from {shown[0] if shown else None} to {shown[-1] if shown else None}")
+    if not (steady and whole):
+        sys.exit("the bar went backwards, or did not end at its full length")
+
+
+def _expected_scene(simulation: Simulation) -> str:
+    """The scene of a run in this process, whose units do not wait."""
+    here = replace(simulation, folder=simulation.folder.with_name("here"), seconds=0.0)
+    shutil.copytree(simulation.folder, here.folder)
+    here.run(Runner(Context(), here.folder / "stages.json"))
+    return here.scene.read_text()
+
+
+def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.Namespace) -> Watched:
+    """Call ``run`` in a thread. Meanwhile, this thread replaces nodes and measures. Ray starts nodes only in the main
+    thread."""
+    import ray
+
+    rng, watched = random.Random(arguments.seed), Watched()
+    with ThreadPoolExecutor(1) as pool:
+        start = time.monotonic()
+        running = pool.submit(run)
+        failure = start + rng.uniform(0.5, 1.5) * arguments.interval
+        while not wait([running], timeout=1.0).done:
+            watched.samples.append((resident_bytes(), store_bytes(ray)))
+            if watched.failures < arguments.failures and time.monotonic() > failure:
+                nodes.remove(rng.randrange(nodes.count()))
+                watched.failures += 1
+                nodes.add()
+                failure = time.monotonic() + rng.uniform(0.5, 1.5) * arguments.interval
+        watched.seconds = time.monotonic() - start
+        running.result()
+    return watched
+
+
+def _parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--nodes", type=int, default=16, help="number of nodes with one core each (default 16)")
+    parser.add_argument("--cameras", type=int, default=8, help="number of cameras (default 8)")
+    parser.add_argument("--frames", type=int, default=7200, help="number of frames of each camera (default 7200)")
+    parser.add_argument("--segment", type=int, default=120, help="maximum frames of a segment (default 120)")
+    parser.add_argument("--units", type=int, default=8, help="units of work of a segment (default 8)")
+    parser.add_argument("--seconds", type=float, default=2.0, help="seconds that a unit waits (default 2)")
+    parser.add_argument("--failures", type=int, default=0, help="number of nodes that fail (default 0)")
+    parser.add_argument("--interval", type=float, default=10.0, help="mean seconds between failures (default 10)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the failures (default 0)")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,113 @@
+"""Stages of ``fourd make`` whose work is replaced by waiting, for simulations of clusters and captures that are larger
+than the machine.
+
+The graph, the runner, its record and the tasks of the cluster are those of ``fourd make``. The work of a stage is a
+number of units. A unit stands for the work between two checkpoints: it waits, and is then recorded in a file. A
+repeated stage continues after the last recorded unit. The output of a stage is a hash of its name, its units and the
+outputs of the stages before it, so the scene has the expected bytes only if all stages ran on complete results.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from fourd.capture import write_calibration
+from fourd.capture.layout import VIDEOS
+from fourd.importing.importer import ImportOptions
+from fourd.matting.sequence import MatteSettings
+from fourd.pipeline.capture_graph import stages_to_capture
+from fourd.pipeline.graph import RunRequest, stages_to_scene
+from fourd.pipeline.runner import AnyStage, Runner
+from fourd.pipeline.stage import Stage
+from fourd.pipeline.stages.check import check_stage
+from fourd.pipeline.stages.repair import repair_stage
+from fourd.processes import locked_folder
+from fourd.training.config import SegmentConfig, TrainConfig
+from tests.captures import ring_cameras
+from tools.long_set import write_video
+from tools.scale.simulated_work import SimulatedFiles, SimulatedSettings, work
+
+SIZE = 32
+"""Side of the images of the capture in pixels. Only the number of frames matters."""
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """A capture with a given number of cameras and frames, and the durations of its stages.
+
+    Attributes:
+        folder: folder of the capture, which :meth:`write_capture` writes, and of the outputs of the stages.
+        cameras: number of cameras.
+        frames: number of frames.
+        segment: maximum number of frames of a segment.
+        units: number of units of each segment. The other stages have one unit.
+        seconds: seconds that a unit waits.
+    """
+
+    folder: Path
+    cameras: int
+    frames: int
+    segment: int
+    units: int
+    seconds: float
+
+    @property
+    def outputs(self) -> Path:
+        return self.folder / "outputs"
+
+    @property
+    def scene(self) -> Path:
+        return self.outputs / "bake"
+
+    def write_capture(self) -> None:
+        """Write videos with the given number of small, black frames, and a calibration."""
+        black, names = np.zeros((SIZE, SIZE, 3), np.uint8), [f"{camera:02d}" for camera in range(self.cameras)]
+        first = self._capture / VIDEOS / f"{names[0]}.mp4"
+        write_video(first, [black], [0] * self.frames, 30)
+        for name in names[1:]:
+            os.link(first, first.with_name(f"{name}.mp4"))
+        write_calibration(self._capture, names, ring_cameras(self.cameras, SIZE))
+
+    def groups(self) -> list[list[AnyStage]]:
+        """The stages of ``fourd make`` with simulated work, in the groups in which ``fourd make`` runs them."""
+        train = TrainConfig(segments=SegmentConfig(frames=self.segment))
+        request = RunRequest(self._capture, self.folder / "run", train)
+        imported = stages_to_capture(self.folder / "videos", self._capture, ImportOptions())
+        checked = (check_stage(self._capture), repair_stage(self._capture, self.folder / "repaired"))
+        scene = stages_to_scene(request, MatteSettings(), self.folder / "scene.4dv")
+        before: list[str] = []
+        return [self._simulated(stages, before) for stages in (imported, checked, scene)]
+
+    def run(self, runner: Runner) -> None:
+        """Run all stages in the locked folder of the outputs, as ``fourd make`` does."""
+        self.outputs.mkdir(parents=True, exist_ok=True)
+        with locked_folder(self.outputs):
+            for group in self.groups():
+                runner.run(group)
+
+    def started_units(self) -> int:
+        """Number of starts of units. A unit that was lost and repeated counts twice."""
+        return sum(len(path.read_text().splitlines()) for path in self.outputs.glob("*.log"))
+
+    @property
+    def _capture(self) -> Path:
+        return self.folder / "capture"
+
+    def _simulated(self, stages: Sequence[AnyStage], before: list[str]) -> list[AnyStage]:
+        """Replace the work of stages. Stages that run alone read all earlier outputs. Segments read those of the stages
+        that they name."""
+        simulated = []
+        for stage in stages:
+            inputs = stage.after if stage.is_parallel else tuple(before)
+            files = SimulatedFiles(self.outputs, stage.name, inputs)
+            settings = SimulatedSettings(self.units if stage.is_parallel else 1, self.seconds)
+            after, is_parallel = stage.after, stage.is_parallel
+            replaced = Stage(stage.name, work, files, settings, outputs=(files.output,), after=after)
+            simulated.append(replace(replaced, is_parallel=is_parallel))
+            before.append(stage.name)
+        return simulated

@@ -1,0 +1,55 @@
+"""The work of a simulated stage: units that wait. Workers of a cluster import this module, so its imports are few."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.files import write_text_atomically
+from fourd.pipeline.stage import Context
+
+
+@dataclass(frozen=True)
+class SimulatedFiles:
+    """The folder of the outputs of all stages, and the names of the stages whose outputs the stage reads."""
+
+    folder: Path
+    name: str
+    inputs: tuple[str, ...]
+
+    @property
+    def output(self) -> Path:
+        return self.folder / self.name
+
+    @property
+    def log(self) -> Path:
+        """One line for each start of a unit. A unit that was lost is started again."""
+        return self.folder / f"{self.name}.log"
+
+    @property
+    def count(self) -> Path:
+        """The number of finished units."""
+        return self.folder / f"{self.name}.count"
+
+
+@dataclass(frozen=True)
+class SimulatedSettings:
+    """Number of units, and seconds that a unit waits."""
+
+    units: int
+    seconds: float
+
+
+def work(files: SimulatedFiles, settings: SimulatedSettings, context: Context) -> None:
+    """Work all units that are not finished, and write the output."""
+    done = int(files.count.read_text()) if files.count.exists() else 0
+    for unit in range(done, settings.units):
+        with files.log.open("a") as log:
+            log.write(f"{unit}\n")
+        time.sleep(settings.seconds)
+        write_text_atomically(files.count, str(unit + 1))
+    read = [(files.folder / name).read_text() for name in files.inputs]
+    hashed = hashlib.sha256("\n".join([files.name, str(settings.units), *read]).encode())
+    write_text_atomically(files.output, hashed.hexdigest())
