@@ -89,11 +89,17 @@ class Cluster:
             segment_cores: number of cores of each stage that runs beside others. Other stages use all cores of a node.
 
         Raises:
-            UserError: if no node has ``segment_cores`` cores.
+            UserError: if no node has ``segment_cores`` cores, or all nodes with cores have left the cluster.
         """
         self._ray = ray
         self._segment_cores = segment_cores
-        self._node_cores = max(int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"])
+        cores = [int(node["Resources"].get("CPU", 0)) for node in ray.nodes() if node["Alive"]]
+        self._node_cores = max(cores, default=0)
+        if self._node_cores == 0:
+            raise UserError(
+                f"--ray: expected a cluster that has nodes with cores, got {len(cores)} nodes without cores; add one "
+                "with ray start --address HOST:PORT"
+            )
         if not 1 <= segment_cores <= self._node_cores:
             raise UserError(f"--ray-cores: expected 1 to {self._node_cores}, the cores of a node, got {segment_cores}")
 

@@ -92,6 +92,27 @@ def test_a_stopped_training_is_no_lost_worker(tmp_path: Path, monkeypatch: pytes
     assert stopped.error == "expected a stage that finishes, got one that was stopped; run the command again to resume"
 
 
+@dataclass(frozen=True)
+class FakeRay:
+    """The module ray of a cluster whose nodes have the given numbers of cores. None is a node that was lost."""
+
+    cores: tuple[int | None, ...]
+
+    def nodes(self) -> list[dict[str, object]]:
+        return [
+            {"Alive": cores is not None, "Resources": {"CPU": float(cores)} if cores else {}} for cores in self.cores
+        ]
+
+
+def test_a_cluster_without_cores_is_refused() -> None:
+    """Catches a range of cores from 1 to 0 in a message, after all nodes but the head were lost."""
+    expected = r"--ray: expected a cluster that has nodes with cores, got 1 nodes without cores; add one with ray start"
+    with pytest.raises(UserError, match=expected):
+        Cluster(FakeRay((0, None)), 1)
+    with pytest.raises(UserError, match=r"--ray-cores: expected 1 to 4, the cores of a node, got 5"):
+        Cluster(FakeRay((0, 4, 2)), 5)
+
+
 @pytest.mark.skipif(HAS_RAY, reason="ray is installed here")
 def test_a_missing_package_is_named(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Catches a traceback if the extra is not installed."""

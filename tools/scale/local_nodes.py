@@ -14,6 +14,8 @@ STORE_BYTES = 80 << 20
 """Size of the object store of each node. Ray needs at least 75 MB."""
 
 
+PATIENT = 200
+"""Patience of clusters whose nodes are not removed."""
 TITLE = "ray::"
 """Prefix of the titles of workers."""
 ATTEMPTS = 5
@@ -68,8 +70,11 @@ class LocalNodes:
 
 
 @contextmanager
-def local_nodes(count: int, cores: int) -> Iterator[LocalNodes]:
+def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalNodes]:
     """Start a cluster of ``count`` nodes with ``cores`` cores each for the duration of the ``with`` block.
+
+    A node is lost if it does not answer ``patience`` times, every three seconds. On a busy machine, nodes that live may
+    not answer for half a minute.
 
     The cores may be more than the machine has. Ray then starts as many tasks, which share the machine's cores.
     """
@@ -77,7 +82,12 @@ def local_nodes(count: int, cores: int) -> Iterator[LocalNodes]:
 
     # Workers import the tools from the root of the repository.
     os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
-    head = {"num_cpus": 0, "object_store_memory": STORE_BYTES, "include_dashboard": False}
+    head = {
+        "num_cpus": 0,
+        "object_store_memory": STORE_BYTES,
+        "include_dashboard": False,
+        "_system_config": {"health_check_failure_threshold": patience},
+    }
     cluster = Cluster(initialize_head=True, head_node_args=head)
     try:
         nodes = LocalNodes(cluster, cores)

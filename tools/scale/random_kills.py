@@ -29,7 +29,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fourd.pipeline.cluster import RETRIES
-from tools.scale.local_nodes import LocalNodes, local_nodes
+from tools.scale.local_nodes import PATIENT, LocalNodes, local_nodes
 
 CORES = 2
 KILLS_HELP = "mean number of kills in the time that the uninterrupted command needs (default 12)"
@@ -85,7 +85,7 @@ def main() -> None:
     rng = random.Random(arguments.seed)
     kinds = ["worker"] * arguments.workers + ["driver"] * arguments.drivers
     rng.shuffle(kinds)
-    with tempfile.TemporaryDirectory() as folder, local_nodes(1, CORES) as nodes:
+    with tempfile.TemporaryDirectory() as folder, local_nodes(1, CORES, patience=PATIENT) as nodes:
         command = Command(arguments.capture.resolve(), Path(folder) / "out", nodes.address, arguments.options)
         start = time.monotonic()
         command.finish(command.start())

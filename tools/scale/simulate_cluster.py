@@ -69,7 +69,10 @@ def main() -> None:
         simulation.write_capture()
         expected = _expected_scene(simulation)
         text, start = io.StringIO(), time.monotonic()
-        with local_nodes(arguments.nodes, 1) as nodes, join_cluster(nodes.address, 1) as cluster:
+        with (
+            local_nodes(arguments.nodes, 1, patience=arguments.patience) as nodes,
+            join_cluster(nodes.address, 1) as cluster,
+        ):
             console = Console(file=text, force_terminal=True, width=120, force_interactive=True)
             runner = Runner(Context(console), simulation.folder / "stages.json", cluster.execute, is_parallel=True)
             print(f"{nodes.count()} nodes after {time.monotonic() - start:.0f} s", flush=True)
@@ -154,6 +157,7 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=2.0, help="seconds that a unit waits (default 2)")
     parser.add_argument("--failures", type=int, default=0, help="number of nodes that fail (default 0)")
     parser.add_argument("--interval", type=float, default=10.0, help="mean seconds between failures (default 10)")
+    parser.add_argument("--patience", type=int, default=5, help="missing answers until a node is lost (default 5)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the failures (default 0)")
     return parser.parse_args()
 

@@ -1,0 +1,61 @@
+"""Tests of simulated stages, and of a simulated cluster whose nodes fail."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from fourd.pipeline.runner import AnyStage, Runner
+from fourd.pipeline.stage import Context
+from tools.scale.simulated_stages import Simulation
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_a_simulation_resumes_after_the_last_unit(tmp_path: Path) -> None:
+    """Catches simulated stages that are not those of fourd make, a scene that does not depend on all of them, and units
+    that are repeated although they were finished.
+    """
+    simulation = Simulation(tmp_path / "one", cameras=3, frames=30, segment=12, units=3, seconds=0.0)
+    simulation.write_capture()
+    names = [stage.name for group in simulation.groups() for stage in group]
+    assert names[:7] == ["import", "check", "repair", "mattes", "plates", "carve", "segments"]
+    assert names[7:] == ["train 000", "train 001", "train 002", "train 003", "bake"]
+    simulation.run(Runner(Context(), simulation.folder / "stages.json"))
+    assert simulation.started_units() == 8 + 4 * 3
+
+    def interrupt(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
+        """Stop in the second unit of the second segment."""
+        for stage in stages:
+            if stage.name == "train 001":
+                stage.files.count.write_text("1")
+                stage.files.log.write_text("0\n1\n")
+                raise KeyboardInterrupt
+            stage.run(context)
+            yield stage
+
+    other = replace(simulation, folder=tmp_path / "two")
+    other.write_capture()
+    record = other.folder / "stages.json"
+    with pytest.raises(KeyboardInterrupt):
+        other.run(Runner(Context(), record, interrupt))
+    other.run(Runner(Context(), record))
+    assert other.started_units() == simulation.started_units() + 1
+    assert other.scene.read_text() == simulation.scene.read_text()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="needs ray (pip install 'fourd[cluster]')")
+def test_a_cluster_whose_nodes_fail_makes_the_same_scene() -> None:
+    """Catches a lost node that ends the command, a scene with an incomplete segment, and a bar that is not true."""
+    words = ["--nodes", "3", "--frames", "480", "--units", "4", "--seconds", "1", "--failures", "2", "--interval", "4"]
+    command = [sys.executable, "tools/scale/simulate_cluster.py", *words]
+    printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert "scene: same" in printed
+    assert "to (5, 5)" in printed
