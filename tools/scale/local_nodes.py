@@ -17,7 +17,9 @@ STORE_BYTES = 80 << 20
 PATIENT = 200
 """Patience of clusters whose nodes are not removed."""
 TITLE = "ray::"
-"""Prefix of the titles of workers."""
+"""Prefix of the titles of the processes of a node."""
+OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
+"""Beginnings of the titles of processes that run no stage. A node ends if its agents end."""
 ATTEMPTS = 5
 """Number of times that the start of a node is tried."""
 
@@ -60,8 +62,9 @@ class LocalNodes:
                 parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
             except OSError:  # The process has ended.
                 continue
-            if parent in raylets and title.startswith(TITLE) and title != f"{TITLE}IDLE":
-                found[int(folder.name)] = title.removeprefix(TITLE)
+            name = title.removeprefix(TITLE)
+            if parent in raylets and name != title and not name.startswith(OTHER_TITLES):
+                found[int(folder.name)] = name
         return found
 
     def count(self) -> int:

@@ -1,0 +1,291 @@
+"""Cost model of ``fourd make``: duration, bytes and price of each stage for a capture, a config and a cluster.
+
+    python tools/scale/cost_model.py --cameras 60 --frames 18000 --size 3840 2160 --nodes 16 --cores 16
+
+The coefficients in tools/scale/costs.json were measured with tools/scale/measure_costs.py. They are CPU seconds of one
+core of that machine. Those of import and mattes are the constants of fourd.pipeline.plan. Use --speed for other
+machines: a core that is twice as fast has --speed 2. The price of an hour is the reader's own number.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from fourd.model.config import ModelConfig
+from fourd.pipeline.plan import IMPORT_S_PER_MP, MATTE_S_PER_MP, SAMPLED_FRAMES
+from fourd.training.config import SegmentConfig, TrainConfig
+from fourd.training.segments.plan import SegmentPlan
+
+BYTES_PER_PIXEL = 4
+"""Bytes of a pixel in the cache of decoded images: RGB and matte."""
+COSTS = Path(__file__).with_name("costs.json")
+
+
+@dataclass(frozen=True)
+class Costs:
+    """Coefficients. Times are CPU seconds of one core. A point is a point of one frame, and a colour is a point of one
+    frame in one training camera.
+
+    Attributes:
+        stage_start_s: start of the process of a stage.
+        decode_s_per_mp: decoding the frames of a video in order.
+        seek_s_per_mp: decoding random frames of a video with a key frame every 60 frames.
+        train_start_s: start of a training, and its first checkpoint.
+    """
+
+    stage_start_s: float
+    decode_s_per_mp: float
+    seek_s_per_mp: float
+    carve_s_per_image: float
+    carve_s_per_point: float
+    train_start_s: float
+    step_s: float
+    step_s_per_point: float
+    step_s_per_mp: float
+    bake_s_per_frame: float
+    bake_s_per_colour: float
+    matte_bytes_per_mp: float
+    hull_bytes_per_point: float
+    checkpoint_bytes: float
+    checkpoint_bytes_per_point: float
+    scene_bytes_per_point: float
+    scene_bytes_per_colour: float
+
+    @classmethod
+    def load(cls, path: Path = COSTS) -> Costs:
+        """Read a file that measure_costs.py has written."""
+        return cls(**json.loads(path.read_text()))
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A capture and the config of its training.
+
+    Attributes:
+        cameras: number of cameras.
+        frames: number of frames of each camera.
+        image_mp: size of an image in megapixels.
+        video_mbits: megabits per second of each video.
+        fps: frames per second.
+        has_mattes: whether the capture has mattes.
+        has_videos: whether the capture is imported from videos. Otherwise it has image files.
+        scale: scale of the images in training.
+        points: points of a frame.
+        segment: maximum number of frames of a segment.
+        steps: training steps of a segment.
+    """
+
+    cameras: int
+    frames: int
+    image_mp: float
+    video_mbits: float = 100.0
+    fps: float = 30.0
+    has_mattes: bool = False
+    has_videos: bool = True
+    scale: float = 1.0
+    points: int = 65536
+    segment: int = 120
+    steps: int = 4000
+
+    @property
+    def segments(self) -> tuple[range, ...]:
+        """The frames of each segment. Successive segments share some frames."""
+        return SegmentPlan.divide(self.frames, SegmentConfig(frames=self.segment)).ranges
+
+    @property
+    def decoded_mp(self) -> float:
+        """Megapixels that are decoded in each training step. Image files and images that fit into the cache of decoded
+        images cost little and count as 0."""
+        image_bytes = BYTES_PER_PIXEL * 1e6 * self.image_mp * self.scale**2
+        fits = self.segment * self.cameras * image_bytes <= TrainConfig().memory_mb * 2**20
+        return 0.0 if fits or not self.has_videos else (1 + ModelConfig().neighbours) * self.image_mp
+
+    @property
+    def frame_points(self) -> int:
+        """Points of all frames."""
+        return self.frames * self.points
+
+
+@dataclass(frozen=True)
+class Machines:
+    """A cluster.
+
+    Attributes:
+        nodes: number of nodes.
+        cores: cores of a node, as Ray counts them.
+        real_cores: cores that the machine of all nodes really has, or None if each node has its own cores.
+        speed: speed of a core, relative to the measured one.
+    """
+
+    nodes: int
+    cores: int
+    real_cores: float | None = None
+    speed: float = 1.0
+
+    @property
+    def total_cores(self) -> float:
+        """Cores of all nodes that really exist."""
+        return min(self.nodes * self.cores, self.real_cores or float("inf"))
+
+    @property
+    def node_cores(self) -> float:
+        """Cores of one node that really exist."""
+        return min(self.cores, self.real_cores or float("inf"))
+
+
+@dataclass(frozen=True)
+class StageCost:
+    """The cost of a stage.
+
+    Attributes:
+        name: name of the stage.
+        core_s: CPU seconds of one core.
+        wall_s: duration on the cluster.
+        read_bytes: bytes that the stage reads from the shared storage.
+        written_bytes: bytes that the stage writes to it.
+    """
+
+    name: str
+    core_s: float
+    wall_s: float
+    read_bytes: float
+    written_bytes: float
+
+
+def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCost, ...]:
+    """The cost of each stage, in the order in which the stages run."""
+    images = capture.cameras * capture.frames
+    whole_mp = images * capture.image_mp
+    videos = capture.cameras * capture.frames / capture.fps * capture.video_mbits * 1e6 / 8
+    mattes = whole_mp * costs.matte_bytes_per_mp
+    hull = capture.frame_points * costs.hull_bytes_per_point
+    lengths = [len(frames) for frames in capture.segments]
+    checkpoints = [
+        costs.checkpoint_bytes + length * capture.points * costs.checkpoint_bytes_per_point for length in lengths
+    ]
+    colours = capture.frame_points * capture.cameras
+    scene = capture.frame_points * costs.scene_bytes_per_point + colours * costs.scene_bytes_per_colour
+    stages = []
+
+    def add(name: str, core_s: float, parallel: float, read: float, written: float) -> None:
+        """Add a stage that runs alone and uses ``parallel`` cores."""
+        scaled = core_s / machines.speed
+        start = costs.stage_start_s / machines.speed
+        stages.append(StageCost(name, scaled + start, scaled / parallel + start, read, written))
+
+    sampled_mp = min(SAMPLED_FRAMES, capture.frames) * capture.cameras * capture.image_mp
+    if capture.has_videos:
+        # The capture has links to the videos.
+        add("import", IMPORT_S_PER_MP * sampled_mp, 1, videos, 0)
+    if not capture.has_mattes:
+        add("mattes", MATTE_S_PER_MP * whole_mp, machines.node_cores, videos, mattes)
+    carving = images * costs.carve_s_per_image + capture.frame_points * costs.carve_s_per_point
+    add("carving", carving, machines.node_cores, mattes, hull)
+    segments = [segment_core_s(costs, capture) / machines.speed] * len(lengths)
+    wall_s = makespan(segments, machines.nodes * machines.cores, machines.total_cores)
+    # Segments share frames with their neighbours, so the sum of their lengths is larger than the number of frames.
+    repeated = sum(lengths) / capture.frames
+    read = (videos + mattes + hull) * repeated
+    stages.append(StageCost("training", sum(segments), wall_s, read, sum(checkpoints)))
+    baking = capture.frames * costs.bake_s_per_frame + colours * costs.bake_s_per_colour
+    add("baking", baking, 1, sum(checkpoints) + videos, scene)
+    return tuple(stages)
+
+
+def segment_core_s(costs: Costs, capture: Capture) -> float:
+    """CPU seconds to train one segment with one core, including the start of its process."""
+    step = (
+        costs.step_s
+        + costs.step_s_per_point * capture.points
+        + costs.step_s_per_mp * capture.image_mp * capture.scale**2
+        + costs.seek_s_per_mp * capture.decoded_mp
+    )
+    return costs.stage_start_s + costs.train_start_s + capture.steps * step
+
+
+def makespan(works: Sequence[float], slots: int, cores: float) -> float:
+    """Seconds until all works are done.
+
+    Args:
+        works: core seconds of each work, in the order in which the works start. A work uses at most one core.
+        slots: number of works that run at the same time.
+        cores: number of cores, which the running works share equally.
+    """
+    waiting, running, now = list(works), list[float](), 0.0
+    while waiting or running:
+        while waiting and len(running) < slots:
+            running.append(waiting.pop(0))
+        share = min(1.0, cores / len(running))
+        first = min(running)
+        now += first / share
+        running = [left - first for left in running if left - first > 1e-9]
+    return now
+
+
+def main() -> None:
+    arguments = _parse_arguments()
+    width, height = arguments.size
+    capture = Capture(
+        arguments.cameras,
+        arguments.frames,
+        width * height / 1e6,
+        video_mbits=arguments.video_mbits,
+        has_mattes=arguments.mattes,
+        scale=arguments.scale,
+        points=arguments.points,
+        segment=arguments.segment,
+        steps=arguments.steps,
+    )
+    machines = Machines(arguments.nodes, arguments.cores, speed=arguments.speed)
+    stages = predict(Costs.load(), capture, machines)
+    print(table(stages, machines, arguments.price))
+
+
+def table(stages: Sequence[StageCost], machines: Machines, price: float | None) -> str:
+    """A table in Markdown. ``price`` is the price of one hour of a node, or None."""
+    lines = ["| stage | core hours | hours | share of time | read, GB | written, GB |", "|---|---|---|---|---|---|"]
+    total = StageCost(
+        "all",
+        sum(stage.core_s for stage in stages),
+        sum(stage.wall_s for stage in stages),
+        sum(stage.read_bytes for stage in stages),
+        sum(stage.written_bytes for stage in stages),
+    )
+    for stage in (*stages, total):
+        lines.append(
+            f"| {stage.name} | {stage.core_s / 3600:,.1f} | {stage.wall_s / 3600:,.1f} | "
+            f"{stage.wall_s / total.wall_s:.0%} | {stage.read_bytes / 1e9:,.0f} | {stage.written_bytes / 1e9:,.0f} |"
+        )
+    if price is not None:
+        hours = total.wall_s / 3600
+        lines.append(f"\n{machines.nodes} nodes for {hours:,.1f} hours: {machines.nodes * hours * price:,.0f}")
+    return "\n".join(lines)
+
+
+def _parse_arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cameras", type=int, required=True, help="number of cameras")
+    parser.add_argument("--frames", type=int, required=True, help="frames of each camera")
+    parser.add_argument("--size", type=int, nargs=2, required=True, help="width and height of the images in pixels")
+    parser.add_argument("--video-mbits", type=float, default=100.0, help="megabits a second of a video (default 100)")
+    parser.add_argument("--mattes", action="store_true", help="the capture has mattes")
+    parser.add_argument("--scale", type=float, default=1.0, help="scale of the images in training (default 1)")
+    parser.add_argument("--points", type=int, default=65536, help="points of a frame (default 65536)")
+    parser.add_argument("--segment", type=int, default=120, help="maximum frames of a segment (default 120)")
+    parser.add_argument("--steps", type=int, default=4000, help="training steps of a segment (default 4000)")
+    parser.add_argument("--nodes", type=int, default=1, help="number of nodes (default 1)")
+    parser.add_argument("--cores", type=int, default=2, help="cores of a node (default 2)")
+    parser.add_argument("--speed", type=float, default=1.0, help="speed of a core relative to the measured one")
+    parser.add_argument("--price", type=float, help="price of one hour of a node, in any currency")
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    main()
