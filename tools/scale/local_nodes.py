@@ -81,6 +81,7 @@ def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalN
 
     The cores may be more than the machine has. Ray then starts as many tasks, which share the machine's cores.
     """
+    from ray._private.utils import get_ray_address_file
     from ray.cluster_utils import Cluster
 
     # Workers import the tools from the root of the repository.
@@ -93,6 +94,8 @@ def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalN
     }
     cluster = Cluster(initialize_head=True, head_node_args=head)
     try:
+        # Otherwise, programs that use "--ray auto" on this machine would join this cluster.
+        Path(get_ray_address_file(None)).unlink(missing_ok=True)
         nodes = LocalNodes(cluster, cores)
         for _ in range(count):
             nodes.add()

@@ -33,6 +33,8 @@ from tools.scale.local_nodes import PATIENT, LocalNodes, local_nodes
 
 CORES = 2
 KILLS_HELP = "mean number of kills in the time that the uninterrupted command needs (default 12)"
+KEPT = Path("random_kills_failed")
+"""Folder to which the results are copied if a scene is not as expected."""
 TRAINED = "train "
 """Prefix of the names of the stages that train segments."""
 
@@ -101,19 +103,21 @@ def main() -> None:
             )
             same = command.scene.read_bytes() == expected
             print(f"{time.monotonic() - start:.0f} s, killed: {', '.join(killed[before:])}", flush=True)
-            print(f"{repeated} finished segments were repeated; scene: {'same' if same else 'DIFFERENT'}", flush=True)
+            verdict = "same" if same else "DIFFERENT"
+            print(f"finished segments that were repeated: {repeated or 'none'}; scene: {verdict}", flush=True)
             if repeated or not same:
-                sys.exit(1)
+                shutil.copytree(command.folder, KEPT, dirs_exist_ok=True)
+                sys.exit(f"{KEPT}: has the results")
     print(f"killed {arguments.workers} workers and {arguments.drivers} drivers")
 
 
 def run_with_kills(
     command: Command, nodes: LocalNodes, kinds: Sequence[str], killed: list[str], interval: Callable[[], float]
-) -> int:
+) -> list[str]:
     """Run the command until it has succeeded, and kill a process after each interval in seconds.
 
-    ``kinds`` are the kinds of all kills. Each kill is described in ``killed``. Returns the number of finished segments
-    that were repeated.
+    ``kinds`` are the kinds of all kills. Each kill is described in ``killed``. Returns the names of the finished
+    segments that were repeated.
     """
     process, deadline = command.start(), time.monotonic() + interval()
     kept: dict[str, dict[str, int]] = {}
@@ -140,7 +144,7 @@ def run_with_kills(
         deadline = time.monotonic() + interval()
     command.finish(process)
     finished = command.finished_segments()
-    return sum(finished.get(name) != files for name, files in kept.items())
+    return [name for name, files in kept.items() if finished.get(name) != files]
 
 
 def _parse_arguments() -> argparse.Namespace:
