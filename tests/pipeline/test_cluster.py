@@ -135,7 +135,10 @@ def test_a_killed_worker_is_replaced_and_failures_wait_for_the_others(cluster: C
         finished.extend(stage.name for stage in cluster.execute(stages, Context(Console(file=text))))
     assert finished == ["killed"]
     assert (tmp_path / "count").read_text() == "2"
-    assert text.getvalue() == "cores 1, threads 1\n"
+    printed = text.getvalue().splitlines()
+    assert printed[0] == "cores 1, threads 1"
+    # On a slow machine, the progress is printed as well. The failed stage does not count as finished.
+    assert all(line.startswith("stages on the cluster: 1 of 2 after ") for line in printed[1:])
 
 
 @needs_ray

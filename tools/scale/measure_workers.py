@@ -1,41 +1,44 @@
-"""Time the training of a capture's segments with several numbers of workers, and compare it with the cost model.
+"""Measure the training of a capture's segments with several numbers of workers, and compare it with the cost model.
 
     fourd synth CAPTURE --frames 240 --cameras 8 --size 96
     python tools/scale/measure_workers.py CAPTURE --workers 1 2 4 --rounds 3 \\
         --segment 48 --points 2000 --steps 100
 
 Each worker is a core of a Ray node on this machine, which may have fewer cores. The stages before training run once.
-The numbers of workers then alternate. For each of them, a new run trains all segments with ``fourd make --ray``. The
-printed times are those from the start of the first segment to the end of the last one.
+The numbers of workers then alternate. For each of them, a new run trains all segments with ``fourd make --ray``.
 
-On a machine with other programs, workers do not get whole cores. The column "cores left" is the number of cores that
-other programs left: all cores, minus the CPU time of other programs, from /proc/stat. Needs Linux.
+The times are those from the start of the first segment to the end of the last one. They depend on other programs of the
+machine. CPU seconds hardly do: the column "on whole cores" is the duration that the measured CPU seconds of the
+segments give on a machine without other programs. Needs Linux.
 """
 
 from __future__ import annotations
 
 import argparse
 import os
-import resource
 import shutil
 import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fourd.capture import open_capture
-from tools.scale.cost_model import Capture, Costs, Machines, makespan, segment_core_s
-from tools.scale.local_nodes import PATIENT, local_nodes
+from tools.scale.cost_model import Capture, Costs, makespan, segment_core_s
+from tools.scale.local_nodes import PATIENT, LocalNodes, local_nodes
 
 SCENE = "scene.4dv"
 WORK = "scene.work"
 TRAINED = "train "
+SAMPLED_S = 0.1
+"""Seconds between two readings of CPU times."""
 
 
 @dataclass(frozen=True)
@@ -45,14 +48,12 @@ class Timing:
     Attributes:
         workers: number of workers.
         wall_s: seconds from the start of the first segment to the end of the last one.
-        own_core_s: CPU seconds of the command and the cluster, from the start to the end of the command.
-        others_cores: mean number of cores that other programs used.
+        core_s: CPU seconds of the process of each segment.
     """
 
     workers: int
     wall_s: float
-    own_core_s: float
-    others_cores: float
+    core_s: tuple[float, ...]
 
 
 def main() -> None:
@@ -103,50 +104,65 @@ def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) ->
     shutil.rmtree(folder, ignore_errors=True)
     # The stages compare the times of the files, which the copy keeps.
     shutil.copytree(prepared, folder, copy_function=shutil.copy2)
-    own, busy, begin = _own_seconds(), _busy_seconds(), time.monotonic()
+    spent: dict[str, float] = {}
     start = end = 0.0
     with local_nodes(1, workers, patience=PATIENT) as nodes:
         process = subprocess.Popen([*command, "--ray", nodes.address], cwd=folder, stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line.startswith(TRAINED):
-                start, end = start or time.monotonic(), time.monotonic()
+        with _sampled(lambda: spent.update(_segment_seconds(nodes))):
+            assert process.stdout is not None
+            for line in process.stdout:
+                if line.startswith(TRAINED):
+                    start, end = start or time.monotonic(), time.monotonic()
         if process.wait() != 0:
             sys.exit(f"exit code {process.returncode}")
-    own, busy = _own_seconds() - own, _busy_seconds() - busy
-    return Timing(workers, end - start, own, max(busy - own, 0.0) / (time.monotonic() - begin))
+    return Timing(workers, end - start, tuple(spent[name] for name in sorted(spent)))
 
 
 def report(timings: Sequence[Timing], capture: Capture) -> None:
     """Print a table of medians, and of the predictions of the cost model."""
-    work, count = segment_core_s(Costs.load(), capture), len(capture.segments)
-    real = os.cpu_count() or 1
+    work, real = segment_core_s(Costs.load(), capture), os.cpu_count() or 1
+    count = len(capture.segments)
     print(f"{count} segments; predicted: {work:.1f} CPU seconds for each")
-    print("| workers | training, s | times the first | cores left | predicted, s | predicted, whole cores, s |")
+    print("| workers | CPU seconds of a segment | on whole cores, s | times the first | predicted, s | measured, s |")
     print("|---|---|---|---|---|---|")
     base: float | None = None
     for workers in sorted({timing.workers for timing in timings}):
         rows = [timing for timing in timings if timing.workers == workers]
+        core_s = statistics.median(seconds for timing in rows for seconds in timing.core_s)
+        whole = statistics.median(makespan(timing.core_s, workers, real) for timing in rows)
         wall = statistics.median(timing.wall_s for timing in rows)
-        left = real - statistics.median(timing.others_cores for timing in rows)
-        base = base or wall
-        machines = Machines(1, workers, real)
-        predicted = makespan([work] * count, workers, min(left, machines.total_cores))
-        alone = makespan([work] * count, workers, machines.total_cores)
-        print(f"| {workers} | {wall:.0f} | {base / wall:.2f} | {left:.2f} | {predicted:.0f} | {alone:.0f} |")
+        base = base or whole
+        predicted = makespan([work] * count, workers, real)
+        print(f"| {workers} | {core_s:.1f} | {whole:.0f} | {base / whole:.2f} | {predicted:.0f} | {wall:.0f} |")
 
 
-def _own_seconds() -> float:
-    """CPU seconds of this process and of its ended descendants."""
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + children.ru_utime + children.ru_stime
+def _segment_seconds(nodes: LocalNodes) -> dict[str, float]:
+    """CPU seconds, up to now, of the processes that train a segment."""
+    found = {}
+    for pid, name in nodes.stages().items():
+        if name.startswith(TRAINED):
+            with suppress(OSError):  # The process has ended.
+                fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+                found[name] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return found
 
 
-def _busy_seconds() -> float:
-    """CPU seconds of all programs of this machine since it was started."""
-    fields = [int(word) for word in Path("/proc/stat").read_text().splitlines()[0].split()[1:9]]
-    idle = fields[3] + fields[4]
-    return (sum(fields) - idle) / os.sysconf("SC_CLK_TCK")
+@contextmanager
+def _sampled(action: Callable[[], object]) -> Iterator[None]:
+    """Call ``action`` in a thread, several times per second."""
+    stopped = threading.Event()
+
+    def repeat() -> None:
+        while not stopped.wait(SAMPLED_S):
+            action()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        stopped.set()
+        thread.join()
 
 
 def _parse_arguments() -> argparse.Namespace:
