@@ -11,19 +11,35 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 WEB = ROOT / "viewer" / "web"
+TIMEOUT_SECONDS = 120
 
 
 def installed(name: str) -> Path:
-    """The folder of a package of viewer/web/package.json, installed in build/npm. Skips the test if npm fails."""
+    """The folder of a package of viewer/web/package.json. Installs all of them in build/npm, once.
+
+    Skips the test if npm fails or takes longer than ``TIMEOUT_SECONDS``.
+    """
+    versions = json.loads((WEB / "package.json").read_text())["devDependencies"]
+    folder = ROOT / "build" / "npm"
+    if not all(_has(folder, package, version) for package, version in versions.items()):
+        _install(folder, versions)
+    return folder / "node_modules" / name
+
+
+def _has(folder: Path, name: str, version: str) -> bool:
+    manifest = folder / "node_modules" / name / "package.json"
+    return manifest.is_file() and json.loads(manifest.read_text())["version"] == version
+
+
+def _install(folder: Path, versions: dict[str, str]) -> None:
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("no node and npm here")
-    version = json.loads((WEB / "package.json").read_text())["devDependencies"][name]
-    folder = ROOT / "build" / "npm" / name
-    found = folder / "node_modules" / name
-    if not found.is_dir() or json.loads((found / "package.json").read_text())["version"] != version:
-        folder.mkdir(parents=True, exist_ok=True)
-        words = ["npm", "install", "--prefix", str(folder), "--no-audit", "--no-fund", f"{name}@{version}"]
-        done = subprocess.run(words, capture_output=True, text=True)
-        if done.returncode != 0:
-            pytest.skip(f"npm cannot install {name}: {done.stderr.strip()[-200:]}")
-    return found
+    folder.mkdir(parents=True, exist_ok=True)
+    words = ["npm", "install", "--prefix", str(folder), "--no-audit", "--no-fund", "--prefer-offline"]
+    words += [f"{package}@{version}" for package, version in versions.items()]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=TIMEOUT_SECONDS)
+    except subprocess.TimeoutExpired:
+        pytest.skip(f"npm did not install {', '.join(versions)} in {TIMEOUT_SECONDS} seconds")
+    if done.returncode != 0:
+        pytest.skip(f"npm cannot install {', '.join(versions)}: {done.stderr.strip()[-200:]}")
