@@ -1,7 +1,8 @@
 // The type Lanes: 16 floats, one per pixel of a 4 x 4 block. The vector type of Lanes depends on the instruction set
 // that this file is compiled for. A dispatched file (common/dispatch.h) includes this file inside its namespace.
-// Additions have the same order for all instruction sets, so results have the same bits.
+// Additions have the same order for all instruction sets, so results have the same bits, except those of multiply_add.
 //
+// multiply_add(a, b, c) returns a b + c. Only instruction sets with fused operations skip the rounding of the product.
 // exponent_of and mantissa_of take positive normal numbers a = m 2^e with m in [1, 2), and return e and m. The function
 // times_power_of_two(a, power) returns a 2^power for whole numbers `power`. The result must be a normal number.
 // minimum(a, b) and maximum(a, b) return b where a or b is NaN.
@@ -30,6 +31,7 @@ inline unsigned bits_of(Mask a) { return a.bits; }
 inline Lanes minimum(Lanes a, Lanes b) { return {_mm512_min_ps(a.value, b.value)}; }
 inline Lanes maximum(Lanes a, Lanes b) { return {_mm512_max_ps(a.value, b.value)}; }
 inline Lanes square_root(Lanes a) { return {_mm512_sqrt_ps(a.value)}; }
+inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) { return {_mm512_fmadd_ps(a.value, b.value, c.value)}; }
 inline Lanes exponent_of(Lanes a) {
     const __m512i bits = _mm512_srli_epi32(_mm512_castps_si512(a.value), 23);
     return {_mm512_cvtepi32_ps(_mm512_sub_epi32(bits, _mm512_set1_epi32(127)))};
@@ -139,6 +141,14 @@ inline Lanes square_root(Lanes a) {
         for (int lane = 0; lane < kNative; ++lane) out.part[p][lane] = __builtin_sqrtf(a.part[p][lane]);
     }
     return out;
+#endif
+}
+inline Lanes multiply_add(Lanes a, Lanes b, Lanes c) {
+    Lanes out;
+#if defined(__AVX__) && defined(__FMA__)
+    FOURD_PER_PART((NativeFloat)_mm256_fmadd_ps((__m256)a.part[p], (__m256)b.part[p], (__m256)c.part[p]));
+#else
+    FOURD_PER_PART(a.part[p] * b.part[p] + c.part[p]);
 #endif
 }
 inline Lanes exponent_of(Lanes a) {
@@ -269,6 +279,10 @@ inline Lanes maximum(const Lanes& a, const Lanes& b) {
 inline Lanes square_root(const Lanes& a) {
     Lanes out;
     FOURD_PER_LANE(sqrtf(a.lane[i]));
+}
+inline Lanes multiply_add(const Lanes& a, const Lanes& b, const Lanes& c) {
+    Lanes out;
+    FOURD_PER_LANE(a.lane[i] * b.lane[i] + c.lane[i]);
 }
 inline std::int32_t bits_of(float value) {
     std::int32_t bits;
