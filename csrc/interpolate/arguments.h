@@ -6,9 +6,8 @@
 #include <nanobind/ndarray.h>
 
 #include <optional>
-#include <type_traits>
 
-#include "binding/require.h"
+#include "binding/indices.h"
 #include "interpolate/interpolate.h"
 
 namespace fourd {
@@ -51,11 +50,7 @@ struct InterpolateArguments {
         require(attr.shape(0) == 1 || attr.shape(0) == rast.shape(0), "attr: expected one mesh, or one for each image");
         require(attr.shape(2) >= 1, "attr: expected at least 1 channel");
         require(diff.shape(0) == 0 || rast_db, "rast_db: expected derivatives if diff is not empty");
-        if constexpr (std::is_same_v<Device, nanobind::device::cpu>) {
-            for (std::size_t i = 0; i < diff.shape(0); ++i) {
-                require(static_cast<std::uint32_t>(diff.data()[i]) < attr.shape(2), "diff: expected indices of channels");
-            }
-        }
+        require_indices(diff, attr.shape(2), "diff: expected indices of channels");
         image(rast, 4, "rast: unexpected shape");
         if (rast_db) image(*rast_db, 4, "rast_db: unexpected shape");
     }

@@ -1,6 +1,6 @@
 // Checks and converts the arguments of soft rasterization, for the CPU and a GPU. Shapes are checked here, because a
-// kernel would read past the end of an array with a wrong shape. fourd/raster/triangles/soft.py checks vertex indices
-// and values.
+// kernel would read past the end of an array with a wrong shape. fourd/raster/triangles/soft.py checks values,
+// and vertex indices on a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "binding/indices.h"
 #include "points/arguments.h"
 #include "soft_triangles/soft_triangles.h"
 
@@ -54,6 +55,7 @@ struct SoftArguments {
         const std::size_t count = tri.shape(0), channels = features.shape(1);
         require(count <= 0x7fffffff && xyz.shape(0) <= 0x7fffffff, "xyz, tri: expected at most 2^31 - 1 rows");
         require(count == 0 || xyz.shape(0) > 0, "xyz: expected at least one vertex");
+        require_indices(tri, xyz.shape(0), "tri: expected indices of vertices");
         require(features.shape(0) == count && channels >= 1 && channels <= soft_triangles::kMaxChannels,
                 "features: unexpected shape");
         return {xyz.data(), tri.data(), features.data(), xyz.shape(0), count, static_cast<int>(channels)};

@@ -1,6 +1,6 @@
 // Checks and converts the arguments of triangle splatting, for the CPU and a GPU. Shapes are checked here, because a
-// kernel would read past the end of an array with a wrong shape. fourd/raster/triangles/splatting.py checks vertex
-// indices and values.
+// kernel would read past the end of an array with a wrong shape. fourd/raster/triangles/splatting.py checks values,
+// and vertex indices on a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -10,6 +10,7 @@
 #include <string>
 #include <vector>
 
+#include "binding/indices.h"
 #include "points/arguments.h"
 #include "splat_triangles/splat_triangles.h"
 
@@ -42,6 +43,7 @@ struct SplatArguments {
         const std::size_t count = tri.shape(0), channels = features.shape(1);
         require(count <= 0x7fffffff && xyz.shape(0) <= 0x7fffffff, "xyz, tri: expected at most 2^31 - 1 rows");
         require(count == 0 || xyz.shape(0) > 0, "xyz: expected at least one vertex");
+        require_indices(tri, xyz.shape(0), "tri: expected indices of vertices");
         require(features.shape(0) == count && channels >= (geometry ? 1 + splat_triangles::kGeometry : 1) &&
                     channels <= splat_triangles::kMaxChannels,
                 "features: unexpected shape");

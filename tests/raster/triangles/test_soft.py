@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from fourd.ops.points.validation import pack_camera
 from fourd.raster.triangles import rasterize_soft
 from tests.raster.clouds import turned_camera
 from tests.raster.triangles.test_splatting import front_camera
@@ -77,3 +78,15 @@ def test_messages(changes: dict[str, Any], error: type[Exception], message: str)
     """Catches an invalid argument that reaches a kernel, and a message that does not name it."""
     with pytest.raises(error, match=message):
         rasterize_soft(**{**arguments(), **changes})
+
+
+@pytest.mark.parametrize("vertex", [-1, 6])
+def test_the_operators_check_vertex_indices(vertex: int) -> None:
+    """Catches reads past the end of the positions, if a caller does not use fourd.raster."""
+    xyz, tri, features = torch.rand(6, 3), torch.tensor([[0, 1, vertex]]).int(), torch.rand(1, 3)
+    camera, softness = pack_camera(turned_camera(8, 8)), [0, 1e-4, 1e-2, 1e-3, 0.1, 10, 1e-3]
+    with pytest.raises(ValueError, match="tri: expected indices of vertices"):
+        torch.ops.fourd.rasterize_soft(xyz, tri, features, camera, 8, 8, softness, 4, 0)
+    one = torch.rand(1)
+    with pytest.raises(ValueError, match="tri: expected indices of vertices"):
+        torch.ops.fourd.splat_triangles(xyz, tri, features, one, one, False, camera, 8, 8, 4, 0.01, 0)
