@@ -43,7 +43,7 @@ READERS = (
     Command(("mesh", "capture", "-o", "out/meshes"), "out"),
     Command(("fit-triangles", "capture", "-o", "out/mesh.ply", "--triangles", "500", "--max-steps", "2"), "out"),
     Command(("synth", "out/synthetic", "--frames", "1", "--cameras", "3", "--size", "32"), "out"),
-    MAKE,
+    Command(("make", "capture", *MAKE.words[2:]), "out"),
     Command(("check", "capture"), "capture"),
     Command(("info", "run"), "run"),
     Command(("verify", "run"), "run"),
