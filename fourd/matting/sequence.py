@@ -76,7 +76,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
 
     The models are learned from the whole recording, even if only some frames are selected. Mattes from an earlier call
     with the same inputs and settings are kept, including the mattes of frames that are not selected. If the inputs or
-    settings differ, all mattes are computed again.
+    settings differ, all mattes are computed again. The old mattes are deleted only when the models are learned, the
+    networks are loaded or the masks are found, so that they are not lost if one of these steps fails.
 
     Args:
         selection: the capture. Evidence is combined over all selected cameras.
@@ -106,17 +107,17 @@ def _make_missing(
     refuse_symlinks(capture.path, folder)
     # Invalid painted images are reported before the models are learned.
     read_strokes(settings.paint, capture, matting_cameras(capture))
-    model_key = matte_key(capture, replace(settings, paint=()))
-    _prepare_folder(folder, matte_key(capture, settings), model_key)
+    output = _Output(folder, matte_key(capture, settings), matte_key(capture, replace(settings, paint=())))
+    is_current = output.prepare()
     chosen = parse_frame_range(frames, capture.frame_count)
-    missing = [frame for frame in chosen if not _is_made(folder, capture, frame)]
+    missing = [frame for frame in chosen if not (is_current and _is_made(folder, capture, frame))]
     if not missing:
         return 0
     if settings.method in ("rvm", "onnx"):
-        _make_network_mattes(capture, settings, folder, missing, track)
+        _make_network_mattes(capture, settings, output, missing, track)
         return len(missing)
     if settings.method == "masks":
-        _convert_masks(capture, settings, folder, missing, track)
+        _convert_masks(capture, settings, output, missing, track)
         return len(missing)
     model: Path | tuple[ScreenColour, ...]
     if settings.method == "chroma":
@@ -125,6 +126,7 @@ def _make_missing(
         model = folder.parent / MODEL_NAME
         if not model.exists():
             _learn_subject_model(capture, settings, model, track)
+    output.clear()
     jobs = [
         _Job(recording, model, folder, tuple(block), settings.paint) for block in split_into_blocks(missing, workers)
     ]
@@ -148,24 +150,46 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
     return digest.hexdigest()
 
 
-def _prepare_folder(folder: Path, key: str, model_key: str) -> None:
-    """Delete mattes that were computed with another key, and unfinished files of killed processes.
-
-    The models are kept if only the painted images changed, which ``model_key`` does not depend on.
+@dataclass(frozen=True)
+class _Output:
+    """The folder of the mattes, and the keys of the mattes and of the models that belong there. The keys of those that
+    are there are in STATE.
     """
-    state = folder.parent / STATE
-    try:
-        known = dict(read_json(state))
-    except (OSError, ValueError, TypeError):
-        known = {}
-    if known.get("model") != model_key:
-        (folder.parent / MODEL_NAME).unlink(missing_ok=True)
-    if known.get("key") != key:
-        shutil.rmtree(folder, ignore_errors=True)
-        (folder.parent / SHEET.name).unlink(missing_ok=True)
-        write_text_atomically(state, json.dumps({"version": VERSION, "key": key, "model": model_key}) + "\n")
-    remove_unfinished(folder.parent)
-    remove_unfinished(folder, deep=True)
+
+    folder: Path
+    key: str
+    model_key: str
+
+    def prepare(self) -> bool:
+        """Delete models with another key, and unfinished files of killed processes. Return whether the mattes that
+        exist have the key.
+
+        The models are kept if only the painted images changed, which ``model_key`` does not depend on.
+        """
+        known = self._known()
+        if known.get("model") != self.model_key:
+            self._write(known.get("key"), None)
+            (self.folder.parent / MODEL_NAME).unlink(missing_ok=True)
+        remove_unfinished(self.folder.parent)
+        remove_unfinished(self.folder, deep=True)
+        return known.get("key") == self.key
+
+    def clear(self) -> None:
+        """Delete mattes with another key."""
+        if self._known().get("key") != self.key:
+            shutil.rmtree(self.folder, ignore_errors=True)
+            (self.folder.parent / SHEET.name).unlink(missing_ok=True)
+        self._write(self.key, self.model_key)
+
+    def _known(self) -> dict[str, object]:
+        try:
+            return dict(read_json(self.folder.parent / STATE))
+        except (OSError, ValueError, TypeError):
+            return {}
+
+    def _write(self, key: object, model_key: str | None) -> None:
+        state = {"version": VERSION, "key": key, "model": model_key}
+        write_text_atomically(self.folder.parent / STATE, json.dumps(state) + "\n")
 
 
 def _is_made(folder: Path, capture: Capture, frame: int) -> bool:
@@ -198,7 +222,7 @@ def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> 
 
 
 def _make_network_mattes(
-    capture: Capture, settings: MatteSettings, folder: Path, missing: Sequence[int], track: Track
+    capture: Capture, settings: MatteSettings, output: _Output, missing: Sequence[int], track: Track
 ) -> None:
     """Run the network on each camera's frames in order.
 
@@ -214,6 +238,8 @@ def _make_network_mattes(
         raise UserError("--rvm: expected a network file for --method rvm, got none; pass --rvm FILE")
     else:
         network = load_rvm(settings.rvm)
+    output.clear()
+    folder = output.folder
     for index, name in enumerate(capture.names):
         remaining = [frame for frame in missing if not (folder / name / f"{capture.frame_names[frame]}.png").exists()]
         if not remaining:
@@ -226,14 +252,15 @@ def _make_network_mattes(
 
 
 def _convert_masks(
-    capture: Capture, settings: MatteSettings, folder: Path, missing: Sequence[int], track: Track
+    capture: Capture, settings: MatteSettings, output: _Output, missing: Sequence[int], track: Track
 ) -> None:
     """Undistort the masks of another program."""
     if settings.masks is None:
         raise UserError("--masks: expected a folder for --method masks, got none; pass --masks FOLDER")
     paths = find_masks(settings.masks, capture, list(missing))
+    output.clear()
     for (camera, frame), path in track(paths.items(), len(paths), "masks"):
-        matte = folder / capture.names[camera] / f"{capture.frame_names[frame]}.png"
+        matte = output.folder / capture.names[camera] / f"{capture.frame_names[frame]}.png"
         if not matte.exists():
             write_matte(matte, read_mask(path, capture, camera))
 

@@ -45,6 +45,20 @@ def test_masks_of_another_program_become_mattes(capture: Path, tmp_path: Path) -
         make_mattes(Selection(own), MatteSettings("masks", masks=tmp_path / "none"), 1, untracked)
 
 
+def test_mattes_are_kept_if_another_method_fails(capture: Path, tmp_path: Path) -> None:
+    """Catches mattes, which the user may have edited, that are deleted before the network of another method is read."""
+    own = tmp_path / "capture"
+    shutil.copytree(capture, own, copy_function=shutil.copy2)
+    settings = MatteSettings("masks", masks=capture.parent / "truth" / "masks")
+    assert make_mattes(Selection(own), settings, 1, untracked) == 5
+    before = {path: path.read_bytes() for path in (own / MATTES).glob("*/*")}
+    for failing in (MatteSettings("rvm"), MatteSettings("onnx")):
+        with pytest.raises(UserError, match="expected a network file"):
+            make_mattes(Selection(own), failing, 1, untracked)
+    assert {path: path.read_bytes() for path in (own / MATTES).glob("*/*")} == before
+    assert make_mattes(Selection(own), settings, 1, untracked) == 0
+
+
 @pytest.mark.parametrize("text", ["cam02", "cam02=mask.png", "cam02:x=mask.png", ":4=mask.png", "cam02:4="])
 def test_paint_needs_camera_frame_and_file(text: str) -> None:
     """Catches a painted image that is ignored because of a misspelt option."""

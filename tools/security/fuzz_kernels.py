@@ -71,7 +71,7 @@ def main(arguments: Arguments) -> int:
         smallest = FOLDER / "kernels-merged"
         shutil.rmtree(smallest, ignore_errors=True)
         smallest.mkdir()
-        code = fuzz(program, ["-merge=1", str(smallest), str(corpus)])
+        code = fuzz(program, ["-set_cover_merge=1", str(smallest), str(corpus)])
         write_corpus(STORED, [path.read_bytes() for path in smallest.iterdir()])
     return 2 if code else 0
 
