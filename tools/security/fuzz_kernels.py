@@ -1,16 +1,15 @@
 """Fuzz the kernels' bound functions with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer. With
---threads, three threads of Python call the functions at once, under ThreadSanitizer.
+--threads, three threads of Python call the functions at once with the stored inputs, under ThreadSanitizer.
 
     python tools/security/fuzz_kernels.py --seconds 60
 
     python tools/security/fuzz_kernels.py --seconds 3600 --keep
 
-    python tools/security/fuzz_kernels.py --seconds 60 --threads
+    python tools/security/fuzz_kernels.py --threads
 
 libFuzzer is a part of Clang (apt-get install clang). The first call builds csrc/fuzz, which takes some minutes. The
 corpus, which grows, is in build/fuzz/kernels/. An input that crashes, hangs or needs 2 GB is written to
-build/fuzz/kernels-KIND-HASH. Call build/fuzz-native/bindings, or build/fuzz-threads/bindings, with this file to repeat
-the crash.
+build/fuzz/kernels-KIND-HASH. Call build/fuzz-native/bindings with this file to repeat the crash.
 """
 
 from __future__ import annotations
@@ -47,7 +46,8 @@ class Arguments:
     keep: bool = False
     """Afterwards, replace csrc/fuzz/corpus.txt by the smallest inputs that reach all code reached now."""
     threads: bool = False
-    """Call the functions in three threads at once."""
+    """Call the functions in three threads at once, with the stored inputs. No other inputs are tried, because the
+    counters of coverage, which all threads change, would be reported as data races."""
     optional: bool = False
     """Only print a note, and do not fail, if there is no Clang."""
 
@@ -58,12 +58,15 @@ def main(arguments: Arguments) -> int:
     if compiler is None:
         print("fuzz_kernels: expected clang++, got none, so no kernel was fuzzed; install clang", file=sys.stderr)
         return 0 if arguments.optional else 2
-    name, sanitizers = ("threads", "thread") if arguments.threads else ("native", "address,undefined")
-    program = build(compiler, ROOT / "build" / f"fuzz-{name}", f"{sanitizers},fuzzer-no-link")
     corpus = FOLDER / "kernels"
     corpus.mkdir(parents=True, exist_ok=True)
-    for number, content in enumerate(read_corpus(STORED)):
-        (corpus / f"stored-{number:05d}").write_bytes(content)
+    stored = [corpus / f"stored-{number:05d}" for number in range(len(read_corpus(STORED)))]
+    for path, content in zip(stored, read_corpus(STORED), strict=True):
+        path.write_bytes(content)
+    if arguments.threads:
+        program = build(compiler, ROOT / "build" / "fuzz-threads", "thread")
+        return 2 if fuzz(program, [str(path) for path in stored]) else 0
+    program = build(compiler, ROOT / "build" / "fuzz-native", "address,undefined,fuzzer-no-link")
     code = fuzz(
         program, [f"-max_total_time={arguments.seconds}", f"-artifact_prefix={FOLDER / 'kernels'}-", str(corpus)]
     )
