@@ -2,6 +2,10 @@
 // the next image. Callers check shapes, and arrays are dense and row-major.
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
 #include "common/buffer.h"
 #include "play/frame.h"
 #include "points/cpu/bins.h"
@@ -16,6 +20,21 @@ struct Sizes {
 
     void require(std::size_t count);
     void convert(const Frame& frame, std::size_t begin, std::size_t end);
+};
+
+// The tiles without points of the last surface that was drawn. Such tiles do not need to be drawn again.
+class EmptyTiles {
+  public:
+    // Call this function before the tiles of a surface are drawn.
+    void start(const points::Surface& surface, int width, int height, std::size_t tiles);
+    // Records whether a tile has no points. Returns true if the surface already shows that.
+    bool is_drawn(int tile, bool is_empty);
+
+  private:
+    points::Surface surface_{};
+    int width_ = 0, height_ = 0;
+    bool is_kept_ = false;  // Whether the surface holds the previous image.
+    std::vector<std::uint8_t> empty_;
 };
 
 // Shades and composites a frame into an 8-bit image, in one call.
@@ -42,6 +61,7 @@ class Player {
     points::Workspace workspace_;
     Sizes sizes_;
     Buffer<float> colour_, surface_features_;
+    EmptyTiles empty_tiles_;
 };
 
 // Sorts points by depth, for renderers that need a depth order.

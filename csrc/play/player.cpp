@@ -22,6 +22,25 @@ void Sizes::convert(const Frame& frame, std::size_t begin, std::size_t end) {
     for (std::size_t i = begin; i < end; ++i) density[i] = from_half(frame.density[i]);
 }
 
+void EmptyTiles::start(const points::Surface& surface, int width, int height, std::size_t tiles) {
+    const points::Surface& old = surface_;
+    const bool is_same = surface.canvas.rgba == old.canvas.rgba && surface.inverse_depth == old.inverse_depth &&
+                         surface.normal == old.normal && width == width_ && height == height_;
+    is_kept_ = is_same && surface.persistence > 0.0f &&
+               std::equal(surface.canvas.background, surface.canvas.background + 3, old.canvas.background);
+    if (!is_kept_) empty_.assign(tiles, 0);
+    surface_ = surface;
+    width_ = width;
+    height_ = height;
+}
+
+bool EmptyTiles::is_drawn(int tile, bool is_empty) {
+    std::uint8_t& before = empty_[static_cast<std::size_t>(tile)];
+    const bool is_drawn = is_kept_ && is_empty && before != 0;
+    before = is_empty ? 1 : 0;
+    return is_drawn;
+}
+
 template <typename Work>
 points::Cloud Player::prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                               Team& team, const Work& work) {
@@ -62,8 +81,13 @@ void Player::draw_surface(const Frame& frame, const points::Settings& settings, 
     });
     cloud.features = surface_features_.data();
     cloud.channels = points::kSurfaceFeatures;
-    workspace_.draw_tiles(team,
-                          [&](int index) { loops.draw_surface(workspace_.tile(cloud, settings, index), surface); });
+    const points::Bins& bins = workspace_.bins;
+    empty_tiles_.start(surface, settings.camera.width, settings.camera.height,
+                       static_cast<std::size_t>(bins.columns()) * static_cast<std::size_t>(bins.rows()));
+    workspace_.draw_tiles(team, [&](int index) {
+        const points::Tile tile = workspace_.tile(cloud, settings, index);
+        if (!empty_tiles_.is_drawn(index, tile.count == 0)) loops.draw_surface(tile, surface);
+    });
 }
 
 // The points of a frame are in spatial order, so invisible points form long spans, which the function skips.

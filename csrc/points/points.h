@@ -45,8 +45,9 @@ struct Surface {
     float* inverse_depth;  // (height, width): coverage / mean depth, with coverage = clamp(3 alpha - 1/2, 0, 1).
     std::uint8_t* normal;  // (height, width, 4): unit normal n as bytes 127 n + 128, then 255 * coverage. Without
                            // points, the normal is 0.
-    float persistence;     // From 0 to 1. inverse_depth and normal hold the previous image before the call. At pixels
-                           // that show the same surface in both images, this is the weight of the previous values.
+    float persistence;     // From 0 to 1. If it is above 0, all arrays hold the previous image before the call, of the same
+                           // camera. At pixels that show the same surface in both images, this is the weight of the
+                           // previous depths and normals.
 };
 
 struct ImageGradient {

@@ -3,8 +3,9 @@
     python tools/styles/cost.py                      # 262,144 points at 1920 x 1080
     python tools/styles/cost.py scene.4dv --frame 3
 
-Each round draws one image without a style and one image in each style, from a static camera. The program prints the
-median time of an image without a style, and for each style
+Each round draws one image without a style and one image in the style, from a static camera. The rounds of one style end
+before those of the next style start, because playback keeps its style, so that its data stay in the caches. The program
+prints the median time of an image without a style, and for each style
 
 - the median of the time that the style adds, over the rounds,
 - the median of the ratio of the times with and without the style, over the rounds,
@@ -74,27 +75,29 @@ def main(arguments: Arguments) -> int:
     threads = arguments.threads
     frame, manifest, camera = _subject(arguments)
     frame = frame if frame.normals is not None else add_normals(frame, manifest)
-    plain_player = Player()
     picture = zeros_aligned((camera.height, camera.width, 4), np.uint8)
-    plain, times = Times(), dict[str, Times]()
-    styles = {name: (load_style(name), StyledPlayer()) for name in arguments.styles}
-    for index in range(arguments.rounds + 1):
-        if index < 2:  # the times of the first round, which fills caches, are dropped
-            plain, times = Times(), {name: Times() for name in styles}
-        plain.measure(lambda: plain_player.draw(frame, camera, manifest, threads=threads, out=picture))
-        for name, (style, player) in styles.items():
-            times[name].measure(
+    plain_player, plain, styled = Player(), dict[str, Times](), dict[str, Times]()
+    for name in arguments.styles:
+        style, player = load_style(name), StyledPlayer()
+        for index in range(arguments.rounds + 1):
+            if index < 2:  # the times of the first round, which fills caches, are dropped
+                plain[name], styled[name] = Times(), Times()
+            plain[name].measure(lambda: plain_player.draw(frame, camera, manifest, threads=threads, out=picture))
+            styled[name].measure(
                 lambda s=style, p=player: p.draw(frame, camera, manifest, s, threads=threads, out=picture)
             )
-            times[name].stylizer.append(1e3 * player.style_seconds)
+            styled[name].stylizer.append(1e3 * player.style_seconds)
+    elapsed = median(duration for times in plain.values() for duration in times.elapsed)
+    cpu_time = median(duration for times in plain.values() for duration in times.cpu)
     print(f"{frame.point_count:,} points, {camera.width} x {camera.height}, {threads} threads")
-    print(f"without a style: {median(plain.elapsed):.1f} ms, {median(plain.cpu):.1f} ms of CPU time\n")
+    print(f"without a style: {elapsed:.1f} ms, {cpu_time:.1f} ms of CPU time\n")
     print("| style | added ms | ratio to playing without a style | stylizer ms | added ms of CPU time |")
     print("|---|---|---|---|---|")
-    for name, found in times.items():
-        added = median(styled - bare for styled, bare in zip(found.elapsed, plain.elapsed, strict=True))
-        ratio = median(styled / bare for styled, bare in zip(found.elapsed, plain.elapsed, strict=True))
-        cpu = median(styled - bare for styled, bare in zip(found.cpu, plain.cpu, strict=True))
+    for name, found in styled.items():
+        bare = plain[name]
+        added = median(with_style - without for with_style, without in zip(found.elapsed, bare.elapsed, strict=True))
+        ratio = median(with_style / without for with_style, without in zip(found.elapsed, bare.elapsed, strict=True))
+        cpu = median(with_style - without for with_style, without in zip(found.cpu, bare.cpu, strict=True))
         print(f"| {name} | {added:.1f} | {ratio:.2f} | {median(found.stylizer):.1f} | {cpu:.1f} |")
     return 0
 

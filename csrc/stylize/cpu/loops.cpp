@@ -98,15 +98,28 @@ inline float wave(float position) {
     return size_of(2.0f * part - 1.0f);
 }
 
+// The lines of hatching of a style. Reciprocals are computed once, because divisions are slow.
+struct Hatching {
+    float width, spacing, per_spacing, levels[2], per_level[2];
+};
+
+inline Hatching hatching_of(const Numbers& n) {
+    Hatching out{n.hatch_width, n.hatch_spacing, 1.0f / n.hatch_spacing, {}, {}};
+    for (int layer = 0; layer < 2; ++layer) {
+        out.levels[layer] = n.hatch_levels[layer];
+        out.per_level[layer] = 1.0f / larger(n.hatch_levels[layer], 1e-6f);
+    }
+    return out;
+}
+
 // The share of a pixel that two layers of hatching cover with ink. The lines become wider as `light` decreases.
-inline float hatching(const Numbers& n, float x, float y, float light) {
+inline float ink_at(const Hatching& hatching, float x, float y, float light) {
     float ink = 0.0f;
     for (int layer = 0; layer < 2; ++layer) {
         const float turned = layer == 0 ? x + 0.5f * y : 16384.0f + x - 0.7f * y;
-        const float distance = 1.0f - wave(turned / n.hatch_spacing);
-        const float level = n.hatch_levels[layer];
-        const float width = n.hatch_width * clamp01((level - light) / larger(level, 1e-6f));
-        ink = larger(ink, clamp01((width - distance) * n.hatch_spacing * 0.5f + 0.5f) * (width > 0.0f ? 1.0f : 0.0f));
+        const float distance = 1.0f - wave(turned * hatching.per_spacing);
+        const float width = hatching.width * clamp01((hatching.levels[layer] - light) * hatching.per_level[layer]);
+        ink = larger(ink, clamp01((width - distance) * hatching.spacing * 0.5f + 0.5f) * (width > 0.0f ? 1.0f : 0.0f));
     }
     return ink;
 }
@@ -121,6 +134,7 @@ inline void paint(const std::uint32_t* albedo, const Taps& centre, const Shape& 
     look_up(style, shape.tone, shape.detail, table);
     const float per_softness = 0.5f / n.angle_softness;
     const bool has_hatching = n.hatch_width > 0.0f;
+    const Hatching hatching = hatching_of(n);
     float inks[kRun];
     std::memset(inks, 0, sizeof inks);
     for (int i = 0; has_hatching && i < kRun; ++i) {
@@ -129,7 +143,7 @@ inline void paint(const std::uint32_t* albedo, const Taps& centre, const Shape& 
         const float grey = 0.299f * clamp01(channel(albedo[i], 0) * inverse) +
                            0.587f * clamp01(channel(albedo[i], 8) * inverse) +
                            0.114f * clamp01(channel(albedo[i], 16) * inverse);
-        inks[i] = hatching(n, x, y, std::sqrt(grey * shape.tone[i]));
+        inks[i] = ink_at(hatching, x, y, std::sqrt(grey * shape.tone[i]));
     }
     for (int i = 0; i < kRun; ++i) {
         const float alpha = channel(albedo[i], 24), coverage = alpha > 0.0f ? centre.coverage[kMargin + i] : 0.0f;

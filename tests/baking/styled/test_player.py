@@ -141,3 +141,18 @@ def test_packed_scenes_have_no_normals(tmp_path: Path, tier: str) -> None:
     packed = SceneReader(tmp_path / "packed.4dv")
     assert packed.manifest.optional_attributes == ()
     assert packed.read(0).normals is None
+
+
+def test_tiles_that_become_empty_are_drawn_again() -> None:
+    """Catches tiles that keep the picture of points that have moved away, or of another camera, because the player
+    skips tiles that were empty before."""
+    left, right = (add_normals(random_frame(60, 6, seed=seed), MANIFEST) for seed in (5, 6))
+    left, right = (replace(frame, xyz=frame.xyz * 0.2 + side) for frame, side in ((left, -0.4), (right, 0.4)))
+    player, (first, second) = StyledPlayer(), MANIFEST.cameras[:2]
+    steps = [(left, first), (right, first), (right, first), (left, first), (left, second), (right, second)]
+    for frame, camera in [*steps, (left, first)]:
+        found = player.draw_surface(frame, camera, MANIFEST, persistence=0.5)
+        expected = StyledPlayer().draw_surface(frame, camera, MANIFEST)
+        np.testing.assert_array_equal(found.albedo, expected.albedo)
+        np.testing.assert_array_equal(found.coverage > 0, expected.coverage > 0)
+        assert (expected.coverage == 0).mean() > 0.3

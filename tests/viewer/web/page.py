@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from fourd.cameras import Camera
 
-TIMEOUT_MS = 20_000
+TIMEOUT_MS = 60_000
+"""Time limit of each wait in milliseconds. The limit is long, because machines that run tests may be busy."""
 IGNORED = ("ReadPixels", "Failed to load resource", "software WebGL")
 """Parts of console messages about slow reads, missing files and slow drivers, which are not the player's errors."""
 NAMES = "const player = document.querySelector('fourd-player'), {stage} = player;"

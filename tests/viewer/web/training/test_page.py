@@ -23,7 +23,7 @@ from fourd.viewer.publish.runs.site import RunSite
 from fourd.viewer.publish.site import SCENE_NAME, write_scene
 from tests.baking.scenes import write_scene as write_random_scene
 
-TIMEOUT_MS = 20_000
+TIMEOUT_MS = 60_000
 TOKEN = "abcdefghijklmnop_-0123"
 
 
