@@ -1,6 +1,6 @@
 // Calls the bound functions of fourd._native with arguments from a fuzzer's input (libFuzzer, `make fuzz-kernels`).
 // The functions are called through Python, so that the checks of the bindings are part of the test. A call must end with
-// a result, a ValueError or a MemoryError, without a report of a sanitizer.
+// a result, a ValueError, a TypeError or a MemoryError, without a report of a sanitizer.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
@@ -100,7 +100,10 @@ bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
         return true;
     } catch (const TooLarge&) {
     } catch (nb::python_error& error) {
-        if (error.matches(PyExc_ValueError) || error.matches(PyExc_MemoryError)) return false;
+        // A TypeError is correct for a list of four numbers where three are expected.
+        for (PyObject* expected : {PyExc_ValueError, PyExc_TypeError, PyExc_MemoryError}) {
+            if (error.matches(expected)) return false;
+        }
         std::fprintf(stderr, "%s: expected a result or a ValueError, got: %s\n", function.name.c_str(), error.what());
         std::abort();
     }
