@@ -168,8 +168,8 @@ class _Output:
         """
         known = self._known()
         if known.get("model") != self.model_key:
-            self._write(known.get("key"), None)
             (self.folder.parent / MODEL_NAME).unlink(missing_ok=True)
+            self._write(known.get("key"))
         remove_unfinished(self.folder.parent)
         remove_unfinished(self.folder, deep=True)
         return known.get("key") == self.key
@@ -179,7 +179,7 @@ class _Output:
         if self._known().get("key") != self.key:
             shutil.rmtree(self.folder, ignore_errors=True)
             (self.folder.parent / SHEET.name).unlink(missing_ok=True)
-        self._write(self.key, self.model_key)
+            self._write(self.key)
 
     def _known(self) -> dict[str, object]:
         try:
@@ -187,8 +187,8 @@ class _Output:
         except (OSError, ValueError, TypeError):
             return {}
 
-    def _write(self, key: object, model_key: str | None) -> None:
-        state = {"version": VERSION, "key": key, "model": model_key}
+    def _write(self, key: object) -> None:
+        state = {"version": VERSION, "key": key, "model": self.model_key}
         write_text_atomically(self.folder.parent / STATE, json.dumps(state) + "\n")
 
 
