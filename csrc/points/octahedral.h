@@ -11,7 +11,7 @@
 
 namespace fourd::points {
 
-// Decodes the bytes 127 x + 128 and 127 y + 128 of a point of the octahedron.
+// Decodes an octahedral normal, stored as the bytes 127 x + 128 and 127 y + 128, to the unit vector `normal`.
 FOURD_INLINE void from_octahedral(const std::uint8_t* bytes, float* normal) {
     const float x = static_cast<float>(bytes[0]) / 127.0f - 128.0f / 127.0f;
     const float y = static_cast<float>(bytes[1]) / 127.0f - 128.0f / 127.0f;

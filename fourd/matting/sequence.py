@@ -152,8 +152,8 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 @dataclass(frozen=True)
 class _Output:
-    """The folder of the mattes, and the keys of the mattes and of the models that belong there. The keys of those that
-    are there are in STATE.
+    """The folder of the mattes, and the keys that the mattes and the models should have. The file STATE next to the
+    folder stores the keys of the existing mattes and models.
     """
 
     folder: Path

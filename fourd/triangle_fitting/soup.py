@@ -75,8 +75,8 @@ def triangle_indices(count: int) -> Tensor:
 def start_triangles(
     xyz: NDArray[np.float32], normals: NDArray[np.float32], spacing: float, generator: torch.Generator
 ) -> Tensor:
-    """Return equilateral triangles (N, 3, 3) that are centred on surface points and lie in the tangent planes. Each has
-    a random rotation.
+    """Return equilateral triangles (N, 3, 3) that are centred on surface points and lie in the tangent planes. Each
+    triangle is rotated by a random angle about its normal.
 
     Args:
         xyz: (N, 3) points.

@@ -155,7 +155,8 @@ def _measure_level(arguments: Arguments, truth: Truth, tier: Tier, level: int) -
 
 
 def _measure_splats(arguments: Arguments, scene: Scene, truth: Truth, degree: int, known: set[str]) -> Iterator[Row]:
-    """Export splats of one degree, and convert them to other formats and back."""
+    """Export splats with spherical harmonics of ``degree``, convert them to other formats and back, and yield one row
+    for each format that is not in ``known``."""
     frames = list(range(0, len(scene), arguments.every))
     folder = arguments.out / f"degree{degree}"
     settings = ExportSettings("ply-sequence", frames, degree, keep_axes=True)

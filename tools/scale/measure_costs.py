@@ -212,8 +212,8 @@ def fit(measured: Sequence[Measured], start_s: float) -> dict[str, float]:
 def _fit(what: str, features: Sequence[Sequence[float]], values: Sequence[float]) -> list[float]:
     """Non-negative coefficients whose linear combination of the features has the smallest relative errors."""
     matrix, target = np.array(features, float), np.array(values, float)
-    # Features have very different sizes, so each column is scaled.
-    scaled = matrix / target[:, None]
+    scaled = matrix / target[:, None]  # residuals are then relative errors
+    # The features differ by orders of magnitude, so each column is divided by its largest value.
     sizes = np.abs(scaled).max(axis=0)
     found = nnls(scaled / sizes, np.ones(len(target)))[0] / sizes
     errors = matrix @ found / target - 1

@@ -50,7 +50,7 @@ VISIBLE = 128
 
 @dataclass(frozen=True)
 class Arguments:
-    """The scene, its true meshes, and the styles to measure."""
+    """The scene, optional reference meshes, and the styles to measure."""
 
     scene: tyro.conf.Positional[Path]
     """A .4dv file."""

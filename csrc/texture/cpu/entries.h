@@ -80,7 +80,7 @@ FOURD_INLINE void prefetch_entries(const Query& query, std::size_t first, const 
     }
 }
 
-// Gathers the positions and levels of some entries of a task, and finds their texels.
+// Gathers the texture coordinates and mip levels of the first b.count entries into `b`, and finds their texels.
 template <Boundary boundary>
 FOURD_INLINE void prepare_entries(const Query& query, std::size_t first, const Entry* entries, const float* levels,
                                   int level, Batch& b) {

@@ -111,7 +111,7 @@ class Timing:
         return self.delay[corners.camera] + self.readout[corners.camera] * self.phases(corners)
 
     def phases(self, corners: Corners) -> Array:
-        """Phases (N,) of the readout of the corners' rows."""
+        """Readout phase (N,) of each corner: -0.5 at one edge of the sensor, 0.5 at the opposite edge."""
         return np.asarray(np.einsum("ni,ni->n", corners.pixels, self.phase[corners.camera]) - 0.5)
 
 

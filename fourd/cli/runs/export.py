@@ -62,9 +62,9 @@ class Arguments:
     degree: int = 2
     """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply have only degree 0."""
     keep_axes: bool = False
-    """With --to: keep the scene's coordinates. Otherwise, the scene is rotated to the up direction that other programs
-    expect in files of this format: +y for spz, glb and usd, and -y for the other formats. The format ply keeps the
-    coordinates."""
+    """With --to: keep the scene's coordinates. Otherwise, the scene is rotated so that up is the axis that other
+    programs expect in this format: +y for spz, glb and usd, and -y for the other formats of splats. The format ply
+    always keeps the coordinates."""
 
 
 def run(arguments: Arguments) -> None:

@@ -122,8 +122,8 @@ def visibility(bvh: Bvh, points: Tensor, targets: Tensor, *, margin: float = 1e-
         bvh: tree over the triangles.
         points: (N, 3) float32 in world units.
         targets: (M, 3) float32 in world units, for example the centres of cameras.
-        margin: triangles are ignored within this share of the segment's length from each end, from 0 to 0.5. The margin
-            prevents a surface from occluding its own points.
+        margin: share of the distance from a point to a target, from 0 to below 0.5. Intersections that are closer than
+            this to either end are ignored, so that a surface does not occlude its own points.
         threads: as in :func:`trace`.
 
     Raises:

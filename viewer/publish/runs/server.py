@@ -135,7 +135,7 @@ class RunServer(SiteServer):
         port: port to listen on; 0 selects a free port.
 
     Attributes:
-        site: the data of the page. None until the site is written.
+        site: answers the requests of the page. None until the site is written.
 
     Raises:
         UserError: if the server cannot listen on the host and port.
