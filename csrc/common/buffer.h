@@ -9,14 +9,13 @@
 #include <new>
 #include <type_traits>
 
+#include "common/inline.h"
 #include "common/pages.h"
 
 namespace fourd {
 
 // Arrays start at a cache line, so that an element whose size divides a cache line never lies in two of them. Tiles read
 // elements of 32 bytes in scattered order. With the alignment of `new`, half of these reads would need two cache lines.
-constexpr std::size_t kCacheLine = 64;
-
 template <typename T>
 class Buffer {
     static_assert(std::is_trivially_copyable<T>::value, "elements stay uninitialised");

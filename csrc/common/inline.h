@@ -49,15 +49,15 @@ FOURD_INLINE void prefetch_for_write(const void* address) {
 #endif
 }
 
+constexpr std::size_t kCacheLine = 64;  // Of all common processors.
+
 // Prefetches `bytes` bytes.
 FOURD_INLINE void prefetch_bytes(const void* first, std::size_t bytes) {
-    constexpr std::size_t kLine = 64;
-    for (std::size_t at = 0; at < bytes; at += kLine) prefetch(static_cast<const char*>(first) + at);
+    for (std::size_t at = 0; at < bytes; at += kCacheLine) prefetch(static_cast<const char*>(first) + at);
 }
 
 FOURD_INLINE void prefetch_bytes_for_write(void* first, std::size_t bytes) {
-    constexpr std::size_t kLine = 64;
-    for (std::size_t at = 0; at < bytes; at += kLine) prefetch_for_write(static_cast<char*>(first) + at);
+    for (std::size_t at = 0; at < bytes; at += kCacheLine) prefetch_for_write(static_cast<char*>(first) + at);
 }
 
 // The number of bits that are 1 in `bits`.

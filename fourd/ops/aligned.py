@@ -26,8 +26,7 @@ def zeros_aligned(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number
 
     An array of at least :data:`HUGE_PAGE` bytes starts at a multiple of that size, and its memory extends to a multiple
     of that size. NumPy asks Linux for huge pages for such memory, and Linux can then use them for the whole array.
-    Without them, renderers spend up to a third of their time on looking up pages, because each row of a tile or of a
-    filter is in a different page.
+    Without them, the stylizer takes a third longer, because each row of a filter is in a different page.
     """
     size = prod(shape) * np.dtype(dtype).itemsize
     alignment = HUGE_PAGE if size >= HUGE_PAGE else CACHE_LINE

@@ -274,12 +274,23 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--cameras", type=int, required=True, help="number of cameras")
     parser.add_argument("--frames", type=int, required=True, help="frames of each camera")
     parser.add_argument("--size", type=int, nargs=2, required=True, help="width and height of the images in pixels")
-    parser.add_argument("--video-mbits", type=float, default=100.0, help="megabits a second of a video (default 100)")
+    parser.add_argument(
+        "--video-mbits",
+        type=float,
+        default=Capture.video_mbits,
+        help="megabits a second of a video (default %(default)s)",
+    )
     parser.add_argument("--mattes", action="store_true", help="the capture has mattes")
-    parser.add_argument("--scale", type=float, default=1.0, help="scale of the images in training (default 1)")
-    parser.add_argument("--points", type=int, default=65536, help="points of a frame (default 65536)")
-    parser.add_argument("--segment", type=int, default=120, help="maximum frames of a segment (default 120)")
-    parser.add_argument("--steps", type=int, default=4000, help="training steps of a segment (default 4000)")
+    parser.add_argument(
+        "--scale", type=float, default=Capture.scale, help="scale of the images in training (default %(default)s)"
+    )
+    parser.add_argument("--points", type=int, default=Capture.points, help="points of a frame (default %(default)s)")
+    parser.add_argument(
+        "--segment", type=int, default=Capture.segment, help="maximum frames of a segment (default %(default)s)"
+    )
+    parser.add_argument(
+        "--steps", type=int, default=Capture.steps, help="training steps of a segment (default %(default)s)"
+    )
     parser.add_argument("--nodes", type=int, default=1, help="number of nodes (default 1)")
     parser.add_argument("--cores", type=int, default=2, help="cores of a node (default 2)")
     parser.add_argument("--speed", type=float, default=1.0, help="speed of a core relative to the measured one")

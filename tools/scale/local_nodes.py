@@ -12,8 +12,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 STORE_BYTES = 80 << 20
 """Size of the object store of each node. Ray needs at least 75 MB."""
-
-
+TRAINED = "train "
+"""Prefix of the names of the stages that train segments."""
 PATIENT = 200
 """Patience of clusters whose nodes are not removed."""
 TITLE = "ray::"

@@ -18,7 +18,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 os.environ.update(OMP_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1", FOURD_THREADS="1")
@@ -138,7 +138,7 @@ def measure(capture: Path, run: Path, case: Case) -> Measured:
     carve_s = cpu_seconds(lambda: carve_run_stage(capture, run, carving, False).run(Context()))
     files, seconds = TrainFiles(capture, run), []
     for steps in STEPS:
-        longer = TrainConfig(**{**_fields(config), "max_steps": steps})
+        longer = replace(config, max_steps=steps)
         seconds.append(cpu_seconds(lambda longer=longer: train_stage(files, longer).run(Context())))
     # The second training resumes the first one, so it makes only the steps that are missing.
     step_s = max(seconds[1] - seconds[0], 0) / (STEPS[1] - 2 * STEPS[0])
@@ -157,10 +157,6 @@ def measure(capture: Path, run: Path, case: Case) -> Measured:
     )
     print(measured, flush=True)
     return measured
-
-
-def _fields(config: TrainConfig) -> dict[str, object]:
-    return {name: getattr(config, name) for name in config.__dataclass_fields__}
 
 
 def fit(measured: Sequence[Measured], start_s: float) -> dict[str, float]:

@@ -32,11 +32,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fourd.capture import open_capture
 from tools.scale.cost_model import Capture, Costs, makespan, segment_core_s
-from tools.scale.local_nodes import PATIENT, LocalNodes, local_nodes
+from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
 
 SCENE = "scene.4dv"
 WORK = "scene.work"
-TRAINED = "train "
 SAMPLED_S = 0.1
 """Seconds between two readings of CPU times."""
 

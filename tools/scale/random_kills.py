@@ -29,14 +29,12 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fourd.pipeline.cluster import RETRIES
-from tools.scale.local_nodes import PATIENT, LocalNodes, local_nodes
+from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
 
 CORES = 2
 KILLS_HELP = "mean number of kills in the time that the uninterrupted command needs (default 12)"
 KEPT = Path("random_kills_failed")
 """Folder to which the results are copied if a scene is not as expected."""
-TRAINED = "train "
-"""Prefix of the names of the stages that train segments."""
 
 
 @dataclass(frozen=True)

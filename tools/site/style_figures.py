@@ -21,15 +21,15 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 from PIL import Image
-from playwright.sync_api import sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
+from fourd.viewer.publish.server import SiteServer  # noqa: E402
 from fourd.viewer.publish.site import write_site  # noqa: E402
 from tests.viewer.screen import Viewer, screen  # noqa: E402
-from tests.viewer.web.conftest import CHROMIUM, DEFAULT_FLAGS, DRIVER_FLAGS, FLAGS, serving  # noqa: E402
 from tests.viewer.web.page import PlayerPage  # noqa: E402
+from tools.web.pages import open_browser, serving  # noqa: E402
 
 FIGURES = ROOT / "docs" / "figures"
 STYLES = ("toon", "gooch", "ink")
@@ -76,10 +76,7 @@ def _window(scene: Path, folder: Path) -> NDArray[np.uint8]:
 def _page(scene: Path, frame: int, folder: Path) -> NDArray[np.uint8]:
     write_site(scene, folder / "site", "stream")
     pictures = []
-    with sync_playwright() as playwright, serving(folder / "site") as server:
-        browser = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=[*FLAGS, *DRIVER_FLAGS[0]], ignore_default_args=list(DEFAULT_FLAGS)
-        )
+    with open_browser() as browser, serving(SiteServer(folder / "site")) as server:
         page = PlayerPage(browser.new_page(viewport={"width": 680, "height": 440}), server.url)
         page.pause(frame)
         page.wait("!player.panel.styles.hidden")
@@ -90,7 +87,6 @@ def _page(scene: Path, frame: int, folder: Path) -> NDArray[np.uint8]:
             for _ in range(12):  # lines fade in
                 page.run("stage.isDirty = true; await player.settled(); stage.redraw();")
             pictures.append(_screenshot(page.page, folder / f"{style}.png"))
-        browser.close()
     return _side_by_side(pictures)
 
 

@@ -19,6 +19,8 @@ def installed(name: str) -> Path:
 
     Skips the test if npm fails or takes longer than ``TIMEOUT_SECONDS``.
     """
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("no node and npm here")
     versions = json.loads((WEB / "package.json").read_text())["devDependencies"]
     folder = ROOT / "build" / "npm"
     if not all(_has(folder, package, version) for package, version in versions.items()):
@@ -32,8 +34,6 @@ def _has(folder: Path, name: str, version: str) -> bool:
 
 
 def _install(folder: Path, versions: dict[str, str]) -> None:
-    if shutil.which("node") is None or shutil.which("npm") is None:
-        pytest.skip("no node and npm here")
     folder.mkdir(parents=True, exist_ok=True)
     words = ["npm", "install", "--prefix", str(folder), "--no-audit", "--no-fund", "--prefer-offline"]
     words += [f"{package}@{version}" for package, version in versions.items()]

@@ -22,8 +22,8 @@ from fourd.viewer.publish.runs.server import RunHandler, RunServer
 from fourd.viewer.publish.runs.site import RunSite
 from fourd.viewer.publish.site import SCENE_NAME, write_scene
 from tests.baking.scenes import write_scene as write_random_scene
+from tests.viewer.web.page import TIMEOUT_MS
 
-TIMEOUT_MS = 60_000
 TOKEN = "abcdefghijklmnop_-0123"
 
 
