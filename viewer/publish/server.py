@@ -162,7 +162,8 @@ class SiteServer(ThreadingHTTPServer):
             if error.errno == errno.EADDRINUSE:
                 raise UserError(f"--port {port}: expected a free port, got one in use; choose another one") from error
             raise UserError(f"--host {host} --port {port}: cannot listen ({error.strerror or error})") from error
-        except (OverflowError, UnicodeError) as error:
+        # A name that is no host name, such as a control character, is a TypeError or a UnicodeError of the socket.
+        except (OverflowError, TypeError, ValueError) as error:
             raise UserError(f"--host {host} --port {port}: expected an address and a port, got '{error}'") from error
 
     @property

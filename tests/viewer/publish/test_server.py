@@ -109,3 +109,10 @@ def test_a_port_in_use(server: SiteServer, tmp_path: Path) -> None:
         SiteServer(tmp_path, port=port)
     with pytest.raises(UserError, match="cannot listen"):
         SiteServer(tmp_path, host="203.0.113.7")
+
+
+@pytest.mark.parametrize("host", ["\u202e", "a\0b", "a..b", "\udcff", "a" * 300])
+def test_a_host_that_is_no_name(tmp_path: Path, host: str) -> None:
+    """Catches a traceback for a host that the socket refuses with an error of another type than OSError."""
+    with pytest.raises(UserError, match=r"--host .*--port 0: (expected an address and a port|cannot listen)"):
+        SiteServer(tmp_path, host=host)
