@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -20,9 +19,7 @@ from numpy.typing import NDArray
 from fourd.capture import Capture
 from fourd.capture.layout import MATTES, parse_frame_range, refuse_symlinks, sample_indices
 from fourd.errors import UserError
-from fourd.files import remove_unfinished, write_text_atomically
 from fourd.formats.picture import write_picture
-from fourd.limits import read_json
 from fourd.matting.chroma import ScreenColour, chroma_matte, find_screen, parse_screen
 from fourd.matting.mask_files import find_masks, read_mask
 from fourd.matting.motion.mattes import matting_cameras, refine_background
@@ -31,6 +28,7 @@ from fourd.matting.motion.sampling import sample_capture
 from fourd.matting.motion.saved_model import load_matte_maker, save_subject
 from fourd.matting.motion.subject import learn_subject
 from fourd.matting.onnx_network import OnnxNetwork, load_onnx
+from fourd.matting.output import SHEET, VERSION, MatteOutput, MatteState
 from fourd.matting.rvm import RVM, load_rvm
 from fourd.matting.selection import Selection
 from fourd.parallel import run_jobs, split_into_blocks
@@ -38,10 +36,6 @@ from fourd.progress import Track
 
 Picture = NDArray[np.uint8]
 
-VERSION = 4
-STATE = "mattes.json"
-MODEL_NAME = "subject.npz"
-SHEET = Path(".fourd") / "mattes.png"
 INPUTS = ("*.yml", "videos.json", "videos/*", "images/*/*")
 SCREEN_FRAMES = 5
 FASTEST_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
@@ -76,8 +70,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
 
     The models are learned from the whole recording, even if only some frames are selected. Mattes from an earlier call
     with the same inputs and settings are kept, including the mattes of frames that are not selected. If the inputs or
-    settings differ, all mattes are computed again. The old mattes are deleted only when the models are learned, the
-    networks are loaded or the masks are found, so that they are not lost if one of these steps fails.
+    settings differ, all mattes are computed again. The old mattes are replaced only when all new mattes are written, so
+    that they are not lost if the call fails or is interrupted.
 
     Args:
         selection: the capture. Evidence is combined over all selected cameras.
@@ -103,36 +97,49 @@ def _make_missing(
     capture: Capture, recording: Selection, frames: str | None, settings: MatteSettings, workers: int, track: Track
 ) -> int:
     """Make the mattes of :func:`make_mattes`. ``capture`` is the opened ``recording``."""
-    folder = capture.path / MATTES
-    refuse_symlinks(capture.path, folder)
+    refuse_symlinks(capture.path, capture.path / MATTES)
     # Invalid painted images are reported before the models are learned.
     read_strokes(settings.paint, capture, matting_cameras(capture))
-    output = _Output(folder, matte_key(capture, settings), matte_key(capture, replace(settings, paint=())))
-    is_current = output.prepare()
+    output = MatteOutput(capture.path, matte_key(capture, settings), matte_key(capture, replace(settings, paint=())))
+    output.prepare()
     chosen = parse_frame_range(frames, capture.frame_count)
-    missing = [frame for frame in chosen if not (is_current and _is_made(folder, capture, frame))]
-    if not missing:
-        return 0
-    if settings.method in ("rvm", "onnx"):
-        _make_network_mattes(capture, settings, output, missing, track)
-        return len(missing)
-    if settings.method == "masks":
-        _convert_masks(capture, settings, output, missing, track)
-        return len(missing)
+    lost = output.missing(capture.names, [capture.frame_names[frame] for frame in chosen])
+    missing = [chosen[index] for index in lost]
+    if missing:
+        if settings.method in ("rvm", "onnx"):
+            _make_network_mattes(capture, settings, output, missing, track)
+        elif settings.method == "masks":
+            _convert_masks(capture, settings, output, missing, track)
+        else:
+            _make_modelled_mattes(capture, recording, settings, output, missing, workers, track)
+    output.finish()
+    return len(missing)
+
+
+def _make_modelled_mattes(
+    capture: Capture,
+    recording: Selection,
+    settings: MatteSettings,
+    output: MatteOutput,
+    missing: Sequence[int],
+    workers: int,
+    track: Track,
+) -> None:
+    """Learn the models of the methods "motion" and "chroma", and compute the mattes in parallel."""
     model: Path | tuple[ScreenColour, ...]
     if settings.method == "chroma":
         model = _screen_colours(capture, settings, track)
     else:
-        model = folder.parent / MODEL_NAME
+        model = output.model
         if not model.exists():
             _learn_subject_model(capture, settings, model, track)
-    output.clear()
+    folder = output.start()
     jobs = [
-        _Job(recording, model, folder, tuple(block), settings.paint) for block in split_into_blocks(missing, workers)
+        _Job(recording, model, folder, tuple(block), settings.paint)
+        for block in split_into_blocks(list(missing), workers)
     ]
     for _ in track(run_jobs(_make_frames, jobs, workers), len(missing), "mattes"):
         pass
-    return len(missing)
 
 
 def matte_key(capture: Capture, settings: MatteSettings) -> str:
@@ -143,57 +150,67 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
     given = [path for path in (settings.rvm, settings.onnx) if path is not None]
     given += [paint.path for paint in settings.paint]
     given += [] if settings.masks is None else sorted(settings.masks.glob("*/*"))
-    for path in (*(path for pattern in INPUTS for path in sorted(capture.path.glob(pattern))), *given):
-        if path.is_file():
-            status = path.stat()
-            digest.update(f"{path.name} {status.st_size} {status.st_mtime_ns}".encode())
+    for line in _versions([*_input_files(capture.path), *given]):
+        digest.update(line.encode())
     return digest.hexdigest()
 
 
-@dataclass(frozen=True)
-class _Output:
-    """The folder of the mattes, and the keys that the mattes and the models should have. The file STATE next to the
-    folder stores the keys of the existing mattes and models.
+def record_choice(capture: Path, settings: MatteSettings) -> None:
+    """Record that the user chose ``settings`` for the mattes of a capture with options of fourd matte."""
+    state = MatteState.read(capture)
+    is_chosen = settings != MatteSettings()
+    chosen = replace(
+        state,
+        chosen=settings.method if is_chosen else None,
+        inputs=_input_hash(capture) if is_chosen else None,
+    )
+    if chosen != state:
+        chosen.write(capture)
+
+
+def chosen_method(capture: Path) -> str | None:
+    """The method of the mattes for which the user chose the settings, or None if there are no such mattes.
+
+    Raises:
+        UserError: if the files of the capture have changed since.
     """
-
-    folder: Path
-    key: str
-    model_key: str
-
-    def prepare(self) -> bool:
-        """Delete models with another key, and unfinished files of killed processes. Return whether the mattes that
-        exist have the key.
-
-        The models are kept if only the painted images changed, which ``model_key`` does not depend on.
-        """
-        known = self._known()
-        if known.get("model") != self.model_key:
-            (self.folder.parent / MODEL_NAME).unlink(missing_ok=True)
-            self._write(known.get("key"))
-        remove_unfinished(self.folder.parent)
-        remove_unfinished(self.folder, deep=True)
-        return known.get("key") == self.key
-
-    def clear(self) -> None:
-        """Delete mattes with another key."""
-        if self._known().get("key") != self.key:
-            shutil.rmtree(self.folder, ignore_errors=True)
-            (self.folder.parent / SHEET.name).unlink(missing_ok=True)
-            self._write(self.key)
-
-    def _known(self) -> dict[str, object]:
-        try:
-            return dict(read_json(self.folder.parent / STATE))
-        except (OSError, ValueError, TypeError):
-            return {}
-
-    def _write(self, key: object) -> None:
-        state = {"version": VERSION, "key": key, "model": self.model_key}
-        write_text_atomically(self.folder.parent / STATE, json.dumps(state) + "\n")
+    state = MatteState.read(capture)
+    if state.chosen is None or not any((capture / MATTES).glob("*/*")):
+        return None
+    if state.inputs != _input_hash(capture):
+        raise UserError(
+            f"{capture / MATTES}: expected mattes of the capture's present files, got mattes of earlier files; make "
+            f"them again with fourd matte --method {state.chosen}, or add --method motion to replace them"
+        )
+    return state.chosen
 
 
-def _is_made(folder: Path, capture: Capture, frame: int) -> bool:
-    return all((folder / name / f"{capture.frame_names[frame]}.png").exists() for name in capture.names)
+def forget_choice(capture: Path) -> None:
+    """Let other settings replace mattes for which the user chose the settings.
+
+    The contact sheet of these mattes is removed, because a stage without its outputs runs again.
+    """
+    state = MatteState.read(capture)
+    if state.chosen is not None:
+        refuse_symlinks(capture, capture / MATTES)
+        (capture / SHEET).unlink(missing_ok=True)
+        replace(state, chosen=None, inputs=None).write(capture)
+
+
+def _input_hash(capture: Path) -> str:
+    return hashlib.sha256("\n".join(_versions(_input_files(capture))).encode()).hexdigest()
+
+
+def _input_files(capture: Path) -> list[Path]:
+    return [path for pattern in INPUTS for path in sorted(capture.glob(pattern))]
+
+
+def _versions(paths: Sequence[Path]) -> Iterator[str]:
+    """The name, size and modification time of each file."""
+    for path in paths:
+        if path.is_file():
+            status = path.stat()
+            yield f"{path.name} {status.st_size} {status.st_mtime_ns}"
 
 
 def _learn_subject_model(capture: Capture, settings: MatteSettings, path: Path, track: Track) -> None:
@@ -222,7 +239,7 @@ def _screen_colours(capture: Capture, settings: MatteSettings, track: Track) -> 
 
 
 def _make_network_mattes(
-    capture: Capture, settings: MatteSettings, output: _Output, missing: Sequence[int], track: Track
+    capture: Capture, settings: MatteSettings, output: MatteOutput, missing: Sequence[int], track: Track
 ) -> None:
     """Run the network on each camera's frames in order.
 
@@ -238,8 +255,7 @@ def _make_network_mattes(
         raise UserError("--rvm: expected a network file for --method rvm, got none; pass --rvm FILE")
     else:
         network = load_rvm(settings.rvm)
-    output.clear()
-    folder = output.folder
+    folder = output.start()
     for index, name in enumerate(capture.names):
         remaining = [frame for frame in missing if not (folder / name / f"{capture.frame_names[frame]}.png").exists()]
         if not remaining:
@@ -252,15 +268,15 @@ def _make_network_mattes(
 
 
 def _convert_masks(
-    capture: Capture, settings: MatteSettings, output: _Output, missing: Sequence[int], track: Track
+    capture: Capture, settings: MatteSettings, output: MatteOutput, missing: Sequence[int], track: Track
 ) -> None:
     """Undistort the masks of another program."""
     if settings.masks is None:
         raise UserError("--masks: expected a folder for --method masks, got none; pass --masks FOLDER")
     paths = find_masks(settings.masks, capture, list(missing))
-    output.clear()
+    folder = output.start()
     for (camera, frame), path in track(paths.items(), len(paths), "masks"):
-        matte = output.folder / capture.names[camera] / f"{capture.frame_names[frame]}.png"
+        matte = folder / capture.names[camera] / f"{capture.frame_names[frame]}.png"
         if not matte.exists():
             write_matte(matte, read_mask(path, capture, camera))
 

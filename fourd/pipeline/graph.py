@@ -106,11 +106,14 @@ def stages_to_resume(files: TrainFiles, config: TrainConfig) -> tuple[AnyStage, 
     return (train_stage(files, config),) if config.segments.frames is None else segment_stages(files, config)
 
 
-def stages_to_scene(request: RunRequest, mattes: MatteSettings, scene: Path) -> tuple[AnyStage, ...]:
-    """Stages that make the scene file ``scene`` from a capture that was already checked."""
+def stages_to_scene(request: RunRequest, mattes: MatteSettings | None, scene: Path) -> tuple[AnyStage, ...]:
+    """Stages that make the scene file ``scene`` from a capture that was already checked.
+
+    If ``mattes`` is None, the capture already has its mattes.
+    """
     train = request.train
     made: tuple[AnyStage, ...] = ()
-    if not has_masks(request.capture):
+    if mattes is not None and not has_masks(request.capture):
         made = stages_to_mattes(request.capture, MatteStageSettings(train.views, train.frames, mattes))
     prepared = stages_to_first_points(request, plates=not made)
     trained = training_stages(TrainFiles(request.capture, request.run, request.lpips_weights), train)

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from fourd.capture.frame_rate import set_rate
-from fourd.capture.layout import DERIVED
+from fourd.capture.layout import DERIVED, MATTES
 from fourd.errors import UserError
 from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
 from fourd.importing.importer import ImportOptions
-from fourd.matting.sequence import MatteSettings
+from fourd.matting.sequence import MatteSettings, chosen_method, forget_choice
 from fourd.pipeline.capture_graph import has_masks, stages_to_capture
 from fourd.pipeline.cluster import Cluster
 from fourd.pipeline.fetch import fetch_stage, fetched_path
@@ -39,6 +39,26 @@ UPLOADED = "uploaded.json"
 """File with the state of the scene file and of the object in the store after the last upload."""
 
 
+@dataclass(frozen=True)
+class MatteChoice:
+    """Settings of the mattes, and whether mattes that fourd matte made with a method that the user chose are kept."""
+
+    settings: MatteSettings
+    keep_chosen: bool = False
+
+    def settings_for(self, capture: Path, context: Context) -> MatteSettings | None:
+        """The settings of the mattes of ``capture``, or None if its mattes are kept. Kept mattes are reported."""
+        method = chosen_method(capture) if self.keep_chosen and not has_masks(capture) else None
+        if method is None:
+            if not self.keep_chosen:
+                forget_choice(capture)
+            return self.settings
+        context.log(
+            f"{capture / MATTES}: keeping the mattes of fourd matte --method {method}; add --method to make others"
+        )
+        return None
+
+
 def make_scene(
     source: Location,
     out: Location,
@@ -50,6 +70,7 @@ def make_scene(
     lpips_weights: Path | None = None,
     imports: ImportOptions | None = None,
     accept_mattes: bool = False,
+    keep_chosen_mattes: bool = False,
     cluster: Cluster | None = None,
     work: Path | None = None,
 ) -> None:
@@ -72,6 +93,8 @@ def make_scene(
         imports: options of the import. If the options contain a frame rate, the rate is stored in ``source`` even if
             ``source`` needs no import. If None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
+        keep_chosen_mattes: whether to keep mattes that fourd matte made with a method that the user chose, instead of
+            making mattes with the settings ``mattes``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
         work: the folder for intermediate results. If None, it is ``scene.work/`` for ``scene.4dv``, beside a local
             ``out``, or in the current folder if ``out`` is a URL.
@@ -91,7 +114,8 @@ def make_scene(
         given = _local_source(source, work, runner)
         request = RunRequest(given, work / RUN, train, points_from, lpips_weights, accept_mattes=accept_mattes)
         scene = out if isinstance(out, Path) else work / out.name
-        _run_graph(request, work, scene, mattes, imports or ImportOptions(), context, runner)
+        chosen = MatteChoice(mattes, keep_chosen_mattes)
+        _run_graph(request, work, scene, chosen, imports or ImportOptions(), context, runner)
         if isinstance(out, StorageUrl):
             upload_changed(scene, out, work / UPLOADED, context.track)
 
@@ -108,7 +132,7 @@ def _run_graph(
     source: RunRequest,
     work: Path,
     out: Path,
-    mattes: MatteSettings,
+    mattes: MatteChoice,
     options: ImportOptions,
     context: Context,
     runner: Runner,
@@ -134,7 +158,7 @@ def _run_graph(
     request = replace(source, capture=capture, train=train, still=is_still)
     # A capture with masks may be on a read-only disk, so its folder .fourd/ is locked only if mattes are made.
     with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
-        runner.run(stages_to_scene(request, mattes, out))
+        runner.run(stages_to_scene(request, mattes.settings_for(capture, context), out))
 
 
 def _work_folder(out: Location, given: Path | None) -> Path:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,10 +14,12 @@ import pytest
 
 from fourd.capture import open_capture
 from fourd.errors import UserError
+from fourd.matting import output, sequence
 from fourd.matting.motion.mattes import matting_cameras
 from fourd.matting.motion.paint import PAINTED_LOG_ODDS, Paint, parse_paint, read_strokes, strokes_in_frame
+from fourd.matting.output import SHEET, MatteState
 from fourd.matting.selection import Selection
-from fourd.matting.sequence import MATTES, MatteSettings, make_mattes
+from fourd.matting.sequence import MATTES, MatteSettings, make_mattes, write_matte
 from fourd.progress import untracked
 from tests.matting.captures import matte_iou, write_capture_without_masks
 
@@ -57,6 +62,101 @@ def test_mattes_are_kept_if_another_method_fails(capture: Path, tmp_path: Path) 
             make_mattes(Selection(own), failing, 1, untracked)
     assert {path: path.read_bytes() for path in (own / MATTES).glob("*/*")} == before
     assert make_mattes(Selection(own), settings, 1, untracked) == 0
+
+
+def test_mattes_are_kept_until_new_ones_are_complete(
+    capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches old mattes that are deleted before all new masks are read, new mattes that are mixed with old ones, and
+    finished new mattes that are written again by the next call.
+    """
+    own, masks = tmp_path / "capture", tmp_path / "masks"
+    shutil.copytree(capture, own, copy_function=shutil.copy2)
+    truth = capture.parent / "truth" / "masks"
+    settings = MatteSettings("masks", masks=truth)
+    make_mattes(Selection(own), settings, 1, untracked)
+    before = {path: path.read_bytes() for path in (own / MATTES).glob("*/*")}
+    for path in truth.glob("*/*.png"):
+        (masks / path.parent.name).mkdir(parents=True, exist_ok=True)
+        assert cv2.imwrite(str(masks / path.parent.name / path.name), np.full((64, 64), 90, np.uint8))
+    last = masks / "07" / "000004.png"
+    for wrong in (cv2.imencode(".png", np.zeros((9, 7), np.uint8))[1].tobytes(), b"damaged"):
+        last.write_bytes(wrong)
+        with pytest.raises(UserError, match=r"07/000004.png"):
+            make_mattes(Selection(own), MatteSettings("masks", masks=masks), 1, untracked)
+        assert {path: path.read_bytes() for path in (own / MATTES).glob("*/*")} == before
+        assert make_mattes(Selection(own), settings, 1, untracked) == 0
+    assert cv2.imwrite(str(last), np.full((64, 64), 90, np.uint8))
+    (own / SHEET).write_bytes(b"of the old mattes")
+    with monkeypatch.context() as patch:
+        patch.setattr(sequence, "write_matte", _fail_after(30))
+        with pytest.raises(KeyboardInterrupt):
+            make_mattes(Selection(own), MatteSettings("masks", masks=masks), 1, untracked)
+    assert {path: path.read_bytes() for path in (own / MATTES).glob("*/*")} == before
+    finished = {path.name: path.stat().st_mtime_ns for path in (own / ".fourd" / "new_mattes" / "02").iterdir()}
+    assert make_mattes(Selection(own), MatteSettings("masks", masks=masks), 1, untracked) == 5
+    assert {path.name: path.stat().st_mtime_ns for path in (own / MATTES / "02").iterdir()} == finished
+    assert {(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) == 90).all() for path in (own / MATTES).glob("*/*")} == {True}
+    assert sorted(path.name for path in (own / ".fourd").iterdir()) == ["mattes", "mattes.json"]
+
+
+def _fail_after(count: int) -> Callable[[Path, np.ndarray], None]:
+    """A replacement of write_matte that is interrupted after ``count`` files."""
+    written = iter(range(count))
+
+    def write(path: Path, matte: np.ndarray) -> None:
+        if next(written, None) is None:
+            raise KeyboardInterrupt
+        write_matte(path, matte)
+
+    return write
+
+
+@pytest.mark.parametrize("at", range(1, 9))
+def test_a_killed_exchange_of_mattes_loses_nothing(
+    at: int, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a kill between two steps of the exchange of old and new mattes, after which the next call reports
+    complete mattes that are those of other settings, or makes finished mattes again.
+    """
+    own = tmp_path / "capture"
+    shutil.copytree(capture, own, copy_function=shutil.copy2)
+    truth = capture.parent / "truth" / "masks"
+    make_mattes(Selection(own), MatteSettings("masks", masks=truth), 1, untracked)
+    expected = {path.name: path.read_bytes() for path in (own / MATTES / "00").iterdir()}
+    make_mattes(Selection(own), MatteSettings("chroma", screen="0,255,0"), 1, untracked)
+    made = list[str]()
+
+    def stop(step: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def wrapped(*arguments: Any, **named: Any) -> Any:
+            made.append(step)
+            if len(made) == at:
+                raise KeyboardInterrupt
+            return function(*arguments, **named)
+
+        return wrapped
+
+    with monkeypatch.context() as patch:
+        patch.setattr(MatteState, "write", stop("write", MatteState.write))
+        patch.setattr(Path, "rename", stop("rename", Path.rename))
+        patch.setattr(output.shutil, "rmtree", stop("rmtree", shutil.rmtree))
+        with suppress(KeyboardInterrupt):
+            make_mattes(Selection(own), MatteSettings("masks", masks=truth), 1, untracked)
+    assert len(made) == at
+    again = make_mattes(Selection(own), MatteSettings("masks", masks=truth), 1, untracked)
+    assert again == 0 or "rename" not in made, made
+    assert {path.name: path.read_bytes() for path in (own / MATTES / "00").iterdir()} == expected
+    assert sorted(path.name for path in (own / ".fourd").iterdir()) == ["mattes", "mattes.json"]
+    assert MatteState.read(own).new is None
+
+
+def test_a_damaged_state_is_not_believed(capture: Path, tmp_path: Path) -> None:
+    """Catches a traceback, or a text that is used as a method, for a state file with other content."""
+    own = tmp_path / "capture"
+    (own / ".fourd").mkdir(parents=True)
+    for content in ("[]", "{", '{"chosen": "\\u001b[31m", "key": 5}', '{"chosen": ["masks"]}'):
+        (own / ".fourd" / "mattes.json").write_text(content)
+        assert MatteState.read(own) == MatteState()
 
 
 @pytest.mark.parametrize("text", ["cam02", "cam02=mask.png", "cam02:x=mask.png", ":4=mask.png", "cam02:4="])

@@ -12,8 +12,9 @@ import pytest
 
 from fourd.capture import Capture, open_capture
 from fourd.errors import UserError
+from fourd.matting.output import MODEL_NAME, SHEET
 from fourd.matting.selection import CACHE_FRAMES, Selection
-from fourd.matting.sequence import MATTES, MODEL_NAME, SHEET, MatteSettings, make_mattes
+from fourd.matting.sequence import MATTES, MatteSettings, make_mattes
 from fourd.progress import untracked
 from tests.matting.captures import matte_iou, write_capture_without_masks
 

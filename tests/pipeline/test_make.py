@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from fourd.cli.main import main
 from fourd.errors import UserError
 from fourd.formats.ply import write_ply
 from fourd.importing.importer import ImportOptions
@@ -24,6 +25,7 @@ from fourd.training.config import RefineConfig, TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.metrics_log import MetricsLog
 from tests.captures import sphere
+from tests.faults.chain import SMALL as SMALL_SETTINGS
 from tests.matting.captures import write_capture_without_masks, write_video
 from tests.training.small import SMALL, full_config, with_steps
 
@@ -92,6 +94,44 @@ def test_videos_become_a_scene(tmp_path: Path) -> None:
     matte = tmp_path / "scene.work" / "capture" / ".fourd" / "mattes" / "00" / "000002.png"
     matte.write_bytes((matte.parent / "000001.png").read_bytes())
     assert make(source, out, config) == dict.fromkeys(stages[:4], False) | dict.fromkeys(stages[4:], True)
+
+
+def test_mattes_of_the_chosen_method_are_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches mattes of fourd matte --method masks that fourd make replaces by mattes of the default method, mattes of
+    earlier images that are kept silently, and --method of fourd make without an effect.
+    """
+    monkeypatch.setenv("COLUMNS", "1000")
+    capture = write_capture_without_masks(tmp_path, frames=3, size=64)
+    masks, out = tmp_path / "truth" / "masks", tmp_path / "scene.4dv"
+    small = [word for name in SMALL_SETTINGS for word in ("--set", name)]
+    words = ["make", str(capture), "-o", str(out), "--workers", "1", *small]
+
+    def mattes() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in (capture / ".fourd" / "mattes").glob("*/*")}
+
+    assert main([*words, "--method", "motion"]) == 0
+    of_motion = mattes()
+    assert main(["matte", str(capture), "--method", "masks", "--masks", str(masks), "--workers", "1"]) == 0
+    chosen = mattes()
+    assert chosen != of_motion
+    for _ in range(2):
+        capsys.readouterr()
+        assert main(words) == 0
+        assert "keeping the mattes of fourd matte --method masks; add --method" in capsys.readouterr().out
+        assert mattes() == chosen
+    os.utime(capture / "images" / "00" / "000001.png", (1, 1))
+    assert main(words) == 2
+    assert "got mattes of earlier files; make them again with fourd matte --method masks" in capsys.readouterr().err
+    assert mattes() == chosen
+    assert main(["matte", str(capture), "--method", "masks", "--masks", str(masks), "--workers", "1"]) == 0
+    assert main(words) == 0
+    assert main([*words, "--method", "motion"]) == 0
+    assert mattes() == of_motion
+    capsys.readouterr()
+    assert main(words) == 0
+    assert "keeping" not in capsys.readouterr().out
 
 
 def test_other_folders_are_not_used_for_results(ball_capture: Path, tmp_path: Path) -> None:

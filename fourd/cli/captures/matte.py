@@ -9,11 +9,12 @@ from typing import Annotated, Literal
 import tyro
 
 from fourd.capture.layout import DERIVED, MATTES, refuse_symlinks
-from fourd.cli.options import CapturePath, SelectionOptions, Workers, describe, option, worker_count
+from fourd.cli.options import CapturePath, SelectionOptions, Workers, option, worker_count
 from fourd.errors import UserError
 from fourd.matting.motion.paint import parse_paint
+from fourd.matting.output import SHEET
 from fourd.matting.plates import FOLDER as PLATES
-from fourd.matting.sequence import SHEET, MatteSettings
+from fourd.matting.sequence import MatteSettings, record_choice
 from fourd.pipeline.capture_graph import MASKS, has_masks, stages_to_mattes
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
@@ -21,19 +22,22 @@ from fourd.pipeline.stages.mattes import MatteStageSettings
 from fourd.processes import locked_folder
 from fourd.progress import Terminal
 
+METHOD_HELP = (
+    "motion: detect the subject by motion and multi-view consistency, without a pretrained network. "
+    "chroma: chroma key (green screen). rvm: Robust Video Matting, the pretrained network in the file --rvm. "
+    "onnx: the network in the file --onnx. masks: masks of another program in the folder --masks. "
+    "Without this option, fourd make keeps mattes for which you chose the method with fourd matte."
+)
+
 
 @dataclass(frozen=True)
 class MatteOptions:
     """How to make mattes for a capture without the folder masks/."""
 
     method: Annotated[
-        Literal["motion", "chroma", "rvm", "onnx", "masks"],
-        describe(
-            "motion: detect the subject by motion and multi-view consistency, without a pretrained network.",
-            "chroma: chroma key (green screen). rvm: Robust Video Matting, the pretrained network in the file --rvm.",
-            "onnx: the network in the file --onnx. masks: masks of another program in the folder --masks.",
-        ),
-    ] = "motion"
+        Literal["motion", "chroma", "rvm", "onnx", "masks"] | None,
+        option("{motion,chroma,rvm,onnx,masks}", "motion", METHOD_HELP),
+    ] = None
     screen: Annotated[str | None, option("R,G,B", "estimated per camera")] = None
     """Colour of the screen for --method chroma, 0 to 255 per channel."""
     rvm: Annotated[Path | None, option("FILE", "none")] = None
@@ -52,17 +56,21 @@ class MatteOptions:
     """Correct the mattes of --method motion with a painted image. White is the subject, black is the background, grey
     and transparent pixels are unknown. The correction spreads to neighbouring frames and to the other views."""
 
+    @property
+    def is_given(self) -> bool:
+        """Whether the user chose how the mattes are made."""
+        return self.method is not None or bool(self.paint)
+
     def settings(self, seed: int) -> MatteSettings:
         """Settings of the matting stage. Raises UserError for options of another method."""
+        chosen = self.method or "motion"
         for name, method in (("screen", "chroma"), ("rvm", "rvm"), ("onnx", "onnx"), ("masks", "masks")):
-            if getattr(self, name) is not None and self.method != method:
-                raise UserError(
-                    f"--{name}: expected --method {method}, got --method {self.method}; add --method {method}"
-                )
-        if self.paint and self.method != "motion":
-            raise UserError(f"--paint: expected --method motion, got --method {self.method}; edit the mattes in place")
+            if getattr(self, name) is not None and chosen != method:
+                raise UserError(f"--{name}: expected --method {method}, got --method {chosen}; add --method {method}")
+        if self.paint and chosen != "motion":
+            raise UserError(f"--paint: expected --method motion, got --method {chosen}; edit the mattes in place")
         paint = tuple(parse_paint(text) for text in self.paint)
-        return MatteSettings(self.method, seed, self.screen, self.rvm, self.onnx, self.masks, paint)
+        return MatteSettings(chosen, seed, self.screen, self.rvm, self.onnx, self.masks, paint)
 
 
 @dataclass(frozen=True)
@@ -95,6 +103,8 @@ def run(arguments: Arguments) -> None:
     refuse_symlinks(capture, capture / DERIVED)
     with locked_folder(capture / DERIVED):
         Runner(context).run(stages_to_mattes(capture, settings, arguments.plates))
+        if not masks:
+            record_choice(capture, settings.mattes)
     lines = [
         f"{capture / MASKS}: the capture has masks, so no mattes were made"
         if masks

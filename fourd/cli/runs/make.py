@@ -88,6 +88,7 @@ def run(arguments: Arguments) -> None:
             lpips_weights=options.lpips_weights,
             imports=ImportOptions(calibration=given, fps=arguments.fps),
             accept_mattes=options.accept_mattes,
+            keep_chosen_mattes=not arguments.mattes.is_given,
             cluster=cluster,
             work=arguments.work,
         )

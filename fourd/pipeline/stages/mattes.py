@@ -10,8 +10,9 @@ from fourd.capture.layout import DERIVED
 from fourd.capture.video_index import index_capture
 from fourd.carving.matte_quality import measure_mattes
 from fourd.matting.contact_sheet import write_contact_sheet
+from fourd.matting.output import SHEET
 from fourd.matting.selection import Selection
-from fourd.matting.sequence import SHEET, MatteSettings, make_mattes
+from fourd.matting.sequence import MatteSettings, make_mattes
 from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 
