@@ -27,10 +27,11 @@ class GLStylizer:
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
-        formats = {"depth": (1, "f4"), "normal": (4, "f1"), "picture": (4, "f1")}
+        formats = {"depth": (1, "f4"), "normal": (4, "f1"), "shaded": (4, "f1"), "picture": (4, "f1")}
         self._targets = RenderTargets(context, {**formats, "lines 0": (1, "u4"), "lines 1": (1, "u4")})
         self._close = FullScreenPass(context, "stylize/close.frag")
-        self._draw = FullScreenPass(context, "stylize/picture.frag")
+        self._shade = FullScreenPass(context, "stylize/picture.frag")
+        self._draw_lines = FullScreenPass(context, "stylize/outlines.frag")
         self._table: moderngl.Texture | None = None
         self._table_source: NDArray[np.uint8] | None = None
         self._last = 0
@@ -57,14 +58,27 @@ class GLStylizer:
 
         Returns the picture: RGB over the paper, and alpha. Row 0 is the top. The next call overwrites the picture.
         """
-        targets, previous = self._targets, self._last
-        self._last = 1 - previous
+        targets = self._targets
         disable_blending(self._context)
         targets.framebuffer(["depth", "normal"]).use()
         self._close.run({"inverse_depth": surface.inverse_depth, "normal": surface.normal})
-        targets.framebuffer(["picture", f"lines {self._last}"]).use()
+        self._shade_surface(surface, parameters)
+        targets.framebuffer(["picture"]).use()
+        self._draw_lines.run(
+            {"shaded": targets.texture("shaded"), "lines": self.line_state},
+            thickness=parameters.thickness,
+            line_opacity=parameters.numbers.line_opacity,
+            line_colour=parameters.numbers.line_colour,
+        )
+        return targets.texture("picture")
+
+    def _shade_surface(self, surface: SurfaceTextures, parameters: StyleParameters) -> None:
+        """Shade the picture without lines, and find its lines."""
+        targets, previous = self._targets, self._last
+        self._last = 1 - previous
+        targets.framebuffer(["shaded", f"lines {self._last}"]).use()
         numbers = {field.name: getattr(parameters.numbers, field.name) for field in fields(parameters.numbers)}
-        self._draw.run(
+        self._shade.run(
             {
                 "closed_depth": targets.texture("depth"),
                 "closed_normal": targets.texture("normal"),
@@ -79,11 +93,10 @@ class GLStylizer:
             **numbers,
         )
         self._has_state = True
-        return targets.texture("picture")
 
     def release(self) -> None:
         """Free all GL objects."""
-        for item in (self._close, self._draw, self._targets):
+        for item in (self._close, self._shade, self._draw_lines, self._targets):
             item.release()
         if self._table is not None:
             self._table.release()

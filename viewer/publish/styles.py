@@ -29,6 +29,7 @@ _SHADERS = {
     "surface": "stylize/surface.frag",
     "close": "stylize/close.frag",
     "picture": "stylize/picture.frag",
+    "outlines": "stylize/outlines.frag",
 }
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
 """Numbers that the player computes for each camera."""

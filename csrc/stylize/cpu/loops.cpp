@@ -4,6 +4,7 @@
 
 #include <cmath>
 #include <cstring>
+#include <vector>
 
 #include "common/inline.h"
 
@@ -126,7 +127,7 @@ inline float ink_at(const Hatching& hatching, float x, float y, float light) {
 
 inline std::uint32_t byte_of(float value) { return static_cast<std::uint32_t>(static_cast<int>(clamp01(value) * 255.0f + 0.5f)); }
 
-inline void paint(const std::uint32_t* albedo, const Taps& centre, const Shape& shape, const float* lines, const Style& style, int row,
+inline void paint(const std::uint32_t* albedo, const Taps& centre, const Shape& shape, const Style& style, int row,
                   int first, std::uint32_t* out) {
     const Numbers& n = style.numbers;
     const float y = static_cast<float>(row) + 0.5f;
@@ -149,16 +150,15 @@ inline void paint(const std::uint32_t* albedo, const Taps& centre, const Shape& 
         const float alpha = channel(albedo[i], 24), coverage = alpha > 0.0f ? centre.coverage[kMargin + i] : 0.0f;
         const float inverse = 1.0f / larger(alpha, 1.0f / 255.0f);
         const float edge = clamp01(0.5f + (n.angle_threshold - shape.facing[i]) * per_softness);
-        const float dark = n.angle_strength * edge, line = n.line_opacity * lines[i];
+        const float dark = n.angle_strength * edge;
         const float shades[3] = {table.red[i], table.green[i], table.blue[i]};
-        std::uint32_t packed = byte_of(larger(coverage, line)) << 24;
+        std::uint32_t packed = byte_of(coverage) << 24;
         for (int c = 0; c < 3; ++c) {
             const float own = clamp01(channel(albedo[i], 8 * c) * inverse);
             float value = clamp01(shades[c] * (n.table_alone + n.table_times_albedo * own) + n.albedo_alone * own);
             value = mix(value, n.angle_colour[c], dark);
             value = mix(value, n.hatch_colour[c], inks[i]);
-            value = mix(n.paper[c], value, coverage);
-            packed |= byte_of(mix(value, n.line_colour[c], line)) << (8 * c);
+            packed |= byte_of(mix(n.paper[c], value, coverage)) << (8 * c);
         }
         out[i] = packed;
     }
@@ -169,22 +169,22 @@ inline void fill_paper(const Numbers& n, int count, std::uint32_t* out) {
     for (int i = 0; i < count; ++i) out[i] = paper;
 }
 
-// Draws a run of a row. Taps are the samples that the line filters read, from this row and the rows above and below.
-void draw_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
-              std::uint32_t* state, std::uint32_t* picture) {
-    float lines[kRun];
-    find_lines(surface, rows, style, row, first, count, state, lines);
+// Shades a run of a row. Taps are the samples that the line filters read, from this row and the rows above and below.
+inline void shade_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
+                      std::uint32_t* picture) {
     Shape shape;
     measure(*rows[1], style, row, first, shape);
     std::uint32_t albedo[kRun] = {};
     const std::size_t pixel = static_cast<std::size_t>(row) * surface.width + first;
     std::memcpy(albedo, surface.albedo + 4 * pixel, 4 * static_cast<std::size_t>(count));
-    paint(albedo, *rows[1], shape, lines, style, row, first, picture);
+    paint(albedo, *rows[1], shape, style, row, first, picture);
 }
 
-// Draws rows [begin, end) of the column of runs that starts at pixel `first` of each row.
-void draw_column(const Surface& surface, const Style& style, int first, int begin, int end, std::uint32_t* line_state,
-                 std::uint8_t* out) {
+#include "stylize/cpu/specks.inc"
+
+// Shades rows [begin, end) of the column of runs that starts at pixel `first` of each row.
+void shade_column(const Surface& surface, const Style& style, int first, int begin, int end, const LineImage& lines,
+                  std::uint8_t* out) {
     Column column(surface, style.thickness, first, begin);
     const int count = surface.width - first < kRun ? surface.width - first : kRun, reach = style.thickness;
     int last_seen = begin - 3 * kMargin;  // The last row with a surface.
@@ -194,29 +194,29 @@ void draw_column(const Surface& surface, const Style& style, int first, int begi
             if (has_surface(surface, checked, first)) last_seen = checked;
         }
         const std::size_t pixel = static_cast<std::size_t>(row) * surface.width + first;
-        std::uint32_t* state = line_state == nullptr ? nullptr : line_state + pixel;
         std::uint32_t picture[kRun];
         if (last_seen < row - reach) {
-            if (state != nullptr) std::memset(state, 0, static_cast<std::size_t>(count) * sizeof(std::uint32_t));
+            std::memset(lines.state + pixel, 0, static_cast<std::size_t>(count) * sizeof(std::uint32_t));
             fill_paper(style.numbers, count, picture);
         } else {
             column.read(row - reach, row + reach);
             const Taps* rows[3] = {column.taps(row - reach), column.taps(row), column.taps(row + reach)};
-            draw_run(surface, style, rows, row, first, count, state, picture);
+            find_lines(surface, rows, style, row, first, count, lines);
+            shade_run(surface, style, rows, row, first, count, picture);
         }
         std::memcpy(out + 4 * pixel, picture, 4 * static_cast<std::size_t>(count));
     }
 }
 
-void stylize_rows(const Surface& surface, const Style& style, int begin, int end, std::uint32_t* line_state,
-                  std::uint8_t* out) {
+void shade_rows(const Surface& surface, const Style& style, int begin, int end, const LineImage& lines,
+                std::uint8_t* out) {
     for (int first = 0; first < surface.width; first += kRun) {
-        draw_column(surface, style, first, begin, end, line_state, out);
+        shade_column(surface, style, first, begin, end, lines, out);
     }
 }
 
 }  // namespace
 
-const Loops loops = {stylize_rows};
+const Loops loops = {shade_rows, draw_lines};
 
 }  // namespace fourd::stylize::FOURD_SIMD

@@ -1,6 +1,8 @@
 #include "stylize/stylize.h"
 
 #include <algorithm>
+#include <atomic>
+#include <vector>
 
 #include "common/team.h"
 #include "stylize/cpu/loops.h"
@@ -10,16 +12,53 @@ namespace {
 
 // The rows that a task reads fit into the L1 cache, so that the pixels that successive runs both read stay in the
 // cache.
-constexpr std::size_t kRowsPerTask = 8;
+constexpr int kRowsPerTask = 8;
+
+// Says when the lines of a task's rows can be drawn: when the tasks are done whose rows are at most `reach` rows away.
+// Lines are drawn soon after the shading, because the rows are then still in the L2 cache.
+class Progress {
+  public:
+    Progress(int tasks, int reach) : tasks_(tasks), neighbours_((reach + kRowsPerTask - 1) / kRowsPerTask), missing_(tasks) {
+        for (int task = 0; task < tasks; ++task) missing_[task] = end(task) - begin(task);
+    }
+
+    // Calls draw(task) for each task whose lines can be drawn now that `done` is done.
+    template <typename Draw>
+    void finish(int done, const Draw& draw) {
+        for (int task = begin(done); task < end(done); ++task) {
+            if (missing_[task].fetch_sub(1, std::memory_order_acq_rel) == 1) draw(task);
+        }
+    }
+
+  private:
+    int begin(int task) const { return std::max(task - neighbours_, 0); }
+    int end(int task) const { return std::min(task + neighbours_ + 1, tasks_); }
+
+    int tasks_, neighbours_;
+    std::vector<std::atomic<int>> missing_;  // Number of tasks that are not done, among a task and its neighbours.
+};
 
 }  // namespace
 
 void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out) {
     const Loops& loops = select_loops(simd);
+    const std::size_t width = static_cast<std::size_t>(surface.width), height = static_cast<std::size_t>(surface.height);
+    std::vector<std::uint32_t> own_state(line_state == nullptr ? width * height : 0);
+    LineImage lines{line_state == nullptr ? own_state.data() : line_state, nullptr, nullptr, surface.width, surface.height,
+                    line_state != nullptr};
+    const std::size_t words = height * static_cast<std::size_t>(lines.words());
+    std::vector<std::uint64_t> bits(2 * words);
+    lines.drawn = bits.data();
+    lines.strong = bits.data() + words;
+    const int tasks = (surface.height + kRowsPerTask - 1) / kRowsPerTask;
+    const auto end_of = [&](int task) { return std::min((task + 1) * kRowsPerTask, surface.height); };
+    Progress progress(tasks, speck_reach(style.thickness));
     Team team(threads);
-    run_parts(team, static_cast<std::size_t>(surface.height), kRowsPerTask, [&](std::size_t begin, std::size_t end) {
-        loops.rows(surface, style, static_cast<int>(begin), static_cast<int>(end), line_state, out);
+    team.run(tasks, [&](int task, int) {
+        loops.shade(surface, style, task * kRowsPerTask, end_of(task), lines, out);
+        if (style.lines == Lines::none) return;
+        progress.finish(task, [&](int ready) { loops.draw_lines(lines, style, ready * kRowsPerTask, end_of(ready), out); });
     });
 }
 

@@ -6,17 +6,20 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from fourd.ops.stylize.parameters import (
     BACK_WEIGHT,
     FRONT_SLOPE,
     GAP,
+    LEAST_STRENGTH,
     SAME_TAPS,
     TONES,
     Numbers,
     StyleParameters,
     Surface,
+    speck_reach,
 )
 
 Image = NDArray[np.float32]
@@ -58,13 +61,42 @@ def stylize_reference(
     light = np.sqrt(_clamp(own @ np.array([0.299, 0.587, 0.114], np.float32) * tone))
     colour = _mix(colour, numbers.hatch_colour, hatching(light, numbers))
     coverage = np.where(alpha > 0, closed.coverage[..., None], 0)
-    line = numbers.line_opacity * lines
-    colour = _mix(
-        np.asarray(numbers.paper, np.float32) + coverage * (colour - numbers.paper), numbers.line_colour, line
-    )
-    rgba = np.concatenate([colour, np.maximum(coverage, line[..., None])], 2)
+    colour = np.asarray(numbers.paper, np.float32) + coverage * (colour - numbers.paper)
+    shaded = _bytes(np.concatenate([colour, coverage], 2))
     state = _bytes(lines) | _seen_bits(closed, parameters.thickness)
-    return Stylized(_bytes(rgba), np.zeros_like(state) if parameters.lines == "none" else state)
+    drawn = remove_specks(_bytes(lines), speck_reach(parameters.thickness))
+    rgba = draw_lines(shaded, drawn, numbers)
+    return Stylized(rgba, np.zeros_like(state) if parameters.lines == "none" else state)
+
+
+def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Numbers) -> NDArray[np.uint8]:
+    """Draw lines (H, W) with strengths 0 to 255 over a shaded picture (H, W, 4)."""
+    line = numbers.line_opacity * lines.astype(np.float32) / 255
+    picture = shaded.astype(np.float32) / 255
+    colour = _mix(picture[..., :3], numbers.line_colour, line)
+    return _bytes(np.concatenate([colour, np.maximum(picture[..., 3:], line[..., None])], 2))
+
+
+def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
+    """Remove lines (H, W) that end close to the pixel. A line stays if a line of at least LEAST_STRENGTH is on each
+    of two squares around the pixel, whose sides are 2 ``reach`` and ``reach`` pixels long. There are no lines outside
+    the picture.
+
+    A group of connected lines that does not reach the larger square is a speck. The smaller square removes specks next
+    to other specks.
+    """
+    around = np.minimum(_strongest_around(lines, reach), _strongest_around(lines, reach // 2))
+    return np.where(around >= LEAST_STRENGTH, lines, 0).astype(np.uint8)
+
+
+def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
+    """Strength (H, W) of the strongest line on the square around each pixel with sides of 2 ``reach`` pixels."""
+    padded = np.pad(lines, reach)
+    side = 2 * reach + 1
+    columns = sliding_window_view(padded, side, axis=0).max(-1)  # (H, W + 2 reach)
+    rows = sliding_window_view(padded, side, axis=1).max(-1)  # (H + 2 reach, W)
+    sides = (columns[:, : -2 * reach], columns[:, 2 * reach :], rows[: -2 * reach], rows[2 * reach :])
+    return np.maximum.reduce(sides)
 
 
 def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:

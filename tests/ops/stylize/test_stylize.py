@@ -10,8 +10,8 @@ import scipy.ndimage
 from numpy.typing import NDArray
 
 from fourd.ops.stylize.op import stylize_surface
-from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, Numbers, StyleParameters, Surface
-from fourd.ops.stylize.reference import find_lines, look_up, stylize_reference
+from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, Numbers, StyleParameters, Surface, speck_reach
+from fourd.ops.stylize.reference import find_lines, look_up, remove_specks, stylize_reference
 from tests.stylize.surfaces import (
     line_parameters,
     make_plane,
@@ -65,7 +65,7 @@ def random_state(rng: np.random.Generator, surface: Surface, parameters: StylePa
 
 
 @pytest.mark.parametrize("simd", ["baseline", "avx2", "avx512"])
-@pytest.mark.parametrize(("height", "width", "rows"), [(1, 1, 1), (5, 63, 2), (37, 131, 1), (20, 64, 64)])
+@pytest.mark.parametrize(("height", "width", "rows"), [(1, 1, 1), (5, 63, 2), (3, 200, 1), (37, 131, 1), (20, 64, 64)])
 def test_pictures_equal_the_reference(
     simd: str, height: int, width: int, rows: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -239,6 +239,35 @@ def test_lines_vanish_at_once() -> None:
         state |= 255
         stylize_surface(surface, line_parameters(40, persistence=0.9), line_state=state)
         assert not (state & 255).any()
+
+
+@pytest.mark.parametrize("thickness", [1, 3, 8])
+def test_specks_are_removed_and_lines_stay(thickness: int) -> None:
+    """Catches specks that are kept because other specks are near, and lines that are shortened or interrupted."""
+    size, reach = 200, speck_reach(thickness)
+    specks = np.zeros((size, size), np.uint8)
+    specks[20 : 20 + reach, 60 : 60 + reach // 2] = 255
+    for column in range(20, 180, reach):
+        specks[150, column : column + reach // 2] = 255
+    assert not remove_specks(specks, reach).any()
+    lines = np.zeros((size, size), np.uint8)
+    lines[100, 10:190] = lines[:, 63] = lines[np.arange(size), np.arange(size)] = 255
+    np.testing.assert_array_equal(remove_specks(lines, reach), lines)
+
+
+@pytest.mark.parametrize("threads", [1, 4])
+def test_specks_of_a_surface_are_not_drawn(threads: int) -> None:
+    """Catches specks in the picture, and lines with gaps where two runs of 64 pixels or the rows of two tasks meet."""
+    depth = np.full((200, 200), 3.0)
+    depth[:, 120:] = 2.0
+    depth[60:63, 62:65] = 2.0
+    surface = make_surface(depth, np.broadcast_to([0.0, 0, -1], (200, 200, 3)))
+    state = np.zeros((200, 200), np.uint32)
+    picture = stylize_surface(surface, line_parameters(200), line_state=state, threads=threads)
+    assert (state[58:66, 58:66] & 255).any()  # the filter finds the speck
+    is_dark = picture[..., :3].max(2) == 0
+    assert set(np.flatnonzero(is_dark.any(0))) == {119, 120}
+    assert is_dark[:, 119:121].all()
 
 
 def test_gaps_between_points_are_filled() -> None:

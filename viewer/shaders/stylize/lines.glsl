@@ -112,17 +112,15 @@ uint summed_taps(ivec2 pixel) {
     return floatBitsToUint((corners + arms) + tap_depth(pixel, 0, 0)) & 0xffff0000u;
 }
 
-// Returns the strength of the line at a pixel in [0, 1], and the state for the next image. Where the previous image has
-// a line, the thresholds are lower than elsewhere. Where the surface has not changed, lines gain strength slowly.
-float find_line(ivec2 pixel, out uint state) {
-    state = 0u;
-    if (line_filter == 0) return 0.0;
+// Returns the state of the line at a pixel. Where the previous image has a line, the thresholds are lower than elsewhere.
+// Where the surface has not changed, lines gain strength slowly.
+uint find_line(ivec2 pixel) {
+    if (line_filter == 0) return 0u;
     uint old = has_state ? texelFetch(line_state, pixel, 0).r : 0u;
     float before = float(old & 255u) / 255.0;
     float line = fresh_line(pixel, (old & 255u) >= 128u ? 1.0 - hysteresis : 1.0);
     uint bits = summed_taps(pixel);
     float seen = uintBitsToFloat(bits), old_seen = uintBitsToFloat(old & 0xffff0000u);
     if (abs(seen - old_seen) <= SAME_TAPS * seen && line > before) line += persistence * (before - line);
-    state = bits | uint(line * 255.0 + 0.5);
-    return line;
+    return bits | uint(line * 255.0 + 0.5);
 }

@@ -19,7 +19,9 @@ import { SceneError } from "../scene/errors.js";
  * @property {string} table The shade table (rows, 256, 3) uint8, as zlib in base64.
  */
 
-/** GLSL texts without `#version`. @typedef {{octahedral: string, surface: string, close: string, picture: string}} ShaderTexts */
+const SHADER_NAMES = /** @type {const} */ (["octahedral", "surface", "close", "picture", "outlines"]);
+
+/** GLSL texts without `#version`. @typedef {Record<typeof SHADER_NAMES[number], string>} ShaderTexts */
 
 /** @typedef {{shaders: ShaderTexts, styles: Style[]}} StyleFile */
 
@@ -39,7 +41,7 @@ export async function loadStyles(url) {
   /** @type {any} */
   const content = await response.json().catch(() => null);
   const styles = content?.styles;
-  const shaders = ["octahedral", "surface", "close", "picture"].every((name) => typeof content?.shaders?.[name] === "string");
+  const shaders = SHADER_NAMES.every((name) => typeof content?.shaders?.[name] === "string");
   if (!shaders || !Array.isArray(styles) || !styles.every(isStyle)) {
     throw new SceneError(`${url.href}: expected the styles of the player, got other content; write the site again`);
   }

@@ -39,12 +39,19 @@ export class StyledDrawing {
       pass: normals.makePass(SURFACE_FRAGMENT, NO_DEPTH),
     });
     const make = (/** @type {string} */ text) => makeProgram(gl, FULL_SCREEN_VERTEX, HEADER + text);
-    this.programs = { surface: make(shaders.surface), close: make(shaders.close), picture: make(shaders.picture) };
+    this.programs = {
+      surface: make(shaders.surface),
+      close: make(shaders.close),
+      picture: make(shaders.picture),
+      outlines: make(shaders.outlines),
+    };
     this.emptyArray = gl.createVertexArray();
     /** Albedo, inverse depth and normals of the last two pictures. @type {Target[]} */
     this.surfaces = [];
-    /** Pictures and states of the lines of the last two pictures. @type {Target[]} */
-    this.pictures = [];
+    /** The last two pictures without lines, and the states of their lines. @type {Target[]} */
+    this.shaded = [];
+    /** @type {Target | null} */
+    this.picture = null;
     /** @type {Target | null} */
     this.closed = null;
     this.turn = 0;
@@ -117,19 +124,35 @@ export class StyledDrawing {
     const closed = /** @type {Target} */ (this.closed);
     const camera = /** @type {Camera} */ (this.camera);
     const [albedo, depth, normal] = this.surfaces[this.turn].textures;
-    const previous = this.pictures[1 - this.turn];
+    const previous = this.shaded[1 - this.turn];
     const hasState = rests && this.tableContent === table;
     this.#use(programs.close, closed, { inverse_depth: depth, normal });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
     const tableTexture = this.#loadTable(table);
     const [closedDepth, closedNormal] = closed.textures;
     const textures = { closed_depth: closedDepth, closed_normal: closedNormal, albedo, table: tableTexture };
-    this.#use(programs.picture, this.pictures[this.turn], { ...textures, line_state: previous.textures[1] });
-    const { floats, integers } = viewStyle(style, camera, this.focus, background);
-    programs.picture.floats(floats);
-    programs.picture.integers({ ...integers, has_state: hasState });
+    this.#use(programs.picture, this.shaded[this.turn], { ...textures, line_state: previous.textures[1] });
+    const values = viewStyle(style, camera, this.focus, background);
+    programs.picture.floats(values.floats);
+    programs.picture.integers({ ...values.integers, has_state: hasState });
     gl.drawArrays(gl.TRIANGLES, 0, 3);
-    return this.pictures[this.turn].textures[0];
+    return this.#drawLines(values);
+  }
+
+  /**
+   * Draws the lines over the shaded picture.
+   * @param {ReturnType<typeof viewStyle>} values
+   */
+  #drawLines({ floats, integers }) {
+    const { gl, programs } = this;
+    const picture = /** @type {Target} */ (this.picture);
+    const [shaded, lines] = this.shaded[this.turn].textures;
+    this.#use(programs.outlines, picture, { shaded, lines });
+    const { line_opacity, line_colour } = floats;
+    programs.outlines.floats({ line_opacity, line_colour });
+    programs.outlines.integers({ thickness: integers.thickness });
+    gl.drawArrays(gl.TRIANGLES, 0, 3);
+    return picture.textures[0];
   }
 
   /**
@@ -158,15 +181,16 @@ export class StyledDrawing {
     this.#releaseTargets();
     gl.activeTexture(gl.TEXTURE0); // New textures are bound to the active unit.
     this.surfaces = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R32F, gl.RGBA8]));
-    this.pictures = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R32UI]));
+    this.shaded = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R32UI]));
+    this.picture = new Target(gl, width, height, [gl.RGBA8]);
     this.closed = new Target(gl, width, height, [gl.R32F, gl.RGBA8]);
     this.camera = null;
   }
 
   #releaseTargets() {
-    for (const target of [...this.surfaces, ...this.pictures, this.closed]) target?.release();
-    this.surfaces = this.pictures = [];
-    this.closed = null;
+    for (const target of [...this.surfaces, ...this.shaded, this.closed, this.picture]) target?.release();
+    this.surfaces = this.shaded = [];
+    this.closed = this.picture = null;
   }
 
   /** @param {Uint8Array} content (rows, 256, 3) */

@@ -1,0 +1,39 @@
+// Draws lines over a shaded picture, without specks (remove_specks of fourd/ops/stylize/reference.py). This text is also
+// valid GLSL ES 3.00.
+
+uniform sampler2D shaded;
+uniform highp usampler2D lines;  // The state of the lines, in the layout of csrc/stylize/stylize.h.
+uniform int thickness;
+uniform float line_opacity;
+uniform vec3 line_colour;
+
+out vec4 picture;
+
+// Least strength, of 255, of a line that continues other lines.
+const uint LEAST_STRENGTH = 32u;
+
+// Returns the strength of a line from 0 to 255. There are no lines outside the picture.
+uint strength_at(ivec2 pixel) {
+    bool is_outside = any(lessThan(pixel, ivec2(0))) || any(greaterThanEqual(pixel, textureSize(lines, 0)));
+    return is_outside ? 0u : texelFetch(lines, pixel, 0).r & 255u;
+}
+
+// Returns whether a line continues on the square around a pixel. The sides of the square are 2 `reach` pixels long.
+bool reaches_square(ivec2 pixel, int reach) {
+    for (int along = -reach; along <= reach; ++along) {
+        uint rows = max(strength_at(pixel + ivec2(along, -reach)), strength_at(pixel + ivec2(along, reach)));
+        uint columns = max(strength_at(pixel + ivec2(-reach, along)), strength_at(pixel + ivec2(reach, along)));
+        if (max(rows, columns) >= LEAST_STRENGTH) return true;
+    }
+    return false;
+}
+
+void main() {
+    ivec2 pixel = ivec2(gl_FragCoord.xy);
+    int reach = 3 * thickness + 2;
+    uint own = strength_at(pixel);
+    bool is_drawn = own > 0u && reaches_square(pixel, reach / 2) && reaches_square(pixel, reach);
+    float line = is_drawn ? line_opacity * float(own) / 255.0 : 0.0;
+    picture = texelFetch(shaded, pixel, 0);
+    picture = vec4(mix(picture.rgb, line_colour, line), max(picture.a, line));
+}
