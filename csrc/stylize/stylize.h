@@ -13,8 +13,13 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum number of pixels between the taps of a line filter.
 
-// Half of the side in pixels of the square around a pixel to which its line must reach. Other lines are specks.
-constexpr int speck_reach(int thickness) { return 3 * thickness + 2; }
+// Half of the side in pixels of the largest square around a pixel to which its line must reach. Other lines are specks.
+// The result is at most 32.
+constexpr int speck_reach(int thickness) {
+    int reach = 8;
+    while (2 * reach <= 4 * (thickness + 1)) reach *= 2;
+    return reach;
+}
 constexpr std::uint32_t kLeastStrength = 32;  // Least strength, of 255, of a line that continues other lines.
 
 // The quantity that selects the row of the shade table.

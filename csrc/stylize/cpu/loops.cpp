@@ -2,6 +2,7 @@
 // vectorise these loops.
 #include "stylize/cpu/loops.h"
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <vector>

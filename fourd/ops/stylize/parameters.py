@@ -18,9 +18,9 @@ vector towards the camera, and L is the unit vector towards the light. The styli
   inverse depths at the filter's nine taps differs by at most 3% between the two pictures.
 - Lines near holes. The back of a surface is visible only through holes in the points. Depths around holes are
   irregular, so a line is removed if a tap shows the back of a surface, unless another tap shows no surface.
-- Specks. A line is not drawn if it ends close to the pixel. A line is drawn only if each of two squares
-  around the pixel has a pixel with a line of at least the strength LEAST_STRENGTH. The sides of the squares are 2 r and
-  r pixels long (``speck_reach``). Specks stay in the state for the next picture.
+- Specks. A line is not drawn if it ends close to the pixel. A line is drawn only if it continues on
+  the sides of squares around the pixel, with at least the strength LEAST_STRENGTH. The sides of the squares are 2, 4, 8,
+  ..., 2 r pixels long (``speck_reach``). Specks stay in the state for the next picture.
 - The picture. C is composited over the paper with opacity s, and the line colour is composited with opacity e.
 
 The inverse depth 1 / z of a plane is a linear function of the pixel. The cross filter therefore draws no lines on
@@ -57,8 +57,10 @@ of the pixel increases from 0 to 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:
-    """Half of the side in pixels of the square around a pixel to which its line must reach. Other lines are specks."""
-    return 3 * thickness + 2
+    """Half of the side in pixels of the largest square around a pixel to which its line must reach. Other lines are
+    specks. The result is the largest power of 2 that is at most 4 (``thickness`` + 1).
+    """
+    return 1 << (4 * (thickness + 1)).bit_length() - 1
 
 
 LEAST_STRENGTH = 32

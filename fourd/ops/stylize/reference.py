@@ -79,14 +79,17 @@ def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Num
 
 def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
     """Remove lines (H, W) that end close to the pixel. A line stays if a line of at least LEAST_STRENGTH is on each
-    of two squares around the pixel, whose sides are 2 ``reach`` and ``reach`` pixels long. There are no lines outside
-    the picture.
+    of the squares around the pixel whose sides are 2, 4, 8, ..., 2 ``reach`` pixels long. There are no lines outside the
+    picture.
 
-    A group of connected lines that does not reach the larger square is a speck. The smaller square removes specks next
+    A group of connected lines that does not reach the largest square is a speck. The smaller squares remove specks next
     to other specks.
     """
-    around = np.minimum(_strongest_around(lines, reach), _strongest_around(lines, reach // 2))
-    return np.where(around >= LEAST_STRENGTH, lines, 0).astype(np.uint8)
+    kept, half = lines, 1
+    while half <= reach:
+        kept = np.where(_strongest_around(lines, half) >= LEAST_STRENGTH, kept, 0).astype(np.uint8)
+        half *= 2
+    return kept
 
 
 def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:

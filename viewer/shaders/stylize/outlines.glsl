@@ -30,9 +30,9 @@ bool reaches_square(ivec2 pixel, int reach) {
 
 void main() {
     ivec2 pixel = ivec2(gl_FragCoord.xy);
-    int reach = 3 * thickness + 2;
     uint own = strength_at(pixel);
-    bool is_drawn = own > 0u && reaches_square(pixel, reach / 2) && reaches_square(pixel, reach);
+    bool is_drawn = own > 0u;
+    for (int reach = 1; is_drawn && reach <= 4 * (thickness + 1); reach *= 2) is_drawn = reaches_square(pixel, reach);
     float line = is_drawn ? line_opacity * float(own) / 255.0 : 0.0;
     picture = texelFetch(shaded, pixel, 0);
     picture = vec4(mix(picture.rgb, line_colour, line), max(picture.a, line));
