@@ -18,9 +18,9 @@ vector towards the camera, and L is the unit vector towards the light. The styli
   inverse depths at the filter's nine taps differs by at most 3% between the two pictures.
 - Lines near holes. The back of a surface is visible only through holes in the points. Depths around holes are
   irregular, so a line is removed if a tap shows the back of a surface, unless another tap shows no surface.
-- Specks. A line is not drawn if it ends close to the pixel. A line is drawn only if it continues on
-  the sides of squares around the pixel, with at least the strength LEAST_STRENGTH. The sides of the squares are 2, 4, 8,
-  ..., 2 r pixels long (``speck_reach``). Specks stay in the state for the next picture.
+- Specks. A line is not drawn if it ends close to the pixel. A line is drawn only if it continues on the sides of
+  squares around the pixel, with at least the strength LEAST_STRENGTH. The sides of the squares are 2, 4, 8, ..., 2 r
+  pixels long (``speck_reach``). Specks stay in the state for the next picture.
 - The picture. C is composited over the paper with opacity s, and the line colour is composited with opacity e.
 
 The inverse depth 1 / z of a plane is a linear function of the pixel. The cross filter therefore draws no lines on

@@ -78,8 +78,8 @@ def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Num
 
 
 def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """Remove lines (H, W) that end close to the pixel. A line stays if a line of at least LEAST_STRENGTH is on each
-    of the squares around the pixel whose sides are 2, 4, 8, ..., 2 ``reach`` pixels long. There are no lines outside the
+    """Remove lines (H, W) that end close to the pixel. A line stays if a line of at least LEAST_STRENGTH is on each of
+    the squares around the pixel whose sides are 2, 4, 8, ..., 2 ``reach`` pixels long. There are no lines outside the
     picture.
 
     A group of connected lines that does not reach the largest square is a speck. The smaller squares remove specks next
