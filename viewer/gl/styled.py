@@ -106,10 +106,8 @@ class StyledDrawing:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture."""
-        state = self._stylizer.line_state
-        content = np.frombuffer(state.read(alignment=1), np.uint32)
-        return (content.reshape(state.height, state.width) & 255).astype(np.uint8)
+        """(H, W) strength of the lines in the last picture, without specks."""
+        return self._stylizer.line_strength
 
     def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:
         """The frame with normals. The last two frames are kept, so that their textures are not uploaded again."""

@@ -8,7 +8,8 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, TONES, StyleParameters
+from fourd.ops.stylize.parameters import DETAILS, LINE_FILTERS, TONES, StyleParameters, speck_reach
+from fourd.ops.stylize.reference import remove_specks
 from fourd.viewer.gl.passes import FullScreenPass, RenderTargets, disable_blending
 
 
@@ -35,12 +36,20 @@ class GLStylizer:
         self._table: moderngl.Texture | None = None
         self._table_source: NDArray[np.uint8] | None = None
         self._last = 0
+        self._thickness = 1
         self._has_state = False
 
     @property
+    def line_strength(self) -> NDArray[np.uint8]:
+        """(H, W) strength of the lines in the last picture, without specks."""
+        state = self.line_state
+        content = np.frombuffer(state.read(alignment=1), np.uint32).reshape(state.height, state.width)
+        return remove_specks((content & 255).astype(np.uint8), speck_reach(self._thickness))
+
+    @property
     def line_state(self) -> moderngl.Texture:
-        """Lines of the last picture, one uint32 per pixel. :func:`fourd.ops.stylize.op.stylize_surface` has the
-        layout."""
+        """Lines of the last picture with specks, one uint32 per pixel. The layout is that of
+        :func:`fourd.ops.stylize.op.stylize_surface`."""
         return self._targets.texture(f"lines {self._last}")
 
     def resize(self, size: tuple[int, int]) -> None:
@@ -63,6 +72,7 @@ class GLStylizer:
         targets.framebuffer(["depth", "normal"]).use()
         self._close.run({"inverse_depth": surface.inverse_depth, "normal": surface.normal})
         self._shade_surface(surface, parameters)
+        self._thickness = parameters.thickness
         targets.framebuffer(["picture"]).use()
         self._draw_lines.run(
             {"shaded": targets.texture("shaded"), "lines": self.line_state},

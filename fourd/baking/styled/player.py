@@ -15,7 +15,8 @@ from fourd.cameras import Camera
 from fourd.ops.aligned import zeros_aligned
 from fourd.ops.play.op import PointPlayer
 from fourd.ops.stylize.op import stylize_surface
-from fourd.ops.stylize.parameters import Surface
+from fourd.ops.stylize.parameters import Surface, speck_reach
+from fourd.ops.stylize.reference import remove_specks
 from fourd.stylize.styles import Style
 from fourd.stylize.tables import make_table
 from fourd.stylize.view import view_style
@@ -28,6 +29,7 @@ class _Picture:
     surface: Surface
     lines: NDArray[np.uint32]
     camera: Camera | None = None
+    thickness: int = 1
 
 
 class StyledPlayer:
@@ -119,16 +121,17 @@ class StyledPlayer:
             self._last.lines.fill(0)
         started = time.perf_counter()
         parameters = view_style(style, table, camera, manifest.focus, background)
+        self._last.thickness = parameters.thickness
         picture = stylize_surface(surface, parameters, line_state=self._last.lines, threads=threads, out=out)
         self.style_seconds = time.perf_counter() - started
         return picture
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture."""
+        """(H, W) strength of the lines in the last picture, without specks."""
         if self._last is None:
             raise RuntimeError("line_strength: expected a picture, got none; call draw first")
-        return (self._last.lines & 255).astype(np.uint8)
+        return remove_specks((self._last.lines & 255).astype(np.uint8), speck_reach(self._last.thickness))
 
     def _table_of(self, style: Style) -> NDArray[np.uint8]:
         if self._table is None or self._table[0] != style:
