@@ -177,7 +177,7 @@ inline void shade_run(const Surface& surface, const Style& style, const Taps* co
     measure(*rows[1], style, row, first, shape);
     std::uint32_t albedo[kRun] = {};
     const std::size_t pixel = static_cast<std::size_t>(row) * surface.width + first;
-    std::memcpy(albedo, surface.albedo + 4 * pixel, 4 * static_cast<std::size_t>(count));
+    copy_run(surface.albedo + 4 * pixel, count, albedo);
     paint(albedo, *rows[1], shape, style, row, first, picture);
 }
 
@@ -205,7 +205,7 @@ void shade_column(const Surface& surface, const Style& style, int first, int beg
             find_lines(surface, rows, style, row, first, count, lines);
             shade_run(surface, style, rows, row, first, count, picture);
         }
-        std::memcpy(out + 4 * pixel, picture, 4 * static_cast<std::size_t>(count));
+        copy_run(picture, count, out + 4 * pixel);
     }
 }
 
