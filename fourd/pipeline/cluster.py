@@ -32,13 +32,13 @@ class Job:
     Attributes:
         stage: the stage.
         cores: number of cores, which is the number of threads and of processes.
-        folder: folder to which relative paths of the stage refer.
+        folder: folder to which relative paths of the stage refer. None for a portable stage.
         version: the version of fourd that created the stage.
     """
 
     stage: AnyStage
     cores: int
-    folder: Path
+    folder: Path | None
     version: str
 
 
@@ -63,7 +63,8 @@ def run_job(job: Job) -> Outcome:
         os.environ[name] = str(job.cores)
     text = io.StringIO()
     try:
-        os.chdir(job.folder)
+        if job.folder is not None:
+            os.chdir(job.folder)
     except OSError:
         got = "no such folder; mount the storage of the capture and the scene at the same path on all nodes"
         return Outcome(node, error=f"{job.folder}: expected the working folder of fourd make, got {got}")
@@ -135,7 +136,8 @@ class Cluster:
         cores = self._segment_cores if stage.is_parallel else self._node_cores
         # With max_calls=1, each stage runs in a new process, which has its own number of threads and frees its memory.
         task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=1)(run_job)
-        return task.options(name=stage.name).remote(Job(stage, cores, Path.cwd(), __version__))
+        folder = None if stage.is_portable else Path.cwd()
+        return task.options(name=stage.name).remote(Job(stage, cores, folder, __version__))
 
     def _result(self, stage: AnyStage, reference: Any) -> Outcome:
         try:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +11,7 @@ from pathlib import Path
 from fourd.capture.frame_rate import set_rate
 from fourd.capture.layout import DERIVED, MATTES
 from fourd.errors import UserError
-from fourd.files import is_unused, remove_unfinished, remove_unfinished_file
+from fourd.files import atomic_path, is_unused, remove_unfinished, remove_unfinished_file
 from fourd.importing.importer import ImportOptions
 from fourd.matting.sequence import MatteSettings, chosen_method, forget_choice
 from fourd.pipeline.capture_graph import has_masks, stages_to_capture
@@ -17,13 +19,16 @@ from fourd.pipeline.cluster import Cluster
 from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_first_points, stages_to_scene
 from fourd.pipeline.plan import describe_plan
-from fourd.pipeline.runner import Runner, run_here
+from fourd.pipeline.runner import Execute, Runner, run_here
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.check import check_stage
 from fourd.pipeline.stages.repair import repair_stage, repaired_capture
 from fourd.pipeline.stages.still import still_stage
 from fourd.pipeline.stages.train import start_run
 from fourd.pipeline.still_scenes import stands_still, still_config
+from fourd.pipeline.stored.cache import cache_folder
+from fourd.pipeline.stored.rate import rate_stage
+from fourd.pipeline.stored.results import StoredResults
 from fourd.processes import locked_folder
 from fourd.storage import Location, StorageUrl, check_writable, upload_changed
 from fourd.training.config import TrainConfig
@@ -35,6 +40,8 @@ CAPTURE = "capture"
 REPAIRED = "repaired"
 STILL = "still"
 RUN = "run"
+SCENE = "scene.4dv"
+"""The scene in a folder for intermediate results in an object store. Its name does not depend on -o."""
 UPLOADED = "uploaded.json"
 """File with the state of the scene file and of the object in the store after the last upload."""
 
@@ -72,7 +79,7 @@ def make_scene(
     accept_mattes: bool = False,
     keep_chosen_mattes: bool = False,
     cluster: Cluster | None = None,
-    work: Path | None = None,
+    work: Location | None = None,
 ) -> None:
     """Run every stage from ``source`` to the scene file ``out``.
 
@@ -97,27 +104,87 @@ def make_scene(
             making mattes with the settings ``mattes``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
         work: the folder for intermediate results. If None, it is ``scene.work/`` for ``scene.4dv``, beside a local
-            ``out``, or in the current folder if ``out`` is a URL.
+            ``out``, or in the current folder if ``out`` is a URL. If it is a URL, each machine works in a local copy,
+            and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
 
     Raises:
         UserError: if the input is invalid, if a store refuses, or if the folder for intermediate results exists but was
             not created by ``fourd make``.
     """
-    work = _work_folder(out, work)
+    request = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
+    execute = run_here if cluster is None else cluster.execute
+    options, chosen = imports or ImportOptions(), MatteChoice(mattes, keep_chosen_mattes)
     if isinstance(out, StorageUrl):
         check_writable(out)
-    with locked_folder(work):
-        execute = run_here if cluster is None else cluster.execute
-        runner = Runner(context, work / RECORD, execute, is_parallel=cluster is not None)
-        work.mkdir(parents=True, exist_ok=True)
-        remove_unfinished(work, deep=True)
-        given = _local_source(source, work, runner)
-        request = RunRequest(given, work / RUN, train, points_from, lpips_weights, accept_mattes=accept_mattes)
-        scene = out if isinstance(out, Path) else work / out.name
-        chosen = MatteChoice(mattes, keep_chosen_mattes)
-        _run_graph(request, work, scene, chosen, imports or ImportOptions(), context, runner)
+    if isinstance(work, StorageUrl):
+        _make_stored(source, out, request, chosen, options, context, work, execute, cluster is not None)
+        return
+    folder = _work_folder(out, work)
+    with locked_folder(folder):
+        runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None)
+        folder.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(folder, deep=True)
+        given = _local_source(source, folder, runner)
+        scene = out if isinstance(out, Path) else folder / out.name
+        _run_graph(replace(request, capture=given, run=folder / RUN), folder, scene, chosen, options, context, runner)
         if isinstance(out, StorageUrl):
-            upload_changed(scene, out, work / UPLOADED, context.track)
+            upload_changed(scene, out, folder / UPLOADED, context.track)
+
+
+def _make_stored(
+    source: Location,
+    out: Location,
+    request: RunRequest,
+    mattes: MatteChoice,
+    options: ImportOptions,
+    context: Context,
+    url: StorageUrl,
+    execute: Execute,
+    is_parallel: bool,
+) -> None:
+    """Run the stages of :func:`make_scene` with results at ``url``. The paths in ``request`` other than those of the
+    capture and of the run are the same on all machines."""
+    if is_parallel and url.scheme == "memory":
+        raise UserError(f"{url}: expected a store that all nodes can reach, got the memory of this process; use s3://")
+    root = cache_folder(url)
+    with locked_folder(root):
+        remove_unfinished(root, deep=True)
+        stored = StoredResults(url, source, context)
+        runner = Runner(context, None, execute, is_parallel=is_parallel, stored=stored)
+        background = request.train.background
+        background = replace(background, seeds=_absolute(background.seeds))
+        request = replace(
+            request,
+            train=replace(request.train, background=background),
+            capture=stored.source(),
+            run=root / RUN,
+            points_from=_absolute(request.points_from),
+            lpips_weights=_absolute(request.lpips_weights),
+        )
+        scene = root / SCENE
+        _run_graph(request, root, scene, mattes, options, context, runner)
+        stored.remove_others()
+        if isinstance(out, StorageUrl):
+            upload_changed(scene, out, root / UPLOADED, context.track)
+        else:
+            remove_unfinished_file(out)
+            _copy_changed(scene, out)
+
+
+def _absolute(path: Path | None) -> Path | None:
+    return None if path is None else path.absolute()
+
+
+def _copy_changed(source: Path, target: Path) -> None:
+    """Copy a file, unless the target has the same size and time of the last change."""
+    status = source.stat()
+    if target.is_file():
+        before = target.stat()
+        if (before.st_size, before.st_mtime_ns) == (status.st_size, status.st_mtime_ns):
+            return
+    with atomic_path(target) as temporary:
+        shutil.copyfile(source, temporary)
+        os.utime(temporary, ns=(status.st_atime_ns, status.st_mtime_ns))
 
 
 def _local_source(source: Location, work: Path, runner: Runner) -> Path:
@@ -144,7 +211,10 @@ def _run_graph(
     remove_unfinished_file(out)
     context.log(describe_plan(given, train, context.workers, source.points_from is not None))
     if options.fps is not None and not to_capture:
-        set_rate(given, options.fps)
+        if given.is_relative_to(work) and runner.is_stored:
+            runner.run((rate_stage(given, options.fps),))
+        else:
+            set_rate(given, options.fps)
     runner.run(to_capture)
     # The other stages depend on the contents of the imported capture, so the import runs first.
     capture = work / CAPTURE if to_capture else given

@@ -10,6 +10,7 @@ from typing import Any
 from fourd.files import write_text_atomically
 from fourd.limits import read_json
 from fourd.pipeline.stage import Context, Stage
+from fourd.pipeline.stored.results import StoredResults
 
 AnyStage = Stage[Any, Any]
 Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
@@ -34,7 +35,13 @@ class Runner:
     """
 
     def __init__(
-        self, context: Context, record: Path | None = None, execute: Execute = run_here, *, is_parallel: bool = False
+        self,
+        context: Context,
+        record: Path | None = None,
+        execute: Execute = run_here,
+        *,
+        is_parallel: bool = False,
+        stored: StoredResults | None = None,
     ) -> None:
         """Create a runner.
 
@@ -45,13 +52,20 @@ class Runner:
             execute: function that runs the work of stages. To run stages in other processes or on a cluster, pass
                 another function.
             is_parallel: whether ``execute`` runs several stages at the same time.
+            stored: results in an object store, which replace the record file and the files of this machine.
         """
         self._context = context
         self._record = record
-        self._execute = execute
+        self._execute = execute if stored is None else stored.execute(execute)
+        self._stored = stored
         self._is_parallel = is_parallel
         self._known = _read_record(record)
         self._keys: dict[str, str] = {}
+
+    @property
+    def is_stored(self) -> bool:
+        """Whether the results are in an object store."""
+        return self._stored is not None
 
     def run(self, stages: Sequence[AnyStage]) -> None:
         """Run ``stages`` in the given order. Each stage must come after the stages that it depends on."""
@@ -59,13 +73,18 @@ class Runner:
             due = [stage for stage in group if self._start(stage)]
             for stage in self._execute(due, self._context) if due else ():
                 self._write({stage.name: self._keys[stage.name]})
-                self._report(f"{stage.name}: finished{_result(stage)}")
+                self._report(f"{stage.name}: finished{self._result(stage)}")
+            if self._stored is not None:
+                # The next stages are chosen by the files of these stages, and their keys depend on the files.
+                self._stored.copy()
 
     def _start(self, stage: AnyStage) -> bool:
         """Whether the work of the stage must run. If so, the files of an older key are removed."""
+        if self._stored is not None:
+            return self._start_stored(stage, self._stored)
         key = self._keys[stage.name] = stage.key(self._keys)
         if self._known.get(stage.name) == key and stage.is_finished():
-            self._report(f"{stage.name}: up to date{_result(stage)}")
+            self._report(f"{stage.name}: up to date{self._result(stage)}")
             return False
         if self._record is not None and self._known.get(_started(stage)) != key:
             # The keys are deleted before the files are removed. If the removal of the files is interrupted, no key then
@@ -77,6 +96,13 @@ class Runner:
         self._report(f"{stage.name}: running")
         return True
 
+    def _start_stored(self, stage: AnyStage, stored: StoredResults) -> bool:
+        """Whether the work of the stage must run. The machine that runs it removes the files of an older key."""
+        key = self._keys[stage.name] = stage.key(self._keys, stored.root)
+        is_due = not stored.is_finished(stage, key)
+        self._report(f"{stage.name}: {'running' if is_due else 'up to date'}")
+        return is_due
+
     def _write(self, changes: Mapping[str, str | None]) -> None:
         """Change entries of the record file. An entry whose new value is None is removed."""
         if self._record is None:
@@ -85,8 +111,11 @@ class Runner:
         self._known = {name: key for name, key in entries.items() if key is not None}
         write_text_atomically(self._record, json.dumps(self._known, indent=1) + "\n")
 
+    def _result(self, stage: AnyStage) -> str:
+        return f" ({stage.outputs[0]})" if stage.outputs and self._stored is None else ""
+
     def _report(self, line: str) -> None:
-        if self._record is not None:
+        if self._record is not None or self._stored is not None:
             self._context.console.print(line, soft_wrap=True, markup=False)
 
 
@@ -101,10 +130,6 @@ def _split(stages: Sequence[AnyStage]) -> list[list[AnyStage]]:
         else:
             groups.append([stage])
     return groups
-
-
-def _result(stage: AnyStage) -> str:
-    return f" ({stage.outputs[0]})" if stage.outputs else ""
 
 
 def _started(stage: AnyStage) -> str:

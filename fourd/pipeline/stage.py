@@ -68,13 +68,13 @@ class Artefact:
     path: Path
     patterns: tuple[str, ...] = ()
 
-    def fingerprint(self) -> str:
+    def fingerprint(self, root: Path | None = None) -> str:
         """A hash of the path and of the name, size and modification time of every file. The contents of the files are
-        not read."""
+        not read. If the path is in the folder ``root``, only its relative path is part of the hash."""
         files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
         if not self.patterns and self.path.exists():
             files = [self.path]
-        entries = [str(resolved(self.path))]
+        entries = [_place(self.path, root)]
         for file in files:
             try:
                 status = file.stat()
@@ -129,6 +129,7 @@ class Stage(Generic[Files, Settings]):
             key.
         is_parallel: whether the stage may run at the same time as its neighbours in the graph that are also parallel,
             unless ``after`` names them.
+        is_portable: whether a node needs no folder of the machine that created the stage.
     """
 
     name: str
@@ -140,17 +141,20 @@ class Stage(Generic[Files, Settings]):
     leftovers: tuple[Leftovers, ...] = ()
     after: tuple[str, ...] = ()
     is_parallel: bool = False
+    is_portable: bool = False
 
-    def key(self, keys: Mapping[str, str]) -> str:
+    def key(self, keys: Mapping[str, str], root: Path | None = None) -> str:
         """A hash of everything on which the result of the stage depends.
 
         Args:
             keys: name of each earlier stage -> its key. Names in ``after`` that are missing in ``keys`` are ignored.
+            root: folder for intermediate results that is at different paths on different machines, or None. The key
+                does not depend on its path.
         """
         parts = [
             self.name,
             json.dumps(asdict(self.settings), sort_keys=True, default=str),
-            *(artefact.fingerprint() for artefact in self.inputs),
+            *(artefact.fingerprint(root) for artefact in self.inputs),
             *(keys[name] for name in self.after if name in keys),
         ]
         return _digest(parts)
@@ -162,6 +166,14 @@ class Stage(Generic[Files, Settings]):
     def run(self, context: Context | None = None) -> None:
         """Execute the work of the stage. If ``context`` is None, the work uses one process and prints nothing."""
         self.work(self.files, self.settings, context or Context())
+
+
+def _place(path: Path, root: Path | None) -> str:
+    """The absolute path, or the path relative to ``root`` if it is in this folder."""
+    absolute = resolved(path)
+    if root is not None and absolute.is_relative_to(resolved(root)):
+        return absolute.relative_to(resolved(root)).as_posix()
+    return str(absolute)
 
 
 def _digest(parts: list[str]) -> str:

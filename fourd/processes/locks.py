@@ -26,6 +26,20 @@ IN_USE = (errno.EWOULDBLOCK, errno.EACCES)
 
 
 @contextmanager
+def locked_file(path: Path) -> Iterator[None]:
+    """Wait for the lock on the file ``path``, and hold it while the ``with`` block runs. A missing file is created.
+
+    On Windows, and on file systems without flock, nothing is locked.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a") as stream:
+        if sys.platform != "win32":
+            with contextlib.suppress(OSError):
+                fcntl.flock(stream.fileno(), fcntl.LOCK_EX)
+        yield
+
+
+@contextmanager
 def locked_folder(folder: Path) -> Iterator[None]:
     """Lock ``folder`` for this process while the ``with`` block runs. A missing folder is created.
 

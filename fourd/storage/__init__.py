@@ -1,22 +1,34 @@
 """Storage by URL: captures are copied from object stores, and scenes are read from and written to object stores."""
 
-from fourd.storage.downloading import fetch, list_objects
+from fourd.storage.downloading import download, fetch, find_objects, is_file_name, list_objects
 from fourd.storage.local import local_copy, local_output
+from fourd.storage.objects import read_object, remove_objects
 from fourd.storage.ranges import open_object
-from fourd.storage.uploading import check_writable, upload, upload_changed
+from fourd.storage.uploading import (
+    check_writable,
+    upload,
+    upload_all,
+    upload_changed,
+)
 from fourd.storage.url import Location, StorageUrl, local_path, parse_location
 
 __all__ = [
     "Location",
     "StorageUrl",
     "check_writable",
+    "download",
     "fetch",
+    "find_objects",
+    "is_file_name",
     "list_objects",
     "local_copy",
     "local_output",
     "local_path",
     "open_object",
     "parse_location",
+    "read_object",
+    "remove_objects",
     "upload",
+    "upload_all",
     "upload_changed",
 ]

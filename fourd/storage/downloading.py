@@ -8,9 +8,9 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import BufferedReader
 from pathlib import Path
 from threading import Event
@@ -76,28 +76,64 @@ def list_objects(url: StorageUrl) -> Listing:
     Raises:
         UserError: if nothing exists at ``url``, a name cannot be a file name, or there are too many objects.
     """
+    found = _find(url)
+    if not found:
+        raise UserError(f"{url}: expected an object or a folder with objects, got nothing; check the bucket and name")
+    is_single = "" in found
+    objects = [replace(item, key=item.key or url.name) for item in found.values()]
+    return Listing(tuple(sorted(objects, key=lambda item: item.key)), is_single)
+
+
+def find_objects(url: StorageUrl) -> list[StoredObject]:
+    """List all objects in the folder ``url``, which may be empty. Raises UserError."""
+    return list(_find(url).values())
+
+
+def _find(url: StorageUrl) -> dict[str, StoredObject]:
+    """List all objects at ``url`` by key. The key of the object ``url`` itself is an empty text."""
     store = connect(url)
     with storage_errors(url):
         found: dict[str, dict[str, Any]] = store.find(str(url), detail=True)
     prefix = str(url.path)
-    objects = []
-    is_single = False
+    objects = {}
     for name, info in found.items():
         name = name.lstrip("/")
         if info.get("type") != "file" or name.endswith("/"):
             continue  # markers of empty folders
-        is_single = is_single or name == prefix
-        key = url.name if name == prefix else name.removeprefix(f"{prefix}/")
-        if not _is_file_name(key):
+        key = "" if name == prefix else name.removeprefix(f"{prefix}/")
+        if not is_file_name(key or url.name):
             raise UserError(
                 f"{url}: expected names that can be names of files, got the object {key[:80]!r}; rename the object"
             )
-        objects.append(StoredObject(key, int(info["size"]), object_version(info), changed_seconds(info)))
-    if not objects:
-        raise UserError(f"{url}: expected an object or a folder with objects, got nothing; check the bucket and name")
+        objects[key] = StoredObject(key, int(info["size"]), object_version(info), changed_seconds(info))
     if len(objects) > MAX_OBJECTS:
         raise UserError(f"{url}: expected at most {MAX_OBJECTS} objects, got {len(objects)}; name a smaller folder")
-    return Listing(tuple(sorted(objects, key=lambda item: item.key)), is_single)
+    return objects
+
+
+def download(url: StorageUrl, files: Mapping[str, Path]) -> Iterator[StoredObject]:
+    """Copy objects in the folder ``url``. Each object is yielded when its copy is complete.
+
+    Args:
+        url: the folder.
+        files: key of each object, relative to the folder -> path of its copy.
+
+    Raises:
+        UserError: see :func:`fetch`. Also if an object is missing.
+    """
+    found = _find(url) if files else {}
+    missing = next((key for key in files if key not in found), None)
+    if missing is not None:
+        raise changed(url.join(missing))
+    due = [found[key] for key in files]
+    if due:
+        _require_space(url, _existing(next(iter(files.values()))), sum(item.size for item in due))
+    yield from _download_all(url, due, {item.key: url.join(item.key) for item in due}, files)
+
+
+def _existing(path: Path) -> Path:
+    """The nearest folder above ``path`` that exists."""
+    return next(folder for folder in path.absolute().parents if folder.is_dir())
 
 
 def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
@@ -132,7 +168,7 @@ def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
 
 
 def _download_all(
-    url: StorageUrl, due: list[StoredObject], urls: dict[str, StorageUrl], paths: dict[str, Path]
+    url: StorageUrl, due: list[StoredObject], urls: dict[str, StorageUrl], paths: Mapping[str, Path]
 ) -> Iterator[StoredObject]:
     """Download objects with several connections. Yields each object when its copy is complete."""
     store, stop = connect(url), Event()
@@ -176,7 +212,7 @@ def _is_current(item: StoredObject, path: Path, known: tuple[int, str] | None) -
     return path.stat().st_size == item.size or item.key.startswith(".")
 
 
-def _is_file_name(key: str) -> bool:
+def is_file_name(key: str) -> bool:
     """Whether a key is the name of a file inside a folder, on all systems."""
     parts = key.split("/")
     return key.isprintable() and not set(key) & set("\\:") and not set(parts) & {"", ".", ".."}
@@ -217,4 +253,4 @@ def _read_lines(lines: BufferedReader) -> dict[str, tuple[int, str]]:
             known[str(key)] = (int(size), str(version))
         except (ValueError, TypeError, RecursionError):
             continue
-    return {key: value for key, value in known.items() if _is_file_name(key)}
+    return {key: value for key, value in known.items() if is_file_name(key)}

@@ -8,8 +8,11 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from fourd.errors import UserError
@@ -17,6 +20,7 @@ from fourd.files import write_text_atomically
 from fourd.limits import open_regular, read_json
 from fourd.progress import Track, untracked
 from fourd.storage.connection import connect, storage_errors
+from fourd.storage.downloading import CONNECTIONS
 from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
@@ -36,7 +40,37 @@ def upload(path: Path, url: StorageUrl, track: Track = untracked) -> None:
     Raises:
         UserError: if the store returns an error. The old object then stays, and the parts are removed.
     """
-    store = connect(url)
+    _upload(connect(url), path, url, track)
+
+
+def upload_all(files: Mapping[str, Path], url: StorageUrl, track: Track = untracked) -> None:
+    """Write local files to objects in the folder ``url``, several at the same time.
+
+    Args:
+        files: key of each object, relative to the folder -> the local file.
+        url: the folder.
+        track: reports progress.
+
+    Raises:
+        UserError: if the store returns an error. The other objects may then be missing.
+    """
+    store, stop = connect(url), Event()
+
+    def send(key: str, path: Path) -> None:
+        if not stop.is_set():
+            _upload(store, path, url.join(key), untracked)
+
+    with ThreadPoolExecutor(CONNECTIONS) as pool:
+        futures = [pool.submit(send, key, path) for key, path in files.items()]
+        try:
+            for future in track(as_completed(futures), len(futures), f"upload to {url.name}"):
+                future.result()
+        finally:
+            stop.set()
+            pool.shutdown(cancel_futures=True)
+
+
+def _upload(store: Any, path: Path, url: StorageUrl, track: Track) -> None:
     with open_regular(path) as source:
         size = path.stat().st_size
         # Google Cloud Storage needs parts whose size is a multiple of 256 kB.

@@ -78,7 +78,6 @@ def test_the_library_writes_scenes_to_paths(tmp_path: Path, monkeypatch: pytest.
         ["train", "capture", "-o", "s3://bucket/run"],
         ["train", "capture", "-o", "run", "--config", "s3://bucket/small.yaml"],
         ["make", "videos", "-o", "scene.4dv", "--calibration=s3://bucket/calibration"],
-        ["make", "videos", "-o", "scene.4dv", "--work", "s3://bucket/work"],
         ["render", "scene.4dv", "--path", "orbit", "-o", "s3://bucket/orbit.mp4"],
         ["eval", "s3://bucket/run"],
         ["import", "s3://bucket/videos", "capture"],

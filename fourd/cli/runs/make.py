@@ -27,7 +27,7 @@ from fourd.training.losses.lpips import load_lpips
 DEFAULT_SECONDS = 1800.0
 RAY_HELP = (
     "Run the stages as tasks of a Ray cluster, and the segments of --segment at the same time. auto: the cluster that "
-    "runs on this machine, or a new one. All nodes need the same paths on shared storage. Needs "
+    "runs on this machine, or a new one. All nodes need the same paths on shared storage, or --work URL. Needs "
     "`pip install 'fourd[cluster]'`."
 )
 SOURCE_HELP = (
@@ -36,8 +36,9 @@ SOURCE_HELP = (
 )
 WORK_DEFAULT = "scene.work beside scene.4dv"
 WORK_HELP = (
-    "Folder for intermediate results, on a local disk or on storage that is mounted. If -o is a URL, the default is "
-    "scene.work in the current folder."
+    "Folder for intermediate results, on a disk or on mounted storage, or a URL such as s3://bucket/work. With a URL, "
+    "each machine works in a local copy, and publishes each finished stage. If -o is a URL, the default is scene.work "
+    "in the current folder."
 )
 CALIBRATION_HELP = (
     "Calibration of a folder of videos: a folder with intri.yml and extri.yml, "
@@ -61,7 +62,7 @@ class Arguments:
     calibration: Annotated[Path | None, option("FOLDER", "none", CALIBRATION_HELP)] = None
     fps: FramesPerSecond = None
     workers: Workers = None
-    work: Annotated[Path | None, option("FOLDER", WORK_DEFAULT, WORK_HELP)] = None
+    work: Annotated[Location | None, PATH_OR_URL, option("FOLDER|URL", WORK_DEFAULT, WORK_HELP)] = None
     ray: Annotated[str | None, option("{auto,HOST:PORT}", "none; all stages run in this process", RAY_HELP)] = None
     ray_cores: int = 1
     """With --ray: number of cores of each segment. Other stages use all cores of one node."""

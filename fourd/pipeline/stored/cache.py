@@ -1,0 +1,206 @@
+"""The local copy of a folder for intermediate results in an object store."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence, Set
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import platformdirs
+
+from fourd.configs import load_overlay, save_config
+from fourd.errors import UserError
+from fourd.files import UNFINISHED, resolved, write_text_atomically
+from fourd.limits import read_json
+from fourd.pipeline.stage import Leftovers
+from fourd.pipeline.stored.manifest import FileEntry, Manifest, file_state, is_config, link_state
+from fourd.pipeline.stored.work_store import WorkStore
+from fourd.processes import locked_file
+from fourd.progress import Track
+from fourd.storage import StorageUrl, is_file_name
+from fourd.storage.downloading import RECORD
+from fourd.training.run import RunConfig
+from fourd.training.run_layout import SCRATCH
+
+CACHE_VARIABLE = "FOURD_CACHE"
+"""Environment variable with the folder of local copies on this machine."""
+OWN = ".stored"
+"""Folder in the local copy with the manifests of the stages whose files it has, and with the marks of started
+stages."""
+
+
+@dataclass(frozen=True)
+class Started:
+    """The mark of a stage that was started on this machine: its key, and the states of all files before it."""
+
+    key: str
+    before: Mapping[str, str]
+    leftovers: tuple[Leftovers, ...]
+
+
+def cache_folder(url: StorageUrl) -> Path:
+    """The folder of the local copy of ``url`` on this machine."""
+    given = os.environ.get(CACHE_VARIABLE)
+    parent = Path(given) if given else platformdirs.user_cache_path("fourd")
+    return resolved(parent / "work" / f"{url.name}-{hashlib.sha256(str(url).encode()).hexdigest()[:16]}")
+
+
+@dataclass(frozen=True)
+class Cache:
+    """The local copy in the folder ``root``. Several processes of a machine may use it at the same time."""
+
+    root: Path
+
+    def locked(self) -> AbstractContextManager[None]:
+        """A block in which no other process copies files into this folder."""
+        return locked_file(self.root / OWN / "lock")
+
+    def started(self, name: str) -> Started | None:
+        """The mark of a stage that was started here, and whose results were not published from here."""
+        try:
+            values = read_json(self._mark(name))
+            leftovers = tuple(Leftovers(self.root / folder, tuple(keep)) for folder, keep in values["leftovers"])
+            return Started(values["key"], values["before"], leftovers)
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+    def mark_started(self, name: str, started: Started) -> None:
+        """Write the mark of a stage. Its files are then no longer those of a manifest."""
+        leftovers = [[each.folder.relative_to(self.root).as_posix(), each.keep] for each in started.leftovers]
+        text = json.dumps({"key": started.key, "before": dict(started.before), "leftovers": leftovers})
+        write_text_atomically(self._mark(name), text)
+        self._copy(name).unlink(missing_ok=True)
+
+    def mark_published(self, manifest: Manifest) -> None:
+        """Record that the files of a stage are those of its manifest."""
+        write_text_atomically(self._copy(manifest.name), manifest.to_json())
+        self._mark(manifest.name).unlink(missing_ok=True)
+
+    def states(self, folders: Sequence[Path]) -> dict[str, str]:
+        """States of all files and links in folders of the local copy, by path. Temporary files are left out."""
+        found: dict[str, str] = {}
+        for folder in folders:
+            for parent, names, files in os.walk(folder):
+                links = [name for name in names if Path(parent, name).is_symlink()]
+                names[:] = [name for name in names if not _is_temporary(name)]
+                for name in (*links, *files):
+                    if not _is_temporary(name):
+                        path = Path(parent, name).relative_to(self.root).as_posix()
+                        found[path] = self._state(path)
+        return found
+
+    def copy(self, store: WorkStore, manifests: Sequence[Manifest], track: Track) -> None:
+        """Copy the files of stages that are missing here or have changed. Files of a later manifest replace those of an
+        earlier one. Files that the stages no longer have are removed."""
+        wanted = {path: manifest for manifest in manifests for path in (*manifest.files, *manifest.links)}
+        for manifest in manifests:
+            self._remove_old(manifest.name, wanted.keys())
+        for manifest in manifests:
+            states = manifest.states()
+            due = [path for path in states if wanted[path] is manifest and self._state(path) != states[path]]
+            targets = {path: self._target(path) for path in due}
+            store.download(manifest, {path: targets[path] for path in due if path in manifest.files}, track)
+            for path in due:
+                if path in manifest.files:
+                    self._finish(path, targets[path], manifest.files[path])
+                else:
+                    targets[path].symlink_to(self.root / manifest.links[path])
+            self.mark_published(manifest)
+
+    def manifest(self, name: str, key: str, attempt: str, sent: Mapping[str, Path], links: Sequence[str]) -> Manifest:
+        """The manifest of a stage that wrote the files in ``sent``, see :meth:`uploadable`, and links."""
+        files = {
+            path: FileEntry(each.stat().st_size, (self.root / path).stat().st_mtime_ns) for path, each in sent.items()
+        }
+        targets = {path: self._portable(Path(os.readlink(self.root / path))) for path in links}
+        return Manifest(name, key, attempt, files, targets)
+
+    @contextmanager
+    def uploadable(self, paths: Sequence[str]) -> Iterator[dict[str, Path]]:
+        """Yield the local file to upload for each path. In the config of a run, the path of the capture is relative to
+        this folder."""
+        with tempfile.TemporaryDirectory(prefix="fourd-") as folder:
+            sent = {path: self.root / path for path in paths}
+            for number, path in enumerate(filter(is_config, paths)):
+                config = load_overlay(RunConfig(), sent[path])
+                sent[path] = Path(folder) / str(number)
+                save_config(replace(config, capture=Path(self._portable(config.capture))), sent[path])
+            yield sent
+
+    def _portable(self, path: Path) -> str:
+        """A path relative to this folder, or an absolute path outside of it."""
+        return path.relative_to(self.root).as_posix() if path.is_relative_to(self.root) else str(path)
+
+    def _state(self, path: str) -> str:
+        local = self.root / path
+        try:
+            if local.is_symlink():
+                return link_state(self._portable(Path(os.readlink(local))))
+            status = local.stat()
+        except OSError:
+            return "missing"
+        return file_state(path, status.st_size, status.st_mtime_ns)
+
+    def _target(self, path: str) -> Path:
+        """The local path of a file to be written. A link or a folder at this path is removed."""
+        target = self.root / path
+        if self._is_behind_link(path):
+            raise UserError(f"{target}: expected a folder in the local copy, got a link; delete {self.root}")
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        else:
+            target.unlink(missing_ok=True)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        return target
+
+    def _finish(self, path: str, target: Path, entry: FileEntry) -> None:
+        if is_config(path):
+            config = load_overlay(RunConfig(), target)
+            save_config(replace(config, capture=self.root / config.capture), target)
+        os.utime(target, ns=(entry.changed_ns, entry.changed_ns))
+
+    def remove_others(self, names: Set[str]) -> None:
+        """Remove the files of all stages except those in ``names``."""
+        marks = {path.name.removesuffix(".json").removesuffix(".started") for path in (self.root / OWN).glob("*.json")}
+        kept = {path for name in names & marks for path in self._copied(name)}
+        for name in marks - names:
+            self._remove_old(name, kept)
+            self._copy(name).unlink(missing_ok=True)
+            self._mark(name).unlink(missing_ok=True)
+
+    def _remove_old(self, name: str, wanted: Set[str]) -> None:
+        """Remove files of an older manifest, and files of an execution that was not finished on this machine."""
+        started = self.started(name)
+        for leftovers in started.leftovers if started is not None else ():
+            leftovers.remove()
+        for path in self._copied(name) - wanted:
+            if is_file_name(path) and not self._is_behind_link(path):
+                (self.root / path).unlink(missing_ok=True)
+
+    def _copied(self, name: str) -> set[str]:
+        """Paths of the files and links of a stage that were copied to or published from this machine."""
+        try:
+            manifest = read_json(self._copy(name))
+            return {*manifest["files"], *manifest["links"]}
+        except (OSError, ValueError, KeyError, TypeError):
+            return set()
+
+    def _is_behind_link(self, path: str) -> bool:
+        """Whether a folder in a path is a link, behind which are files of other folders."""
+        return any((self.root / parent).is_symlink() for parent in Path(path).parents)
+
+    def _mark(self, name: str) -> Path:
+        return self.root / OWN / f"{name}.started.json"
+
+    def _copy(self, name: str) -> Path:
+        return self.root / OWN / f"{name}.json"
+
+
+def _is_temporary(name: str) -> bool:
+    return name in (OWN, SCRATCH, RECORD) or name.startswith(UNFINISHED)

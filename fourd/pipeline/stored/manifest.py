@@ -1,0 +1,109 @@
+"""Manifests: lists of the files that a stage has written. A manifest is published after the files that it lists."""
+
+from __future__ import annotations
+
+import json
+import posixpath
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+from fourd.capture.layout import DERIVED
+from fourd.errors import UserError
+from fourd.storage import StorageUrl, is_file_name
+from fourd.training.run_layout import CONFIG_NAME
+
+VERSION = 1
+LINKED = ("capture", "repaired", "still")
+"""Folders in which stages make symbolic links. Links elsewhere are refused, because stages write there."""
+
+
+@dataclass(frozen=True)
+class FileEntry:
+    """Size in bytes of an object, and time of the last change of the file in nanoseconds since 1970."""
+
+    size: int
+    changed_ns: int
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """The files that a stage has written.
+
+    Attributes:
+        name: name of the stage.
+        key: key of the stage; see :meth:`fourd.pipeline.stage.Stage.key`.
+        attempt: name of the folder with the objects. Each execution of the stage has its own folder, so that objects
+            never change.
+        files: path relative to the folder for intermediate results -> the file.
+        links: path of a symbolic link -> its target, which is absolute, or relative to the folder for intermediate
+            results.
+    """
+
+    name: str
+    key: str
+    attempt: str
+    files: Mapping[str, FileEntry]
+    links: Mapping[str, str]
+
+    def to_json(self) -> str:
+        """The text that :func:`parse_manifest` reads."""
+        return json.dumps(
+            {
+                "version": VERSION,
+                "name": self.name,
+                "key": self.key,
+                "attempt": self.attempt,
+                "files": {path: [entry.size, entry.changed_ns] for path, entry in self.files.items()},
+                "links": dict(self.links),
+            }
+        )
+
+    def states(self) -> dict[str, str]:
+        """Path -> state of the file or link; see :func:`file_state`."""
+        states = {path: file_state(path, entry.size, entry.changed_ns) for path, entry in self.files.items()}
+        return {**states, **{path: link_state(target) for path, target in self.links.items()}}
+
+
+def file_state(path: str, size: int, changed_ns: int) -> str:
+    """A text that changes when a file changes. The size of a run's config depends on the machine, because the config
+    contains the path of the capture."""
+    return f"{0 if is_config(path) else size} {changed_ns}"
+
+
+def link_state(target: str) -> str:
+    """A text that changes when a symbolic link changes."""
+    return f"-> {target}"
+
+
+def is_config(path: str) -> bool:
+    """Whether a file is the config of a run."""
+    return posixpath.basename(path) == CONFIG_NAME
+
+
+def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
+    """Read a manifest from the object ``url``.
+
+    Raises:
+        UserError: if the object is no manifest, or lists names that could be files outside the folder.
+    """
+    try:
+        values = json.loads(content)
+        if values["version"] != VERSION:
+            raise UserError(f"{url}: expected version {VERSION}, got {values['version']}; update fourd on all nodes")
+        files = {str(path): FileEntry(int(size), int(time)) for path, (size, time) in values["files"].items()}
+        links = {str(path): str(target) for path, target in values["links"].items()}
+        manifest = Manifest(str(values["name"]), str(values["key"]), str(values["attempt"]), files, links)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise UserError(f"{url}: expected a manifest of fourd make, got other content; delete the object") from error
+    if not (manifest.attempt.isalnum() and all(map(is_file_name, files)) and all(map(_is_link, links.items()))):
+        raise UserError(f"{url}: expected names of files of fourd make, got other names; delete the object")
+    return manifest
+
+
+def _is_link(item: tuple[str, str]) -> bool:
+    """Whether a path and a target are those of a link that a stage makes."""
+    path, target = item
+    parts = PurePosixPath(path).parts
+    inside = is_file_name(path) and len(parts) > 1 and parts[0] in LINKED and DERIVED.name not in parts
+    return inside and target.isprintable() and (target.startswith("/") or is_file_name(target))

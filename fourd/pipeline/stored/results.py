@@ -1,0 +1,107 @@
+"""The finished stages of a folder for intermediate results in an object store, for the process that starts stages."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from fourd.errors import UserError
+from fourd.pipeline.fetch import FetchSettings
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stored.cache import Cache, cache_folder
+from fourd.pipeline.stored.unit import AnyStage, UnitFiles, fetch_source, unit_stage
+from fourd.pipeline.stored.work_store import WorkStore
+from fourd.storage import Location, StorageUrl, list_objects
+
+Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
+
+
+class StoredResults:
+    """Finds, starts and copies stages whose results are at a URL."""
+
+    def __init__(self, url: StorageUrl, source: Location, context: Context) -> None:
+        """Read the manifests at ``url``.
+
+        Raises:
+            UserError: if a store refuses, or ``url`` is a folder with other objects.
+        """
+        self._store = WorkStore(url)
+        self._cache = Cache(cache_folder(url))
+        self._context = context
+        if isinstance(source, StorageUrl):
+            self._source: FetchSettings | Path = FetchSettings(str(source), list_objects(source).version)
+        else:
+            self._source = source.absolute()
+        self._manifests = self._store.open()
+        self._stages: dict[str, AnyStage] = {}
+        self._keys: dict[str, str] = {}
+
+    @property
+    def root(self) -> Path:
+        """The local copy, to which the paths of stages refer."""
+        return self._cache.root
+
+    def source(self) -> Path:
+        """The local path of the source, which is copied first if it is a URL."""
+        if isinstance(self._source, Path):
+            return self._source
+        return fetch_source(self._source, self.root, self._context.track)
+
+    def is_finished(self, stage: AnyStage, key: str) -> bool:
+        """Whether the results of a stage with this key are complete. Stages must be given in their order."""
+        self._stages[stage.name], self._keys[stage.name] = stage, key
+        manifest = self._manifests.get(stage.name)
+        outside = [path for path in stage.outputs if not path.is_relative_to(self.root)]
+        return manifest is not None and manifest.key == key and all(path.exists() for path in outside)
+
+    def copy(self) -> None:
+        """Copy the results of the finished stages to this machine, except those of segments."""
+        found = [self._manifests[name] for name, stage in self._stages.items() if self._is_read_here(name, stage)]
+        with self._cache.locked():
+            self._cache.copy(self._store, found, self._context.track)
+
+    def execute(self, inner: Execute) -> Execute:
+        """A function that runs stages with ``inner``, on machines that get and publish files through the store."""
+
+        def run(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
+            by_name = {stage.name: stage for stage in stages}
+            for unit in inner([self._unit(stage) for stage in stages], context):
+                manifest = self._store.read(unit.name)
+                if manifest is None or manifest.key != self._keys[unit.name]:
+                    raise UserError(
+                        f"{self._store.url}: expected the results of stage {unit.name}, got those of another command; "
+                        "run one fourd make at a time with this --work"
+                    )
+                self._manifests[unit.name] = manifest
+                yield by_name[unit.name]
+
+        return run
+
+    def remove_others(self) -> None:
+        """Remove the results of stages that this command did not need, such as segments of an earlier division."""
+        for name, manifest in list(self._manifests.items()):
+            if name not in self._stages:
+                self._store.remove(manifest)
+        with self._cache.locked():
+            self._cache.remove_others(self._stages.keys())
+
+    def _unit(self, stage: AnyStage) -> AnyStage:
+        needed = self._needed(stage)
+        needs = tuple((name, self._keys[name]) for name in self._stages if name in needed)
+        return unit_stage(UnitFiles(stage, self.root, self._store, self._source, needs), self._keys[stage.name])
+
+    def _needed(self, stage: AnyStage) -> set[str]:
+        """Names of the earlier stages whose results a stage reads: all stages that ran alone, and those that it names,
+        also indirectly."""
+        names, found = list(stage.after), set[str]()
+        while names:
+            name = names.pop()
+            if name in self._stages and name not in found:
+                found.add(name)
+                names += self._stages[name].after
+        earlier = list(self._stages)[: list(self._stages).index(stage.name)]
+        return {name for name in earlier if name in found or not self._stages[name].is_parallel}
+
+    def _is_read_here(self, name: str, stage: AnyStage) -> bool:
+        manifest = self._manifests.get(name)
+        return manifest is not None and manifest.key == self._keys[name] and not stage.is_parallel

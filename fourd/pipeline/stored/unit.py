@@ -1,0 +1,153 @@
+"""Execution of a stage whose results are in an object store: copy what it reads, work, and publish what it wrote."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from fourd.errors import UserError
+from fourd.pipeline.fetch import FetchSettings
+from fourd.pipeline.stage import Context, Stage
+from fourd.pipeline.stored.cache import Cache, Started, cache_folder
+from fourd.pipeline.stored.manifest import Manifest
+from fourd.pipeline.stored.work_store import WorkStore, new_attempt
+from fourd.progress import Track
+from fourd.storage import StorageUrl, fetch, list_objects
+from fourd.training.run_layout import SOURCE
+
+AnyStage = Stage[Any, Any]
+
+
+@dataclass(frozen=True)
+class UnitFiles:
+    """A stage, and everything that another machine needs to execute it.
+
+    Attributes:
+        stage: the stage, with paths of the machine that created it.
+        root: the local copy on that machine.
+        store: the folder for intermediate results.
+        source: the URL and the version of the source if it is in an object store. Otherwise, the path of the source,
+            which all nodes need.
+        needs: name and key of each stage whose results the stage reads.
+    """
+
+    stage: AnyStage
+    root: Path
+    store: WorkStore
+    source: FetchSettings | Path
+    needs: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class UnitSettings:
+    """The key of the stage."""
+
+    key: str
+
+
+def unit_stage(files: UnitFiles, key: str) -> Stage[UnitFiles, UnitSettings]:
+    """Create the stage that executes ``files.stage`` on any machine, and publishes its results."""
+    stage = files.stage
+    unit = Stage(stage.name, run_unit, files, UnitSettings(key), is_parallel=stage.is_parallel)
+    return replace(unit, is_portable=True)
+
+
+def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None:
+    """Copy the results that the stage reads, execute it, and publish its results.
+
+    If an earlier call on this machine was interrupted, the stage resumes from the files of this call.
+    """
+    if isinstance(files.source, Path) and not files.source.exists():
+        raise UserError(
+            f"{files.source}: expected the source of fourd make, got no such file or folder; mount it at the same path "
+            "on all nodes, or give the source as a URL"
+        )
+    cache = Cache(cache_folder(files.store.url))
+    stage = moved(files.stage, files.root, cache.root)
+    folders = _folders(stage, cache.root)
+    needs = _read_needs(files)
+    with cache.locked():
+        started = _prepare(files, stage, settings.key, needs, cache, folders, context.track)
+    stage.run(context)
+    given = {path: state for need in needs for path, state in need.states().items()}
+    written = [
+        path
+        for path, state in cache.states(folders).items()
+        if state not in (started.before.get(path), given.get(path))
+    ]
+    links = [path for path in written if (cache.root / path).is_symlink()]
+    with cache.uploadable([path for path in written if path not in set(links)]) as sent:
+        manifest = cache.manifest(stage.name, settings.key, new_attempt(), sent, links)
+        files.store.publish(manifest, sent, context.track)
+    cache.mark_published(manifest)
+
+
+def fetch_source(source: FetchSettings, root: Path, track: Track) -> Path:
+    """Copy the source into the local copy. Raises UserError if the source has changed since the command started."""
+    url = StorageUrl(source.url)
+    if list_objects(url).version != source.version:
+        raise UserError(
+            f"{url}: expected objects that stay the same while fourd make runs, got changed objects; run the command "
+            "again"
+        )
+    return fetch(url, root / SOURCE, track)
+
+
+def moved(value: Any, old: Path, new: Path) -> Any:
+    """A copy of ``value`` in which paths in the folder ``old`` are in the folder ``new``. Paths in dataclasses and
+    tuples are also changed."""
+    if isinstance(value, Path):
+        return new / value.relative_to(old) if value.is_relative_to(old) else value
+    if isinstance(value, tuple):
+        return tuple(moved(item, old, new) for item in value)
+    if is_dataclass(value) and not isinstance(value, type):
+        changes = {field.name: moved(getattr(value, field.name), old, new) for field in fields(value) if field.init}
+        return replace(value, **changes)
+    return value
+
+
+def _prepare(
+    files: UnitFiles,
+    stage: AnyStage,
+    key: str,
+    needs: Sequence[Manifest],
+    cache: Cache,
+    folders: Sequence[Path],
+    track: Track,
+) -> Started:
+    """Copy everything that the stage reads. Files that it wrote with another key are removed."""
+    started = cache.started(stage.name)
+    if started is None or started.key != key:
+        started = None
+        for leftovers in stage.leftovers:
+            leftovers.remove()
+    if not stage.is_parallel:
+        # Such a stage may read whole folders, in which files of other settings would be used.
+        cache.remove_others({stage.name, *(need.name for need in needs)})
+    if isinstance(files.source, FetchSettings):
+        fetch_source(files.source, cache.root, track)
+    cache.copy(files.store, needs, track)
+    if started is None:
+        started = Started(key, cache.states(folders), stage.leftovers)
+        cache.mark_started(stage.name, started)
+    return started
+
+
+def _folders(stage: AnyStage, root: Path) -> list[Path]:
+    """The folders into which a stage writes. Other stages may write to the other folders if the stage is parallel."""
+    return [leftovers.folder for leftovers in stage.leftovers] if stage.is_parallel else [root]
+
+
+def _read_needs(files: UnitFiles) -> list[Manifest]:
+    found = []
+    for name, key in files.needs:
+        manifest = files.store.read(name)
+        if manifest is None or manifest.key != key:
+            raise UserError(
+                f"{files.store.url}: expected the results of stage {name} of this command, got those of another one; "
+                "run one fourd make at a time with this --work"
+            )
+        found.append(manifest)
+    return found

@@ -1,0 +1,131 @@
+"""The objects of a folder for intermediate results: manifests, and the files of each execution of a stage.
+
+``work.json`` marks the folder, ``units/STAGE.json`` is the manifest of a stage, and ``units/STAGE/ATTEMPT/`` has its
+files. Objects of an execution are never replaced. A reader therefore gets the files of one execution, and a killed
+upload leaves those of the previous execution.
+"""
+
+from __future__ import annotations
+
+import json
+import secrets
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fourd.errors import UserError
+from fourd.limits import MAX_TEXT_BYTES
+from fourd.pipeline.stored.manifest import Manifest, parse_manifest
+from fourd.progress import Track, untracked
+from fourd.storage import (
+    StorageUrl,
+    check_writable,
+    download,
+    find_objects,
+    read_object,
+    remove_objects,
+    upload,
+    upload_all,
+)
+
+MARK = "work.json"
+MARK_CONTENT = {"made by": "fourd make", "version": 1}
+UNITS = "units"
+
+
+@dataclass(frozen=True)
+class WorkStore:
+    """The folder for intermediate results at a URL. Instances can be sent to other machines."""
+
+    url: StorageUrl
+
+    def open(self) -> dict[str, Manifest]:
+        """Mark the folder as one of ``fourd make``, and read the manifests of all complete stages.
+
+        Objects of interrupted uploads are removed. A stage with missing objects is not complete.
+
+        Raises:
+            UserError: if the store refuses, or the folder contains other objects.
+        """
+        check_writable(self.url.join(MARK))
+        sizes = {item.key: item.size for item in find_objects(self.url)}
+        if MARK not in sizes:
+            if sizes:
+                raise UserError(
+                    f"{self.url}: expected a folder made by fourd make, got a folder with other objects; choose "
+                    "another --work"
+                )
+            self._write(MARK, json.dumps(MARK_CONTENT))
+        found: dict[str, Manifest] = {}
+        for key in sizes:
+            if key.startswith(f"{UNITS}/") and key.count("/") == 1 and key.endswith(".json"):
+                manifest = parse_manifest(self._read(key) or b"", self.url.join(key))
+                if all(sizes.get(_object(manifest, path)) == entry.size for path, entry in manifest.files.items()):
+                    found[manifest.name] = manifest
+        kept = {_folder(manifest.name, manifest.attempt) for manifest in found.values()}
+        self._remove([key for key in sizes if key.count("/") > 2 and "/".join(key.split("/")[:3]) not in kept])
+        return found
+
+    def read(self, name: str) -> Manifest | None:
+        """Read the manifest of a stage. Returns None if there is none."""
+        content = self._read(_manifest(name))
+        return None if content is None else parse_manifest(content, self.url.join(_manifest(name)))
+
+    def publish(self, manifest: Manifest, files: Mapping[str, Path], track: Track = untracked) -> None:
+        """Upload the files of a stage, and then its manifest. The objects of its previous execution are removed.
+
+        Args:
+            manifest: the manifest, with a new attempt; see :func:`new_attempt`.
+            files: path of each file in the manifest -> the local file to upload.
+            track: reports progress.
+        """
+        before = self.read(manifest.name)
+        upload_all(files, self.url.join(_folder(manifest.name, manifest.attempt)), track)
+        self._write(_manifest(manifest.name), manifest.to_json())
+        if before is not None:
+            self._remove([_object(before, path) for path in before.files])
+
+    def download(self, manifest: Manifest, files: Mapping[str, Path], track: Track = untracked) -> None:
+        """Copy objects of a stage. ``files`` maps the path of each file in the manifest to the path of its copy."""
+        url = self.url.join(_folder(manifest.name, manifest.attempt))
+        for _ in track(download(url, files), len(files), f"copying the results of {manifest.name}"):
+            pass
+
+    def remove(self, manifest: Manifest) -> None:
+        """Remove the manifest of a stage, and then its files."""
+        self._remove([_manifest(manifest.name)])
+        self._remove([_object(manifest, path) for path in manifest.files])
+
+    def _read(self, key: str) -> bytes | None:
+        return read_object(self.url.join(key), MAX_TEXT_BYTES)
+
+    def _write(self, key: str, text: str) -> None:
+        with tempfile.TemporaryDirectory(prefix="fourd-") as folder:
+            path = Path(folder) / "object"
+            path.write_text(text)
+            upload(path, self.url.join(key))
+
+    def _remove(self, keys: Sequence[str]) -> None:
+        remove_objects(self.url, keys)
+
+
+def new_attempt() -> str:
+    """A new name for the folder of the files of an execution."""
+    return secrets.token_hex(8)
+
+
+def _slug(name: str) -> str:
+    return name.replace(" ", "-")
+
+
+def _manifest(name: str) -> str:
+    return f"{UNITS}/{_slug(name)}.json"
+
+
+def _folder(name: str, attempt: str) -> str:
+    return f"{UNITS}/{_slug(name)}/{attempt}"
+
+
+def _object(manifest: Manifest, path: str) -> str:
+    return f"{_folder(manifest.name, manifest.attempt)}/{path}"
