@@ -5,12 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fourd.files import write_text_atomically
 from fourd.limits import read_json
 from fourd.pipeline.stage import Context, Stage
-from fourd.pipeline.stored.results import StoredResults
+
+if TYPE_CHECKING:
+    # The runner also runs stages that need no packages for training, which the results import.
+    from fourd.pipeline.stored.results import StoredResults
 
 AnyStage = Stage[Any, Any]
 Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]

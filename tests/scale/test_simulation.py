@@ -13,7 +13,7 @@ import pytest
 
 from fourd.pipeline.runner import AnyStage, Runner
 from fourd.pipeline.stage import Context
-from tools.scale.simulated_stages import Simulation
+from tools.scale.simulated_stages import Simulation, UnitCounts
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -28,14 +28,18 @@ def test_a_simulation_resumes_after_the_last_unit(tmp_path: Path) -> None:
     assert names[:7] == ["import", "check", "repair", "mattes", "plates", "carve", "segments"]
     assert names[7:] == ["train 000", "train 001", "train 002", "train 003", "bake"]
     simulation.run(Runner(Context(), simulation.folder / "stages.json"))
-    assert simulation.started_units() == 8 + 4 * 3
+    # One unit of each stage that runs alone, but three of mattes, plates and carving.
+    assert simulation.started_units() == 5 + 3 * 3 + 4 * 3
+    counts = simulation.counts()
+    assert counts["mattes"] == UnitCounts(3, 0, 0, 0)
+    assert counts["train 003"] == UnitCounts(3, 0, 0, 0)
 
     def interrupt(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
         """Stop in the second unit of the second segment."""
         for stage in stages:
             if stage.name == "train 001":
                 stage.files.count.write_text("1")
-                stage.files.log.write_text("0\n1\n")
+                stage.files.log.write_text("started 0 7\nfinished 0 7\nstarted 1 7\n")
                 raise KeyboardInterrupt
             stage.run(context)
             yield stage
@@ -47,6 +51,7 @@ def test_a_simulation_resumes_after_the_last_unit(tmp_path: Path) -> None:
         other.run(Runner(Context(), record, interrupt))
     other.run(Runner(Context(), record))
     assert other.started_units() == simulation.started_units() + 1
+    assert other.counts()["train 001"] == UnitCounts(3, 1, 1, 0)
     assert other.scene.read_text() == simulation.scene.read_text()
 
 

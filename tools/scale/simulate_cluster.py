@@ -20,9 +20,9 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
 from rich.console import Console
@@ -32,8 +32,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from fourd.pipeline.cluster import join_cluster
 from fourd.pipeline.runner import Runner
 from fourd.pipeline.stage import Context
-from tools.scale.local_nodes import LocalNodes, local_nodes, resident_bytes, store_bytes
-from tools.scale.simulated_stages import Simulation
+from tools.scale.local_nodes import TRAINED, LocalNodes, local_nodes, resident_bytes, store_bytes
+from tools.scale.simulated_stages import Simulation, UnitCounts
 
 MEGABYTE = 1 << 20
 BAR = re.compile(r"stages on the cluster[^\n]*?(\d+)/(\d+)")
@@ -84,19 +84,31 @@ def main() -> None:
 
 def report(simulation: Simulation, expected: str, watched: Watched, nodes: int) -> None:
     """Print the durations, whether the scene is as expected, and the number of repeated units."""
-    stages = [stage for group in simulation.groups() for stage in group]
-    units = sum(stage.settings.units for stage in stages)
-    segments = sum(stage.is_parallel for stage in stages)
-    alone = len(stages) - segments
-    waits = (alone + -(-segments // nodes) * simulation.units) * simulation.seconds
-    lost = simulation.started_units() - units
+    counts = simulation.counts()
+    segments = {name: found for name, found in counts.items() if name.startswith(TRAINED)}
+    others = {name: found for name, found in counts.items() if name not in segments}
+    alone = sum(found.units for found in others.values())
+    units = sum(found.units for found in counts.values())
+    waits = (alone + -(-len(segments) // nodes) * simulation.units) * simulation.seconds
     same = simulation.scene.read_text() == expected
-    print(f"{segments} segments and {alone} other stages, {units} units of {simulation.seconds:g} s")
+    print(f"{len(segments)} segments and {len(others)} other stages, {units} units of {simulation.seconds:g} s")
     print(f"{watched.seconds:.1f} s; waiting alone takes {waits:.1f} s on {nodes} nodes without failures")
+    for name, found in (*others.items(), ("segments of the training", _sum(segments.values()))):
+        if found.lost or found.repeated:
+            print(f"{name}: {found.units} units, {found.lost} lost, {found.repeated} repeated, {found.redone} redone")
+    total = _sum(counts.values())
     verdict = "same" if same else "DIFFERENT"
-    print(f"{watched.failures} failures; {lost} units were lost and repeated; scene: {verdict}")
+    print(
+        f"{watched.failures} failures; {total.lost} units were lost, {total.repeated} were repeated, {total.redone} of "
+        f"them had been finished; scene: {verdict}"
+    )
     if not same:
         sys.exit(1)
+
+
+def _sum(counts: Iterable[UnitCounts]) -> UnitCounts:
+    found = list(counts)
+    return UnitCounts(*(sum(getattr(each, field.name) for each in found) for field in fields(UnitCounts)))
 
 
 def report_memory(samples: list[tuple[int, int]]) -> None:

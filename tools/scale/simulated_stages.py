@@ -30,10 +30,27 @@ from fourd.processes import locked_folder
 from fourd.training.config import SegmentConfig, TrainConfig
 from tests.captures import ring_cameras
 from tools.long_set import write_video
-from tools.scale.simulated_work import SimulatedFiles, SimulatedSettings, work
+from tools.scale.simulated_work import STARTED, SimulatedFiles, SimulatedSettings, work
 
 SIZE = 32
 """Side of the images of the capture in pixels. Only the number of frames matters."""
+
+
+@dataclass(frozen=True)
+class UnitCounts:
+    """What happened to the units of some stages.
+
+    Attributes:
+        units: number of units of the stages.
+        lost: number of executions of units that did not end, because their process was killed.
+        repeated: number of executions of units beyond the first.
+        redone: number of executions of units that an earlier execution had finished. Such work was not lost.
+    """
+
+    units: int
+    lost: int
+    repeated: int
+    redone: int
 
 
 @dataclass(frozen=True)
@@ -45,7 +62,8 @@ class Simulation:
         cameras: number of cameras.
         frames: number of frames.
         segment: maximum number of frames of a segment.
-        units: number of units of each segment. The other stages have one unit.
+        units: number of units of each segment. Mattes and plates have one unit for each camera, and carving has one for
+            each segment. The other stages have one unit.
         seconds: seconds that a unit waits.
     """
 
@@ -92,7 +110,12 @@ class Simulation:
 
     def started_units(self) -> int:
         """Number of starts of units. A unit that was lost and repeated counts twice."""
-        return sum(len(path.read_text().splitlines()) for path in self.outputs.glob("*.log"))
+        return sum(counts.units + counts.repeated for counts in self.counts().values())
+
+    def counts(self) -> dict[str, UnitCounts]:
+        """Name of each stage -> what happened to its units."""
+        stages = [stage for group in self.groups() for stage in group]
+        return {stage.name: _count(stage.files.log, stage.settings.units) for stage in stages}
 
     @property
     def _capture(self) -> Path:
@@ -105,9 +128,29 @@ class Simulation:
         for stage in stages:
             inputs = stage.after if stage.is_parallel else tuple(before)
             files = SimulatedFiles(self.outputs, stage.name, inputs)
-            settings = SimulatedSettings(self.units if stage.is_parallel else 1, self.seconds)
+            settings = SimulatedSettings(self._units(stage), self.seconds)
             after, is_parallel = stage.after, stage.is_parallel
             replaced = Stage(stage.name, work, files, settings, outputs=(files.output,), after=after)
             simulated.append(replace(replaced, is_parallel=is_parallel))
             before.append(stage.name)
         return simulated
+
+    def _units(self, stage: AnyStage) -> int:
+        if stage.is_parallel:
+            return self.units
+        segments = -(-self.frames // self.segment)
+        return {"mattes": self.cameras, "plates": self.cameras, "carve": segments}.get(stage.name, 1)
+
+
+def _count(log: Path, units: int) -> UnitCounts:
+    started = ended = redone = 0
+    finished: set[str] = set()
+    for line in log.read_text().splitlines():
+        event, unit, _ = line.split()
+        if event == STARTED:
+            started += 1
+            redone += unit in finished
+        else:
+            ended += 1
+            finished.add(unit)
+    return UnitCounts(units, started - ended, started - units, redone)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
 
 from fourd.files import write_text_atomically
 from fourd.pipeline.stage import Context
+
+STARTED, FINISHED = "started", "finished"
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class SimulatedFiles:
 
     @property
     def log(self) -> Path:
-        """One line for each start of a unit. A unit that was lost is started again."""
+        """One line for each start and each end of a unit, with the process. A unit that was lost is started again."""
         return self.folder / f"{self.name}.log"
 
     @property
@@ -46,10 +49,15 @@ def work(files: SimulatedFiles, settings: SimulatedSettings, context: Context) -
     """Work all units that are not finished, and write the output."""
     done = int(files.count.read_text()) if files.count.exists() else 0
     for unit in range(done, settings.units):
-        with files.log.open("a") as log:
-            log.write(f"{unit}\n")
+        _log(files.log, STARTED, unit)
         time.sleep(settings.seconds)
         write_text_atomically(files.count, str(unit + 1))
+        _log(files.log, FINISHED, unit)
     read = [(files.folder / name).read_text() for name in files.inputs]
     hashed = hashlib.sha256("\n".join([files.name, str(settings.units), *read]).encode())
     write_text_atomically(files.output, hashed.hexdigest())
+
+
+def _log(path: Path, event: str, unit: int) -> None:
+    with path.open("a") as log:
+        log.write(f"{event} {unit} {os.getpid()}\n")

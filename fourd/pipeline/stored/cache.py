@@ -8,7 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence, Set
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -81,6 +81,14 @@ class Cache:
         """Record that the files of a stage are those of its manifest."""
         write_text_atomically(self._copy(manifest.name), manifest.to_json())
         self._mark(manifest.name).unlink(missing_ok=True)
+
+    def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:
+        """Paths of the files and links in ``folders`` that a stage wrote in earlier executions on this machine, or that
+        were copied from its manifest."""
+        started = self.started(name)
+        if started is None:
+            return self._copied(name)
+        return {path for path, state in self.states(folders).items() if state != started.before.get(path)}
 
     def states(self, folders: Sequence[Path]) -> dict[str, str]:
         """States of all files and links in folders of the local copy, by path. Temporary files are left out."""
@@ -182,6 +190,10 @@ class Cache:
         for path in self._copied(name) - wanted:
             if is_file_name(path) and not self._is_behind_link(path):
                 (self.root / path).unlink(missing_ok=True)
+                # An empty folder of a segment would be taken for a run.
+                for parent in list(Path(path).parents)[:-1]:
+                    with suppress(OSError):
+                        (self.root / parent).rmdir()
 
     def _copied(self, name: str) -> set[str]:
         """Paths of the files and links of a stage that were copied to or published from this machine."""

@@ -119,6 +119,7 @@ def _prepare(
 ) -> Started:
     """Copy everything that the stage reads. Files that it wrote with another key are removed."""
     started = cache.started(stage.name)
+    own = cache.own_paths(stage.name, folders)
     if started is None or started.key != key:
         started = None
         for leftovers in stage.leftovers:
@@ -130,7 +131,9 @@ def _prepare(
         fetch_source(files.source, cache.root, track)
     cache.copy(files.store, needs, track)
     if started is None:
-        started = Started(key, cache.states(folders), stage.leftovers)
+        # Files that the stage wrote with another key, and keeps, are also its results.
+        before = {path: state for path, state in cache.states(folders).items() if path not in own}
+        started = Started(key, before, stage.leftovers)
         cache.mark_started(stage.name, started)
     return started
 
