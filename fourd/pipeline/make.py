@@ -114,12 +114,12 @@ def make_scene(
     request = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
     execute = run_here if cluster is None else cluster.execute
     options, chosen = imports or ImportOptions(), MatteChoice(mattes, keep_chosen_mattes)
-    if isinstance(out, StorageUrl):
-        check_writable(out)
     if isinstance(work, StorageUrl):
         _make_stored(source, out, request, chosen, options, context, work, execute, cluster is not None)
         return
     folder = _work_folder(out, work)
+    if isinstance(out, StorageUrl):
+        check_writable(out)
     with locked_folder(folder):
         runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None)
         folder.mkdir(parents=True, exist_ok=True)
@@ -146,6 +146,8 @@ def _make_stored(
     capture and of the run are the same on all machines."""
     if is_parallel and url.scheme == "memory":
         raise UserError(f"{url}: expected a store that all nodes can reach, got the memory of this process; use s3://")
+    if isinstance(out, StorageUrl):
+        check_writable(out)
     root = cache_folder(url)
     with locked_folder(root):
         remove_unfinished(root, deep=True)
