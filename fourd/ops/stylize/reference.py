@@ -71,8 +71,8 @@ def stylize_reference(
 
 def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Numbers) -> NDArray[np.uint8]:
     """Draw lines (H, W) with strengths 0 to 255 over a shaded picture (H, W, 4)."""
-    line = numbers.line_opacity * lines.astype(np.float32) / 255
-    picture = shaded.astype(np.float32) / 255
+    line = (numbers.line_opacity * lines.astype(np.float32) / 255).astype(np.float32)
+    picture = (shaded.astype(np.float32) / 255).astype(np.float32)
     colour = _mix(picture[..., :3], numbers.line_colour, line)
     return _bytes(np.concatenate([colour, np.maximum(picture[..., 3:], line[..., None])], 2))
 
