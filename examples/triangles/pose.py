@@ -33,7 +33,7 @@ from torch.nn.functional import avg_pool2d
 from fourd.raster.triangles import antialias, interpolate, rasterize
 
 TRIAL_STEPS = 20
-"""In the first half of the steps, a noisy copy of the best pose is optimised for this many steps."""
+"""Number of steps of a trial in the first half of the search. Each trial optimises a noisy copy of the best pose."""
 
 CANDIDATES = 64
 """Number of noisy copies of the best pose. The copies are compared with the target at a quarter of the image size."""

@@ -9,8 +9,7 @@ from fourd.ops.hashgrid.shape import HashGridShape
 
 @dataclass(frozen=True)
 class RadianceConfig:
-    """Settings of the radiance field (Instant-NGP, Mueller et al. 2022) from which points are computed with ``seeding:
-    ngp``."""
+    """Radiance field (Instant-NGP, Mueller et al. 2022) that gives depths of background points (`seeding: ngp`)."""
 
     levels: int = 16
     """Number of resolution levels of the hash grid, 1 to 32."""
