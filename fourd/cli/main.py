@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
+from pathlib import Path
 
 from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
@@ -60,6 +61,10 @@ FILE_ERRORS = (
     errno.ESTALE,
 )
 """File system errors that the user can fix."""
+
+SYSTEM_FOLDERS = ("/proc", "/sys")
+"""Folders in which no files can be created. If a program tries to create a file there, Linux reports that the file does
+not exist."""
 
 MAX_MESSAGE = 4000
 """Maximum number of characters of an error message. The middle of a longer message, which quotes text from a file, is
@@ -196,7 +201,7 @@ def _report_errors(words: list[str]) -> int:
         got = "got one that the system ended, usually because of missing memory"
         return _fail(words[0], f"expected worker processes that finish, {got}; use fewer --workers, or {LESS_MEMORY}")
     except OSError as error:
-        if error.errno not in FILE_ERRORS:
+        if error.errno not in FILE_ERRORS and not _is_in_system_folder(error):
             raise
         reason = (error.strerror or "").lower()
         got = f"expected a readable and writable path, got '{reason}'; free disk space or use another folder"
@@ -204,6 +209,14 @@ def _report_errors(words: list[str]) -> int:
     except KeyboardInterrupt:
         Terminal(stderr=True).print(f"fourd {words[0]}: interrupted; finished results are kept")
         return 130
+
+
+def _is_in_system_folder(error: OSError) -> bool:
+    """Whether a file does not exist because no file can be created in its folder."""
+    if not isinstance(error, FileNotFoundError) or not isinstance(error.filename, str):
+        return False
+    path = Path(os.path.realpath(error.filename))
+    return any(path.is_relative_to(folder) for folder in SYSTEM_FOLDERS)
 
 
 def _fail(command: str, message: str) -> int:
