@@ -122,13 +122,27 @@ def make_scene(
         check_writable(out)
     with locked_folder(folder):
         runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None)
-        folder.mkdir(parents=True, exist_ok=True)
-        remove_unfinished(folder, deep=True)
-        given = _local_source(source, folder, runner)
-        scene = out if isinstance(out, Path) else folder / out.name
-        _run_graph(replace(request, capture=given, run=folder / RUN), folder, scene, chosen, options, context, runner)
-        if isinstance(out, StorageUrl):
-            upload_changed(scene, out, folder / UPLOADED, context.track)
+        _make_in_folder(source, out, request, chosen, options, context, folder, runner)
+
+
+def _make_in_folder(
+    source: Location,
+    out: Location,
+    request: RunRequest,
+    mattes: MatteChoice,
+    options: ImportOptions,
+    context: Context,
+    folder: Path,
+    runner: Runner,
+) -> None:
+    """Run the stages of :func:`make_scene` in the local ``folder``, which is locked."""
+    folder.mkdir(parents=True, exist_ok=True)
+    remove_unfinished(folder, deep=True)
+    given = _local_source(source, folder, runner)
+    scene = out if isinstance(out, Path) else folder / out.name
+    _run_graph(replace(request, capture=given, run=folder / RUN), folder, scene, mattes, options, context, runner)
+    if isinstance(out, StorageUrl):
+        upload_changed(scene, out, folder / UPLOADED, context.track)
 
 
 def _make_stored(
