@@ -42,7 +42,7 @@ class CalibrationBoard:
         double_sided: whether the back shows the mirrored pattern, so that each corner is visible at the same point from
             both sides. Only boards with markers can be double-sided, because markers distinguish the front from the
             back.
-        legacy_pattern: whether OpenCV before version 4.6 made the pattern. The pattern of these versions is different
+        legacy_pattern: whether OpenCV before version 4.6 made the pattern. Before version 4.6, the pattern is different
             if ``rows`` is even.
 
     Raises:
@@ -123,7 +123,7 @@ class CalibrationBoard:
 
 
 def dictionary_names() -> list[str]:
-    """Names of the marker dictionaries of OpenCV. The dictionaries of a family are in ascending order of size."""
+    """Names of the marker dictionaries of OpenCV. The dictionaries of a family are sorted by size, smallest first."""
     return [name for name in dir(cv2.aruco) if name.startswith("DICT_")]
 
 
@@ -147,7 +147,7 @@ def charuco_board(board: CalibrationBoard) -> cv2.aruco.CharucoBoard:
 def read_board(path: Path) -> CalibrationBoard:
     """Read a board from a TOML file with the attributes of :class:`CalibrationBoard` as keys.
 
-    The key ``pattern`` is "charuco" or "chessboard". If it is missing, a file with ``dictionary`` or ``marker_m``
+    The key ``pattern`` is "charuco" or "chessboard". Without this key, a file with ``dictionary`` or ``marker_m``
     describes a ChArUco board, and any other file describes a chessboard.
 
     Raises:
@@ -197,8 +197,8 @@ def write_board(path: Path, board: CalibrationBoard) -> None:
 def ink_rectangles(board: CalibrationBoard) -> Array:
     """Rectangles (N, 4) to print in board coordinates, as x0, y0, x1, y1 in metres.
 
-    The rectangles do not overlap. The rectangles are dark on a bright background. If the board is inverted, they are
-    bright on a dark background.
+    The rectangles do not overlap. The rectangles are dark on a bright background, or bright on a dark background if the
+    board is inverted.
     """
     column, row = np.meshgrid(np.arange(board.columns), np.arange(board.rows))
     squares = np.stack([column, row], axis=-1).reshape(-1, 2).astype(np.float64)

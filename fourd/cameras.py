@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""The limit angle of :func:`fading_weights` is the largest angle of the chosen cameras times this factor, unless
-another camera has at least this largest angle.
+"""Factor in :func:`fading_weights`. If no other camera's angle is at least the largest angle of the chosen cameras, the
+limit angle is the largest angle times this factor.
 """
 
 
@@ -55,7 +55,8 @@ class Camera:
         with np.errstate(over="ignore", invalid="ignore"):
             error = float(np.abs(self.rotation @ self.rotation.T - np.eye(3)).max())
             determinant = float(np.linalg.det(self.rotation))
-        # "not (error <= ...)" also rejects an error of NaN, which occurs if the matrix product overflows.
+        # The comparison is written "not (error <= ...)" to also reject NaN, which occurs if the matrix product
+        # overflows.
         if not (error <= 1e-3 and determinant > 0):
             raise ValueError(
                 f"rotation: expected an orthonormal matrix of determinant +1, got one that differs from orthonormal by "
@@ -183,11 +184,11 @@ def fading_weights(
 ) -> NDArray[np.float32]:
     """Return view weights (V,) of the ``chosen`` cameras, which decrease with the angle to the viewing camera.
 
-    A chosen camera at the angle a has the view weight 1 - a / b, where b is the limit angle. Let A be the largest angle
-    of the chosen cameras. Among the cameras that are not chosen and whose angle is at least A, the smallest angle is
-    the limit angle b. When another camera replaces a chosen camera, both cameras have the view weight 0. The rendered
-    image therefore does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are measured
-    at the point ``focus``. If all view weights would be 0, all view weights are 1.
+    A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b, where b is the limit angle.
+    Let A be the largest angle of the chosen cameras. The limit angle b is the smallest angle of a camera that is not
+    chosen and whose angle is at least A. At the moment at which another camera replaces a chosen camera, both have the
+    view weight 0, so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4).
+    Angles are measured at the point ``focus``. If all view weights would be 0, all view weights are 1.
 
     Args:
         camera: the viewing camera.

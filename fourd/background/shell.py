@@ -19,13 +19,14 @@ HORIZONTAL_WEIGHT = 6.0
 """Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. Floors, walls and skies vary
 less in the horizontal direction than in the vertical direction."""
 SMALL_GAP_DEG = 1.5
-"""Gaps of at most this size in degrees are closed, because neighbouring points usually have such distances."""
+"""Maximum size in degrees of gaps that are closed. Gaps of this size are common between neighbouring points of a
+surface."""
 RIM_FACTOR = 0.985
 """Factor that multiplies the inverse distances of the shell's rim. The rim consists of known cells beside unknown
 cells. The factor places the rim slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
-"""Angle in degrees from an unknown cell to the nearest known cell. Of the unknown cells beyond this angle, only one in
-sixteen gets a point."""
+"""Maximum angle in degrees between an unknown cell and the nearest known cell at which every unknown cell gets a point.
+Of the unknown cells beyond this angle, only one in sixteen gets a point."""
 OCCLUSION_RATIO = 0.9
 """A shell point occludes a known point if the shell point's depth is less than this share of the known point's
 depth."""
@@ -56,8 +57,8 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Shell points whose distance from the centre is smaller than the median distance of the cameras are dropped. Some
-    # cameras see the space near the centre. Gaps in this space are caused by sparse points, and need no shell.
+    # Shell points whose distance from the centre is smaller than the median distance of the cameras are dropped. The
+    # space near the centre is seen by some cameras, so gaps there are caused by sparse points and need no shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])

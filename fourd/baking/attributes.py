@@ -1,5 +1,5 @@
-"""The table of the arrays that a baked frame consists of. The manifest, the scene reader and writer, the combination of
-frames and the upload to OpenGL use this table.
+"""The table of the arrays that a baked frame consists of. The table is used by the manifest, by the scene reader and
+writer, for the combination of frames and for the upload to OpenGL.
 
 To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True``. Add a field of the same name to
 :class:`fourd.baking.scene.BakedFrame`, and compute the attribute in :mod:`fourd.baking.bake`. Scenes without the new
@@ -109,7 +109,7 @@ ATTRIBUTES = (
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
     """Whether all values of a float16 array are valid. ``bits`` (uint16) are the bit patterns of the values.
 
-    Bit patterns are compared because this is several times faster than comparing floats.
+    Comparing bit patterns is several times faster than comparing floats.
     """
     limit = 0x3C00 if values == "unit" else 0x7BFF
     if values == "finite":

@@ -46,8 +46,7 @@ GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
 tested."""
 
 MAX_BAKED_WEIGHT = 1024.0
-"""The blend weights of each point are scaled so that the largest one has this value. Without scaling, small weights
-would underflow in fp16."""
+"""Largest blend weight of each point after scaling. Without scaling, small weights would underflow in fp16."""
 
 
 def bake_run(
@@ -59,8 +58,8 @@ def bake_run(
 ) -> None:
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
-    Blend weights (fp16) and colours (uint8) of the points are baked for every training view. In the frames that two
-    segments share, the scene fades from one segment to the next.
+    Blend weights (fp16) and colours (uint8) of the points are baked for every training view. In frames that belong to
+    two segments, the scene fades from the first segment to the second.
 
     Args:
         layers: maximum number of points that are composited per pixel. This number is stored in the scene.
@@ -135,7 +134,7 @@ def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | 
 
 
 def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFrame:
-    """Evaluate all properties of one frame's dynamic points that do not depend on the viewing camera.
+    """Evaluate those properties of one frame's dynamic points that do not depend on the viewing camera.
 
     ``sources`` are the camera indices from :func:`select_baked_views`.
     """

@@ -18,11 +18,11 @@ from fourd.ops.points.arrays import point_visibility_numpy
 from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
 
 MIN_WEIGHT = 0.02
-"""Weight, in the fit, of a direction from which the point is not visible. For a direction from which the point is
-completely visible, the weight is larger by 1."""
+"""Weight in the fit of a direction from which the point is not visible. The visibility of the point, in [0, 1], is
+added to the weight."""
 RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
-"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics. With this
-regularisation, the coefficients do not fit noise."""
+"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics. The
+regularisation keeps the coefficients from fitting noise."""
 DIRECTIONS = 24
 """Number of viewpoints used for a scene without cameras."""
 _CHUNK = 8192

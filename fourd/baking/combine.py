@@ -15,8 +15,8 @@ cache."""
 def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[np.uint8] | None = None) -> BakedFrame:
     """Concatenate dynamic and background points, in this order, into one frame with new read-only arrays.
 
-    The combined frame keeps a reference to ``background``. By this reference, a renderer can recognize a background
-    that was already uploaded.
+    The combined frame keeps a reference to ``background``. The reference lets a renderer recognise a background that
+    was already uploaded.
 
     Args:
         dynamic: the N dynamic points of the frame.

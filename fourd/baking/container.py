@@ -69,8 +69,8 @@ class SceneWriter:
         UserError: if the disk is full, the path cannot be written, or the path is a URL (see
             :func:`fourd.storage.upload`).
         ValueError: if frames are not added in order, do not match the manifest or each other, or contain values that
-            :data:`fourd.baking.attributes.ATTRIBUTES` excludes. Also if the background of a full scene is not added
-            exactly once.
+            :data:`fourd.baking.attributes.ATTRIBUTES` excludes. ValueError is also raised if the background of a full
+            scene is not added exactly once.
     """
 
     def __init__(self, path: Path | str, manifest: SceneManifest) -> None:
@@ -197,8 +197,8 @@ class SceneWriter:
 class SceneReader:
     """Reads a `.4dv`. Each call reads the requested frame from the file. Only the background is kept in memory.
 
-    Several threads may use one instance. ``path`` can be a URL, such as s3://bucket/scene.4dv. Such a scene is read by
-    ranges, without a copy.
+    Several threads may use one instance. ``path`` can be a URL, such as s3://bucket/scene.4dv. A scene at a URL is read
+    by ranges, without a local copy.
 
     Attributes:
         path: the path or URL of the file.

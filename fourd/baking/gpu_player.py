@@ -1,6 +1,6 @@
 """Rendering of baked frames on a GPU.
 
-The images match those that :mod:`fourd.baking.player` draws on the CPU. Frames and images are stored in device memory.
+The images match those that :mod:`fourd.baking.player` draws on the CPU. Frames and images stay in device memory.
 """
 
 from __future__ import annotations

@@ -142,8 +142,8 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    The text ``selection`` is A:B or A:B:S. This text selects the frames A, A + S, A + 2 S, ... below B. If S is left
-    out, the step is one. If ``selection`` is None, all frames are selected. Raises UserError.
+    The text A:B:S selects the frames A, A + S, A + 2 S, ... below B. The text A:B has the step 1. If ``selection`` is
+    None, all frames are selected. Raises UserError.
     """
     numbers = playable.frame_numbers
     if selection is None:
@@ -156,6 +156,6 @@ def select_frames(playable: Playable, selection: str | None) -> list[int]:
 
 
 def selected_rate(playable: Playable, frames: Sequence[int]) -> float:
-    """Frames per second at which the evenly spaced frames with the indices ``frames`` play at the speed of the
-    recording."""
+    """Frame rate at which the selected frames play at the speed of the recording. ``frames`` are evenly spaced frame
+    indices."""
     return playable.fps if len(frames) < 2 else playable.fps / (frames[1] - frames[0])

@@ -41,9 +41,9 @@ class Player:
         """Draw the frame from ``camera`` as an (H, W, 4) uint8 image. The channels are RGB over the background, and
         alpha.
 
-        The image differs in only two ways from the image that :meth:`fourd.baking.rendering.Scene.render` returns.
-        Values are rounded to bytes, before and after the scene's pixel filter. Compositing of a pixel ends when the
-        pixel's transmittance falls below :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
+        The image differs in two ways from the image that :meth:`fourd.baking.rendering.Scene.render` returns. First,
+        values are rounded to bytes, before and after the scene's pixel filter. Second, compositing of a pixel ends when
+        the pixel's transmittance falls below :data:`fourd.ops.play.op.MIN_TRANSMITTANCE`.
 
         Args:
             frame: a frame whose values are all finite; :class:`fourd.baking.container.SceneReader` checks this.

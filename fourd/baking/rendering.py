@@ -80,9 +80,8 @@ class Scene:
             self._cache.clear()
 
     def frame(self, index: int) -> BakedFrame:
-        """Return frame ``index``, from 0: the dynamic points, then the background points, in read-only arrays.
-
-        Raises IndexError if the scene has no such frame, and UserError if the file is damaged.
+        """Return frame ``index``, from 0: the dynamic points, then the background points, in read-only arrays. Raises
+IndexError if the scene has no such frame, and UserError if the file is damaged.
         """
         with self._lock:
             cached = self._cache.get(index)
@@ -150,7 +149,7 @@ def open_scene(path: Location | str, *, cache_bytes: int = CACHE_BYTES) -> Scene
     """Open a `.4dv`, a `.ply` or `.splat` file of Gaussian splats, or a folder with one such file for each frame.
 
     Args:
-        path: a path, or the URL of a `.4dv`, such as s3://bucket/scene.4dv. Such a scene is read by ranges.
+        path: a path, or the URL of a `.4dv`, such as s3://bucket/scene.4dv. A scene at a URL is read by ranges.
         cache_bytes: size in bytes of the cache for frames and the background. One frame is cached even if it exceeds
             this limit.
 

@@ -18,7 +18,8 @@ FORMAT_VERSION = 4
 """The newest version of the file format that this program can read."""
 OBJECT_VERSION, FULL_VERSION, PACKED_VERSION, VIDEO_VERSION = 1, 2, 3, 4
 """Format versions that are written for object scenes, full scenes, packed scenes, and packed scenes of the tier
-"video". Each scene has the oldest version that describes it, so that older programs can read it."""
+"video". A scene is written in the oldest version that supports its contents, so that older programs can read the
+scene."""
 SHADOW_IDENTITY = 128
 """The shadow factor that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
@@ -43,7 +44,7 @@ class BakedFrame:
             None if the scene has no normals.
         background: the M background points, which are also the last M points of this frame. All frames share the same
             background object. None if the frame has no background points.
-        has_shadow: whether a shadow has been multiplied into the ``rgb`` of the last M points.
+        has_shadow: whether the ``rgb`` of the last M points has been multiplied by a shadow.
 
     Raises:
         ValueError: for a wrong shape or dtype. The error message names the array.
@@ -249,12 +250,12 @@ class SceneManifest:
 
 
 def select_attributes(optional: Iterable[str]) -> tuple[Attribute, ...]:
-    """The required attributes and the attributes that ``optional`` names, in the order of ATTRIBUTES."""
+    """The required attributes and the attributes whose names are in ``optional``, in the order of ATTRIBUTES."""
     names = set(optional)
     return tuple(item for item in ATTRIBUTES if not item.is_optional or item.name in names)
 
 
 def to_triple(values: Sequence[float] | NDArray[np.floating]) -> tuple[float, float, float]:
-    """Convert three numbers to a tuple of Python floats, because the manifest stores this type."""
+    """Convert three numbers to a tuple of Python floats, which is the type that the manifest stores."""
     x, y, z = (float(value) for value in values)
     return x, y, z

@@ -1,7 +1,7 @@
 """Benchmark cases on a CUDA device.
 
-As in real use, calls are queued on the device's stream. The host does not wait for a call to finish before it queues
-the next call.
+As in real use, calls are queued on the device's stream, and the host queues the next call without waiting for the
+previous one.
 """
 
 from __future__ import annotations

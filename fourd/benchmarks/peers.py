@@ -79,7 +79,7 @@ def pytorch3d_rasterizer(pos: Tensor, tri: Tensor, side: int) -> Work | None:
 def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) -> Work | None:
     """Return a function that runs gsplat's rasterizer. Returns None if gsplat is not installed.
 
-    To make the timings comparable, each point becomes an isotropic Gaussian. gsplat truncates this Gaussian at the
+    To make the timings comparable, each point becomes an isotropic Gaussian. gsplat truncates the Gaussian at the
     point's radius. The cloud must be on a CUDA device, because gsplat supports only CUDA.
     """
     try:
@@ -114,7 +114,7 @@ def gsplat_rasterizer(cloud: dict[str, Tensor], view: Camera, backward: bool) ->
 
 
 def embree_tracer(xyz: Tensor, tri: Tensor, origins: Tensor, directions: Tensor) -> Work | None:
-    """Return a function that finds the nearest hits with Embree, which runs on one thread in the package embreex.
+    """Return a function that finds the nearest hits of rays with Embree. The package embreex runs Embree on one thread.
 
     Returns None if embreex is not installed.
     """

@@ -41,7 +41,7 @@ MAX_FRAMES = 400
 """Maximum number of frames that are searched if --frames is not given."""
 MIN_FRAMES = 3
 SAMPLED_PICTURES = 5
-"""If no board is found, the reason is searched in this number of images per camera."""
+"""Number of images per camera in which the reason is searched if no board is found."""
 RATIO_PICTURES = 6
 MAX_RATIO_DIFFERENCE = 0.04
 """Largest relative difference between the measured and the given ratio of marker and square."""
@@ -103,7 +103,7 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
     fit = fit_rig(rig, track)
     moved = fit if settings.floor_frame is None else _lay_on_floor(fit, views, settings)
     reports = report_cameras(moved, frames.names)
-    # The common clock of the videos has the lowest frame rate.
+    # The common clock has the lowest frame rate of all videos.
     fps = min((float(index.fps) for index in indices.values()), default=None)
     _write(out, source, settings, frames.names, moved, reports, fps)
     _log_results(moved, reports, log, warn)
@@ -125,7 +125,8 @@ def check_out(out: Path) -> None:
 def _check_counts(
     cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], offsets: Mapping[str, float]
 ) -> None:
-    """Raise UserError for one camera, for a video with too few frames, and for an unknown camera in the offsets."""
+    """Raise UserError if there is only one camera, a video has too few frames, or the offsets name an unknown
+    camera."""
     names = [camera.name for camera in cameras]
     for name in offsets:
         if name not in names:

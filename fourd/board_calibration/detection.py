@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 MIN_CORNERS = 6
-"""Minimum number of corners of a view. Fewer corners hardly determine a pose."""
+"""Minimum number of corners of a view. A pose from fewer corners is inaccurate."""
 MIN_SPREAD = 0.5
 """Minimum standard deviation of a view's corners across their main direction, in squares. Corners on one line do not
 determine a pose."""

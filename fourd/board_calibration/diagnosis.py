@@ -25,15 +25,14 @@ INLIER_SQUARES = 0.25
 MAX_PX = 800
 """Longer side of the reduced images in which other chessboards are searched."""
 FEW_PICTURES = 3
-"""Number of images that are searched first.
-
-The other images are searched only if these images show no board, because the search for all dictionaries is slow.
+"""Number of images that are searched first. The other images are searched only if the first images show no board,
+because the search for all dictionaries is slow.
 """
 MAX_TRIALS = 60
 """Number of random samples per homography. Few samples are enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
-"""If more than this share of the markers lies at the expected positions, no further size of the board is tried."""
+"""Share of the markers at their expected positions above which no further size of the board is tried."""
 MAX_CHESSBOARD_PICTURES = 3
 """Maximum number of images in which chessboards of other sizes are searched, which is slow."""
 
@@ -53,7 +52,7 @@ class MarkerImage:
 
 @dataclass(frozen=True, eq=False)
 class _FoundMarkers:
-    """Markers of one dictionary, found in images that were inverted or mirrored."""
+    """Markers of one dictionary, and whether the images were inverted or mirrored to find the markers."""
 
     inverted: bool
     mirrored: bool
@@ -62,7 +61,7 @@ class _FoundMarkers:
 
 
 def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """Find keys and values for the board's file that describe the board in the images (H, W) uint8.
+    """Find the keys and values with which the board's file describes the board in the images (H, W) uint8.
 
     The function tries all dictionaries, other numbers of squares, the inverted board and the mirrored board. The result
     is a text with the keys that must be changed, or None if no board is found.
@@ -195,7 +194,7 @@ def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImag
     takes longer than detection without lines."""
     parameters = cv2.aruco.DetectorParameters()
     if precise:
-        # Without this refinement, blurred markers appear up to 7% too small.
+        # Without refined corners, blurred markers appear up to 7% too small.
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
     corners, ids, _ = cv2.aruco.ArucoDetector(load_dictionary(name), parameters).detectMarkers(picture)
     if ids is None:

@@ -31,7 +31,7 @@ INK, GRID, CAMERA, BOARD = (60, 60, 60), (225, 225, 225), (170, 80, 20), (120, 1
 
 @dataclass(frozen=True)
 class _View:
-    """A panel: the world axes that point right and up in it, their signs, and names."""
+    """A panel of the drawing: the world axes that point right and up, and their signs and names."""
 
     title: str
     axes: tuple[int, int]

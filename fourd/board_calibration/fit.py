@@ -53,32 +53,32 @@ MIN_LENS_VIEWS = 5
 MIN_POSE_VIEWS = 3
 """Minimum number of views of a camera whose lens is known."""
 MIN_FITTED_VIEWS = 8
-"""A frame is not held out if one of its cameras would then have fewer than this number of views in the fit."""
+"""Minimum number of views in the fit that each camera keeps when frames are held out."""
 MIN_FITTED_PAIRS = 4
-"""A frame is not held out if two of its cameras would then share fewer than this number of frames in the fit."""
+"""Minimum number of shared frames in the fit that each pair of cameras keeps when frames are held out."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales of the Huber loss in the successive adjustments, in pixels."""
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
-"""Where corners are weighed against the prior, their standard deviation is multiplied by this factor.
-
-The reason is that the errors of the corners in one image are correlated. Causes are motion blur, a board that is not
-exactly flat, and cameras that do not expose at exactly the same time.
+"""Factor of the corners' standard deviation when corners are weighed against the prior. The factor is needed because
+the errors of the corners in one image are correlated. Causes are motion blur, a board that is not exactly flat, and
+cameras that do not expose at exactly the same time.
 """
 OUTLIER_MEDIANS = 6.0
-"""Corners with errors above this multiple of their camera's median error are left out of the last adjustment."""
+"""Maximum error of a corner in the last adjustment, as a multiple of its camera's median error. Other corners are left
+out."""
 MIN_OUTLIER_PX = 0.3
 MAX_MEDIAN = 0.004
-"""Maximum median error of a camera, as a share of the image's longer side. An error above this maximum means that the
-cameras do not see one rigid board at the same time."""
+"""Maximum median error of a camera, as a share of the image's longer side. A larger error means that the cameras do not
+see one rigid board at the same time."""
 TIMING_GAIN = 0.97
-"""Delays and readouts are used if they reduce the mean error on held-out frames to less than this share."""
+"""Delays and readouts are used if they multiply the mean error on held-out frames by less than this factor."""
 OFFSET_STD = (0.0006, 0.0006, 0.002)
 """Standard deviations of a corner's displacement on the board along x, y and z, in squares."""
 MAX_OFFSETS = 60
-"""On boards with more than this number of corners, the displacements of the corners are not adjusted. The displacements
-of many corners average out."""
+"""Maximum number of corners of boards whose corner displacements are adjusted. On boards with more corners, the
+displacements average out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ class RigFit:
         cameras: C cameras in the coordinates of the first camera, in metres.
         frames: F frame numbers, in ascending order.
         boards: F poses from board to world.
-        held_out: (F,) whether a frame was held out in a first fit, which measures the errors. The last fit uses all
+        held_out: (F,) whether a frame was held out in the first fit, which measures the errors. The last fit uses all
             frames.
         corners: the corners of all frames.
         errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the pose of the
@@ -270,7 +270,8 @@ def _adjust(
 
 
 def _check_agreement(rig: RigInput, medians: Array) -> None:
-    """Raise UserError if a camera does not agree with the others at all; ``medians`` (C,) are its errors in pixels."""
+    """Raise UserError if a camera strongly disagrees with the others. ``medians`` (C,) are the cameras' median errors
+    in pixels."""
     limits = [MAX_MEDIAN * max(size) for size in rig.sizes]
     worst = int(np.argmax(medians / limits))
     if medians[worst] > limits[worst]:
@@ -340,7 +341,8 @@ def _fit_all(
     held_out: set[int],
     pairs: tuple[CameraPair, ...],
 ) -> RigFit:
-    """Adjust the rig to all frames, and report the errors of the rig that was fitted without the held-out frames."""
+    """Adjust the rig to all frames. The reported errors are those of the rig that was fitted without the held-out
+    frames."""
     corners = collect_corners(rig.board, [each.view for each in located], frames)
     errors = reprojection_errors(with_motion(tested, frames), corners)
     medians = np.array([np.median(errors[corners.camera == index]) for index in range(len(rig.names))])

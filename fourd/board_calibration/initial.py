@@ -30,9 +30,10 @@ FOCAL_GUESSES = (0.6, 1.0, 1.6)
 BAD_VIEW = 3.0
 """A view is left out of the initial lens if its error exceeds this multiple of the median error."""
 AGREEMENT_M = 0.1
-"""Distance in metres that counts as much as 0.1 radians when relative poses are compared."""
+"""When relative poses are compared, a distance of this length in metres has the same weight as an angle of 0.1
+radians."""
 MAX_ERROR_PX = 30.0
-"""Reprojection errors above this value count as this value when poses of the board are compared."""
+"""Value at which reprojection errors are clamped when poses of the board are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,8 @@ class LocatedView:
 
     Attributes:
         view: the view.
-        poses: one or two poses from board to camera, the better one first. A small planar board often has two such
-            poses.
+        poses: one or two poses from board to camera, the better one first. The corners of a small planar board often
+            fit two poses.
     """
 
     view: BoardView
@@ -68,8 +69,7 @@ class CameraPair:
 def initial_lens(board: CalibrationBoard, views: Sequence[BoardView], width: int, height: int) -> Camera:
     """Estimate a lens with one focal length and one distortion coefficient from views of a board.
 
-    The principal point is fixed at the image's centre. The bundle adjustment estimates it later. The pose is the
-    identity.
+    The principal point is fixed at the image's centre, until bundle adjustment estimates it. The pose is the identity.
     """
     chosen = [views[index] for index in sample_indices(len(views), MAX_LENS_VIEWS)]
     best, error = _fit_lens(board, chosen, width, height)
@@ -207,7 +207,7 @@ def _fit_lens(
 
 
 def _relative_pose(shared: Sequence[tuple[LocatedView, LocatedView]]) -> Poses:
-    """One pose, the relative pose of two cameras: the candidate that is nearest to the candidates of all frames.
+    """The relative pose of two cameras: the candidate that is nearest to the candidates of all frames.
 
     Each frame gives up to four candidates, because each view has up to two poses. The chosen candidate has the smallest
     median distance to the nearest candidate of each frame.

@@ -29,7 +29,7 @@ RULER_MM = 100.0
 def print_board(path: Path, board: CalibrationBoard, page: str) -> tuple[float, float]:
     """Write a PDF with the board at true scale; a double-sided board has a second page for its back.
 
-    If the board fits the page only after a turn by 90 degrees, it is turned.
+    The board is turned by 90 degrees if it fits the page only after the turn.
 
     Args:
         path: file to write.

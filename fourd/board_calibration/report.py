@@ -21,21 +21,20 @@ CELLS = (8, 6)
 FEW_VIEWS = 15
 LOW_COVERAGE = 0.5
 MIN_TILT_DEGREES = 20.0
-"""Tilt of the board against the image plane that at least a tenth of the views should exceed.
-
-Frontal views hardly determine the focal length and the distance separately.
+"""Tilt of the board against the image plane that at least a tenth of the views should exceed. In frontal views, a
+longer focal length looks almost the same as a smaller distance.
 """
 MAX_FOCAL_STD = 0.005
-"""A standard deviation of the focal length above this share of the focal length is reported."""
+"""Largest standard deviation of the focal length that is not reported, as a share of the focal length."""
 MAX_CENTRE_STD_DEGREES = 0.3
-"""A standard deviation of the viewing direction above this value is reported.
+"""Largest standard deviation of the viewing direction that is not reported.
 
 The standard deviation of the viewing direction is that of the principal point, divided by the focal length.
 """
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10
 HELD_OUT_RATIO = 1.5
-"""If the error on held-out frames exceeds the error in the fit by this factor, a warning is reported."""
+"""Ratio of the error on held-out frames to the error in the fit above which a warning is reported."""
 
 
 @dataclass(frozen=True)

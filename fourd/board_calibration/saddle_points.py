@@ -18,13 +18,12 @@ Grey = NDArray[np.uint8]
 HALF_SAMPLES = 4
 """Samples of the patch on each side of its centre, along each axis."""
 MIN_HALF_PX = 2.0
-"""Minimum distance from the centre of the patch to its edge, in pixels. Below this minimum, the patch has too few
-pixels."""
+"""Minimum distance from the centre of the patch to its edge, in pixels. Smaller patches have too few pixels."""
 MAX_STEPS = 8
 MAX_STEP = 0.5
 """Longest step, as a share of half the side length of the patch."""
 MAX_MOVE_PX = 3.0
-"""A corner that moves by more than this distance is not the same saddle point."""
+"""Maximum distance by which a corner may move. Beyond this distance, the search has found another saddle point."""
 CONVERGED_PX = 1e-3
 
 

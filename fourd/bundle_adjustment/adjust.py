@@ -1,7 +1,7 @@
 """Correction of given cameras by bundle adjustment with feature matches.
 
-After features were matched, bundle adjustment runs three times. Each of the three runs uses only matches near their
-epipolar lines. The maximum distance from the epipolar lines decreases from one run to the next.
+After features were matched, bundle adjustment runs three times. Each run uses only matches near their epipolar lines.
+The maximum distance of a match from its epipolar lines decreases from run to run.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from fourd.progress import Track
 
 MAX_FRAMES = 2
 MIN_FEATURES = 20
-"""Minimum number of features per camera. A camera with fewer features than this minimum keeps its given calibration."""
+"""Minimum number of features per camera. A camera with fewer features keeps its given calibration."""
 INLIER_SCALES = 4.0
-"""A feature is an outlier if its reprojection error exceeds this multiple of the scale of the Cauchy loss."""
+"""Reprojection error above which a feature is an outlier, as a multiple of the scale of the Cauchy loss."""
 FINAL_BAND_PX = 3.0
 """Maximum distance of a match from its epipolar lines in the last of the three bundle adjustments, in pixels."""
 FINAL_SCALE_PX = 1.0

@@ -1,9 +1,9 @@
 """Bundle adjustment with a prior on the given calibration.
 
 The solver uses the Levenberg-Marquardt algorithm. The points are eliminated with the Schur complement (Triggs et al.,
-Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1). The cost is the sum of two terms: the reprojection error under
-a Cauchy loss, and a Gaussian prior on the correction of each camera. The prior fixes the gauge. Without a prior, the
-cost would not change if all cameras and points were rotated, translated or scaled together.
+Bundle Adjustment - a Modern Synthesis, 2000, sec. 6.1). The cost is the sum of two terms: the reprojection error with a
+Cauchy loss, and a Gaussian prior on the correction of each camera. The prior fixes the gauge. Without a prior, the cost
+would not change if all cameras and points were rotated, translated or scaled together.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Prior:
         focal: standard deviation of the logarithm of the focal length. With 0, all focal lengths are fixed.
         pixel: standard deviation of the position of a feature in pixels. The measured standard deviation is a third of
             a pixel. The default is larger than the measured value, because the errors of features on the same surface
-            are correlated. With a value below the default, the adjustment would follow these errors and deform rings of
-            cameras.
+            are correlated. With a value below the default, the adjustment would fit the correlated errors and deform
+            rings of cameras.
         principal_px: standard deviation of the principal point in pixels. With 0, all principal points are fixed.
     """
 

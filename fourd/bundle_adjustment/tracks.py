@@ -68,7 +68,7 @@ class FrameMatches:
 def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band_px: float) -> Observations:
     """Connect matches to tracks across cameras. Matches farther than ``band_px`` from their epipolar lines are ignored.
 
-    If a track has several features in the same camera, all of these features are dropped.
+    Features of a track are dropped if the track has several features in the same camera.
     """
     parts, points = [], 0
     for frame in frames:
@@ -105,7 +105,7 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """For each match (M,), the larger of the two distances, in pixels, of its features from their epipolar lines."""
+    """For each match (M,), the larger of its two features' distances from their epipolar lines, in pixels."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix
@@ -119,7 +119,7 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
 
     Returns:
         world points (P, 3), and (P,) bool, true for points whose rays span an angle of at least about 2 degrees. If the
-        rays span an angle below this value, the position of the point is undefined.
+        rays span less than about 2 degrees, the position of the point is undefined.
     """
     origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
     rays = _ray_directions(tracks, cameras)
@@ -129,8 +129,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     np.add.at(right, tracks.point, np.einsum("mij,mj->mi", projectors, origins))
     sums = np.zeros((tracks.points, 3))
     np.add.at(sums, tracks.point, rays)
-    # The wider the angles between unit vectors, the shorter is the mean of the vectors. For two vectors, the length of
-    # the mean is cos(angle / 2).
+    # The length of the mean of unit vectors decreases as the angles between the vectors increase. For two vectors, the
+    # length of the mean is cos(angle / 2).
     count = np.bincount(tracks.point, minlength=tracks.points)
     mean_length = np.linalg.norm(sums, axis=1) / np.maximum(count, 1)
     is_wide = mean_length < np.cos(np.radians(MIN_ANGLE_DEG) / 2)

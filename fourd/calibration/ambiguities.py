@@ -36,7 +36,7 @@ class ResolvedCalibration:
 
     Attributes:
         cameras: one per camera of the calibration, with distortion and the size of the camera's images.
-        notes: each choice and the evidence for it, one line per choice.
+        notes: one line per choice, with the evidence for the choice.
         warnings: suspected errors that were not corrected, one line per error.
     """
 
@@ -61,10 +61,10 @@ def resolve_ambiguities(
         cameras: the calibration as given.
         pictures_by_frame: for each of a few frames, the stored images (H, W, 3) of all cameras.
         resize: how images were resized after the calibration: a name from
-            :func:`fourd.calibration.image_sizes.size_hypotheses`. ``auto`` chooses the name that best fits the images'
-            black borders and feature matches.
+            :func:`fourd.calibration.image_sizes.size_hypotheses`. ``auto`` chooses the hypothesis that best fits the
+            images' black borders and feature matches.
         centres: ``as-given`` skips the check of principal points. ``auto`` warns if the residuals are clearly smaller
-            with mirrored principal points than with the given ones. ``mirrored`` mirrors principal points if this
+            with mirrored principal points than with the given ones. ``mirrored`` mirrors principal points if mirroring
             reduces the residuals. The check of principal points needs 2 to 5 cameras.
         track: progress callback.
 
@@ -126,7 +126,7 @@ class _SizeResolver:
     def _check_option(self, asked: str | None, resized: Sequence[int]) -> None:
         """Check that the size hypothesis ``asked`` explains the sizes of all resized images.
 
-        If ``asked`` is None, check that at least one size hypothesis explains these sizes.
+        If ``asked`` is None, check that at least one size hypothesis explains the sizes of all resized images.
 
         Raises:
             UserError: if no suitable size hypothesis explains the sizes of all resized images.

@@ -20,7 +20,7 @@ Picture = NDArray[np.uint8]
 MIN_FEATURE_MATCHES = 20
 """Minimum number of feature matches of a camera pair.
 
-This minimum excludes wrong matches between distant cameras. In one capture, repeated patterns gave 8 wrong matches that
+The minimum excludes wrong matches between distant cameras. In one capture, repeated patterns gave 8 wrong matches that
 all fit one homography.
 """
 NO_MATCHES = Matches(np.zeros((0, 2)), np.zeros((0, 2)))
@@ -31,7 +31,8 @@ Ground matching tries the planes in this order until there are enough matches.
 """
 GROUND_HALF_SIDE_M = 2.5
 METRIC_DISTANCES_M = (0.5, 50.0)
-"""Plausible distances between two cameras in metres. Outside this range, the unit is assumed not to be metres."""
+"""Smallest and largest plausible distance between two cameras in metres. If a distance is outside this range, the unit
+of the world is assumed not to be metres."""
 MIN_UPRIGHT = 0.5
 """Minimum mean z component of the cameras' up directions in a world with z up."""
 MAX_RASTER_PX = 2000
@@ -43,10 +44,10 @@ def match_cameras(
     """Match pairs of cameras over all given frames.
 
     Features are matched first. Camera pairs with fewer than 20 feature matches count as unmatched. Wide baselines can
-    leave a camera with fewer than two matched pairs. All pairs of these cameras are also matched on the ground, if the
-    world is in metres with z up. Ground patches are searched at z = 0 in a 5 m square centred below the cameras' focus.
-    If the plane z = 0 gives too few matches, the planes 2 cm below and above are searched too. A pair with both feature
-    matches and ground matches keeps the larger set.
+    leave a camera with fewer than two matched pairs. If the world is in metres with z up, all pairs of a camera with
+    fewer than two matched pairs are also matched on the ground. Ground patches are searched at z = 0 in a 5 m square
+    centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm below and above are
+    searched too. A pair with both feature matches and ground matches keeps the larger set.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.

@@ -85,9 +85,9 @@ def find_corners(grey: Picture, columns: int, rows: int) -> Array | None:
     pixels = corners.reshape(rows, columns, 2).astype(np.float64)
     along, across = pixels[0, -1] - pixels[0, 0], pixels[-1, 0] - pixels[0, 0]
     if along[0] * across[1] - along[1] * across[0] > 0:
-        # Seen from +z, the board's y axis is counterclockwise from its x axis. Image y points down, so the cross
-        # product of the board's axes must be negative in the image. A positive cross product means that the rows are in
-        # the wrong order.
+        # Seen from +z, the board's y axis is counterclockwise from its x axis. Because the image's y axis points down,
+        # the cross product of the board's axes must be negative in the image. A positive cross product means that the
+        # rows are in the wrong order.
         pixels = pixels[::-1]
     if _is_first_square_bright(grey, pixels):
         pixels = pixels[::-1, ::-1]

@@ -22,7 +22,7 @@ MAX_BORDER_ERROR_PX = 0.75
 """Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""
 MAX_GOOD_PX = 3.0
 MIN_LEAD = 1.5
-"""Minimum ratio of the second smallest to the smallest residual of all hypotheses, for the evidence to be clear."""
+"""Ratio of the second smallest to the smallest residual of all hypotheses at and above which the evidence is clear."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +49,10 @@ class SizeChoice:
         cameras: the cameras of all images under the best hypothesis.
         residuals: epipolar residuals of each hypothesis.
         means_px: for each hypothesis, the mean over the median residuals of all camera pairs with a resized camera, or
-            None if no such pair has enough matches.
+            None if no pair with a resized camera has enough matches.
         borders_px: for each hypothesis, the largest difference in pixels between measured and predicted borders, or
             None if the borders were not measured.
-        is_clear: whether the evidence is sufficient, so that the user need not decide.
+        is_clear: whether the evidence is sufficient to choose a hypothesis without asking the user.
         why: the evidence in one line.
     """
 
@@ -75,12 +75,12 @@ def size_hypotheses(camera: Camera, width: int, height: int) -> dict[str, Camera
       sizes to within half a pixel;
     - ``letterboxed``: the whole image is scaled to fit, with equal black borders on two sides;
     - ``filled``: the image is scaled until no border remains, then cropped equally on two opposite sides;
-    - ``cropped left``, ``cropped right``, ``cropped top`` and ``cropped bottom``: the image is cropped on that side
-      and not scaled;
+    - ``cropped left``, ``cropped right``, ``cropped top`` and ``cropped bottom``: the image is cropped on the named
+      side and not scaled;
     - ``cropped centre``: the image is cropped equally on opposite sides and not scaled.
 
     The cropped hypotheses are omitted if the new image is wider or higher than the old image. All hypotheses keep the
-    distortion coefficients, because these apply to coordinates divided by the focal length.
+    distortion coefficients, because the coefficients apply to coordinates divided by the focal length.
     """
     if (width, height) == (camera.width, camera.height):
         return {"unchanged": camera}
@@ -116,7 +116,7 @@ def _scale_about_centre(camera: Camera, width: int, height: int, scale: float) -
 def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
     """Measure the black borders of one camera's distorted images (H, W, 3) uint8.
 
-    The mean over several frames gives more exact borders than one frame. If a border ends within a pixel, the covered
+    The mean over several frames gives more exact borders than one frame. If a border ends within a pixel, the black
     fraction of the pixel is estimated from the brightness of the next rows. If the scene is dark along a side, the
     measured border is 0 or too wide.
     """
@@ -138,8 +138,8 @@ def _border_width(rows: Array) -> float:
     if content - floor < 1:
         return 0.0
     share = np.clip((level[: first + 2] - floor) / (content - floor), 0, 1)
-    # Only the last black row can be partly covered by content. Brightness in the black rows before the last black row
-    # is a ringing artefact of the codec.
+    # Only the last black row can contain a part of the picture. Brightness in earlier black rows is a ringing artefact
+    # of the codec.
     share[: max(first - 1, 0)] = 0
     return float((1 - share).sum())
 
@@ -153,11 +153,11 @@ def choose_size(
     """Find how images were resized, assuming one method for all resized images.
 
     Each hypothesis is one method of resizing, see :func:`size_hypotheses`. A hypothesis is excluded if a black border
-    that it predicts differs by more than :data:`MAX_BORDER_ERROR_PX` from the measured border. If this would exclude
-    all hypotheses, none is excluded. The function chooses the remaining hypothesis with the smallest epipolar residual.
-    The evidence is clear in two cases. In the first case, an image has a black border of at least 2 pixels, and only
-    one hypothesis fits the borders. In the second case, the smallest residual is at most 3 pixels, and the residuals of
-    all other remaining hypotheses are at least 1.5 times as large.
+    that it predicts differs by more than :data:`MAX_BORDER_ERROR_PX` from the measured border. If no hypothesis fits
+    the measured borders, none is excluded. The function chooses the remaining hypothesis with the smallest epipolar
+    residual. The evidence is clear if an image has a black border of at least 2 pixels, and only one hypothesis fits
+    the borders. The evidence is also clear if the smallest residual is at most 3 pixels, and the residuals of all other
+    remaining hypotheses are at least 1.5 times as large.
 
     Args:
         matches: matches of each camera pair in pixels of the distorted images; the matches of all frames are

@@ -1,7 +1,7 @@
 """Feature matches between two images, verified by two-view geometry.
 
 Verification does not use camera poses. Instead, homographies and a fundamental matrix are fitted to the matches. The
-inliers of a model are kept if the model has more inliers than random matches would give.
+inliers of a model are kept if there are more inliers than random matches would give.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ def extract_features(picture: Picture, max_features: int = 4000) -> Features:
 def match_features(first: Features, second: Features, ratio: float = 0.8) -> Matches:
     """Match features that are mutual nearest neighbours and pass Lowe's ratio test.
 
-    SIFT returns one feature per dominant orientation, so a position may occur several times. Only one match per
-    position is kept, because duplicates are not independent evidence.
+    SIFT returns one feature per dominant orientation, so several features may have the same position. Only one match
+    per position is kept, because duplicates are not independent evidence.
     """
     if len(first.xy_px) < 2 or len(second.xy_px) < 2:
         return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
@@ -111,10 +111,10 @@ def inlier_mask(matches: Matches, width: int, height: int, tolerance_px: float =
     CVPR 2020). A model is accepted if random matches are unlikely to give as many inliers (a contrario test, Moisan and
     Stival, IJCV 2004).
 
-    Matches of points on one plane do not determine the fundamental matrix. For any two further matches, a fundamental
-    matrix exists that fits these two and all matches on the plane. If a homography was accepted, the test of the
-    fundamental matrix therefore ignores the matches on planes.
-    The test also does not count two of the inliers outside the planes as evidence.
+    Matches of points on one plane do not determine the fundamental matrix: for any two further matches, a fundamental
+    matrix exists that fits both of them and all matches on the plane. If a homography was accepted, the test of the
+    fundamental matrix therefore ignores the matches on planes. In addition, two of the inliers outside the planes are
+    not counted as evidence.
 
     Args:
         matches: M matches in pixels of the undistorted images.

@@ -2,7 +2,7 @@
 
 The calibration is used to rectify both images to the plane. Small patches of one rectified image are then searched in
 the other rectified image, near the position that the calibration predicts. The calibration affects only the appearance
-of a patch and the centre of its search. The positions of the matches therefore reveal errors of the calibration.
+of a patch and the centre of its search. Errors of the calibration therefore show in the positions of the matches.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ MIN_LEAD = 0.12
 MIN_DROP = 0.03
 """Minimum decrease of the correlation 3 pixels from its peak in all directions.
 
-This minimum rejects patches on a straight edge, because their correlation hardly decreases along the edge.
+The minimum rejects patches on a straight edge, because their correlation hardly decreases along the edge.
 """
 MIN_CONTRAST = 6.0
 

@@ -22,8 +22,8 @@ from fourd.cameras import Camera
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MAX_PAIR_PX = 30.0
-"""If the residual of a camera pair exceeds this value in pixels, the residual counts as this value. The matches of such
-a pair are wrong, and the residual of the pair changes at random with the principal points."""
+"""Value in pixels at which the residual of a camera pair is clamped. A larger residual means that the pair's matches
+are wrong, and such a residual changes at random with the principal points."""
 MIN_GAIN = 2.0
 """Minimum decrease of the mean residual due to mirrored principal points, as a multiple of the typical residual."""
 MIN_LEAD = 0.5
@@ -41,16 +41,16 @@ class MirrorChoice:
         given: residuals of the given calibration.
         chosen: residuals of the chosen combination.
         given_px: mean over the camera pairs of their median residuals with the given calibration, in pixels. Each
-            median counts as at most MAX_PAIR_PX.
-        chosen_px: the same mean with the chosen combination.
-        next_px: the same mean with the second best combination.
+            median is clamped at MAX_PAIR_PX.
+        chosen_px: the mean of ``given_px``, but with the chosen combination.
+        next_px: the mean of ``given_px``, but with the second best combination.
         given_score: median residual, and share of matches within 3 pixels, with the given calibration.
-        chosen_score: the same values with the chosen combination.
+        chosen_score: the values of ``given_score``, but with the chosen combination.
         is_clear: whether the evidence is clear. Let r be the median over the camera pairs of their median residuals
             with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds
             ``chosen_px`` by at least 0.5 r. If a principal point is mirrored, ``given_px`` must also exceed
-            ``chosen_px`` by at least 2 r. A pair of cameras whose matches are wrong increases all means by the same
-            amount, so the differences are compared, not the ratios.
+            ``chosen_px`` by at least 2 r. Differences are compared instead of ratios, because a pair of cameras with
+            wrong matches increases all means by the same amount.
     """
 
     names: tuple[str, ...]
@@ -86,8 +86,8 @@ def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
 def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
     """Choose the combination of mirrored principal points with the smallest epipolar residual.
 
-    The images must have the calibration's size, or be resized without an off-centre crop. A resize without an
-    off-centre crop does not move the image centre.
+    The images must have the calibration's size, or be resized without an off-centre crop. An off-centre crop would move
+    the image centre.
 
     Args:
         matches: matches of each camera pair, in pixels of the distorted images.

@@ -31,7 +31,7 @@ MAX_GOOD_PX = 3.0
 MAX_GOOD_RATIO = 4.0
 MIN_PAIRS = 2
 MIN_BAD_SHARE = 0.75
-"""Minimum share of disagreeing pairs that makes a camera bad; see :func:`find_bad_cameras`."""
+"""A camera is bad if at least this share of its pairs disagrees; see :func:`find_bad_cameras`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,7 +107,7 @@ def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
     """Select the camera pairs (i, j), i < j, whose images are matched.
 
     With up to 8 cameras, all pairs are matched. With more cameras, each camera is paired with its 6 nearest neighbours.
-    The neighbours are the cameras with the smallest cost: the angle between the viewing directions plus a small term
+    The nearest neighbours have the smallest cost, which is the angle between the viewing directions plus a small term
     for the distance between the camera centres.
     """
     count = len(cameras)
@@ -138,7 +138,7 @@ def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]
 def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array:
     """Signed distances (M,) in pixels of matches from their epipolar lines, averaged over the two images.
 
-    If both cameras have the same centre, there are no epipolar lines, and the function returns 0 for each match.
+    Two cameras with the same centre have no epipolar lines, and the function then returns 0 for each match.
     """
     rotation = second.rotation @ first.rotation.T
     shift = second.translation - rotation @ first.translation
@@ -170,8 +170,8 @@ def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX
     - at least 75% of the camera's pairs disagree;
     - in the disagreeing pairs, at least 2 of the camera's partners agree with a third camera.
 
-    No camera is bad if there are only two cameras, or if all pairs disagree, because the residuals then do not show
-    which camera is wrong.
+    If there are only two cameras or all pairs disagree, the residuals do not show which camera is wrong, and no camera
+    is called bad.
 
     Returns:
         The indices of the bad cameras in ascending order.

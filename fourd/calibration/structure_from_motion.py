@@ -30,8 +30,8 @@ MAX_FEATURES = 4096
 SIFT_PEAK_THRESHOLD = 0.003
 """Minimum peak value of SIFT features; COLMAP's default is 0.0067.
 
-The value used here is lower than COLMAP's default, so that weak features are kept. In a recorded ring of 20 cameras,
-matching neighbouring cameras failed without weak features.
+The minimum is lower than COLMAP's default, so that weak features are kept. In a recorded ring of 20 cameras, matching
+of neighbouring cameras failed without weak features.
 """
 FIX = (
     "give the cameras more overlap (at most 30 degrees between neighbours), add texture to the scene, or provide a "
@@ -137,7 +137,7 @@ def _reconstruct(
 def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, is_lens_shared: bool) -> Path:
     """Extract and match the features of one frame; return the path of the COLMAP database with the matches.
 
-    The image files' names are numbers, because camera names may contain characters that are invalid in file names.
+    The image files have numbers as names, because camera names may contain characters that are invalid in file names.
     """
     images, database = folder / "images", folder / "database.db"
     images.mkdir(parents=True)
@@ -145,8 +145,8 @@ def _match_frame(folder: Path, pictures: list[Picture], lens_model: LensModel, i
         if not cv2.imwrite(str(images / f"{index:06d}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR)):
             raise OSError(f"{images}: a temporary image could not be written")
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # In a ring of 20 cameras, neighbours are 18 degrees apart. Matching over this angle needs affine-invariant
-    # features.
+    # In a ring of 20 cameras, neighbours are 18 degrees apart. Matching across an angle of 18 degrees needs
+    # affine-invariant features.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.domain_size_pooling = True
     extraction.sift.peak_threshold = SIFT_PEAK_THRESHOLD
@@ -214,7 +214,8 @@ def _mapping_options(seed: int) -> Any:
     options.mapper.init_min_num_inliers = 40
     options.mapper.init_min_tri_angle = 8.0
     options.mapper.abs_pose_min_num_inliers = 15
-    # With one image per camera, only two images show most points. By default, COLMAP ignores points in only two images.
+    # With one image per camera, most points are seen in only two images. By default, COLMAP ignores points in only two
+    # images.
     options.triangulation.ignore_two_view_tracks = False
     return options
 

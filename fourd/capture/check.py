@@ -1,4 +1,4 @@
-"""Check of a capture that reports all errors. In contrast, opening a capture stops at the first error."""
+"""Check of a capture that reports all errors, whereas opening a capture stops at the first error."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
 """Maximum distance between a camera's optical axis and the common focus, divided by the depth of the focus.
 
-A distance above this maximum causes a warning that the camera faces away from the focus.
+Above this maximum, a warning says that the camera faces away from the focus.
 """
 
 
@@ -209,8 +209,8 @@ class _Check:
     def _check_folder(self, folder: Path, found: dict[str, str] | None, frames: list[str]) -> None:
         """Check that a camera's folder has all frames.
 
-        ``found`` maps frame names to file names. ``found`` is None if the folder could not be listed. In this case, the
-        error has already been reported.
+        ``found`` maps frame names to file names. ``found`` is None if the folder could not be listed and the error has
+        already been reported.
         """
         if found is None:
             return

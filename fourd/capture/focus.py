@@ -9,9 +9,8 @@ import numpy as np
 from fourd.cameras import Camera
 
 PARALLEL = 1e-4
-"""Limit for parallel optical axes: mean squared sine of the angles between the axes and their common direction.
-
-Optical axes below this limit are treated as parallel. The limit corresponds to an angle of 0.6 degrees.
+"""Maximum mean squared sine of the angles between optical axes and their common direction at which the axes are treated
+as parallel. The limit corresponds to an angle of 0.6 degrees.
 """
 
 

@@ -24,7 +24,7 @@ STANDARD_RATES = (
     *(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120, 240)),
 )
 STANDARD_TOLERANCE = 2e-4
-"""If a rate deviates from a standard rate by less than this share, the standard rate is used. 29.97 and 30 differ by
+"""Relative deviation from a standard rate below which the standard rate is used. The rates 29.97 and 30 differ by
 1e-3."""
 
 

@@ -137,7 +137,7 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
     Args:
         text: the option's value, or None for all frames.
         count: number of frames.
-        source: word in error messages for the object that contains the frames.
+        source: the name, in error messages, of the object that contains the frames.
 
     Raises:
         UserError: if the text is not a valid range, or selects no frame.

@@ -80,10 +80,10 @@ class Capture:
         frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
-        time_span: indices in the whole capture of the frames between time 0 and time 1. By default, these are all
-            frames.
+        time_span: indices in the whole capture of the frames between time 0 and time 1. By default, the time span
+            contains all frames.
         fps: number of selected frames per second of the recording, or None if the frame rate is not known. If every
-            S-th frame is selected, this is the recording's frame rate divided by S.
+            S-th frame is selected, ``fps`` is the recording's frame rate divided by S.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class Capture:
         return self._cache.get(("image", camera, frame), lambda: self._read(frames, camera, frame))
 
     def mask(self, camera: int, frame: int) -> Picture:
-        """Undistorted matte (H, W) uint8 of a camera and frame, 255 = object; the array is read-only.
+        """Undistorted matte (H, W) uint8 of a camera and frame; 255 is the object. The array is read-only.
 
         Raises:
             UserError: if there are no mattes, the file is damaged, or its size differs from the image size of the
@@ -223,7 +223,7 @@ def open_capture(
         frames: frame range ``A:B[:S]`` of indices in the sorted list of frames, or None for all frames.
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
-        cache_frames: number of frames by which the cache is enlarged. Each frame has one image per camera.
+        cache_frames: number of frames by which the cache is enlarged, with one image per camera.
         mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
 
     Raises:

@@ -24,16 +24,15 @@ from fourd.limits import read_fraction, require_regular
 from fourd.processes.isolation import ParserProcess
 
 CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,h264,hevc"
-"""Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams. A
-later check refuses raw streams with an error message that explains the fix."""
+"""Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams. Raw
+streams are opened only because a later check rejects them with an error message that explains the fix."""
 MAX_JITTER = 0.05
 """Maximum deviation of a frame's time from a constant frame rate, in frame intervals.
 
-If a frame deviates by more than this value, the index stores the time of every frame.
+If one frame exceeds this maximum, the index stores the time of every frame.
 """
 MAX_RATE_ERROR = 5e-3
-"""If the mean rate of uneven frames deviates from a standard rate by less than this share, the standard rate is
-used."""
+"""Relative deviation of the mean rate of uneven frames from a standard rate below which the standard rate is used."""
 MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
 """Minimum and maximum frame rate in 1/s. Scenes have the same limits."""
 PROBE_THREADS = 2
@@ -42,7 +41,8 @@ several frames in memory."""
 FRACTIONS = ("start", "fps", "tick")
 """Fields of an index that are stored in JSON as text, for example "30000/1001"."""
 GAP = 1.5
-"""An interval between two frames contains dropped frames if it is longer than the median interval times this factor."""
+"""Frames were dropped between two frames if the interval between them is longer than the median interval times this
+factor."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class VideoIndex:
         height: height of the decoded frames in pixels.
         frames: number of frames.
         start: presentation time of frame 0 in seconds.
-        fps: frame rate in 1/s. If the frame times are uneven, intervals with dropped frames do not count.
+        fps: frame rate in 1/s. If the frame times are uneven, intervals with dropped frames are ignored.
         keyframes: ascending numbers of the frames that can be decoded without earlier frames.
         turn: angle in degrees by which the metadata of the video turns the stored frames counter-clockwise: a multiple
             of 90.
@@ -137,9 +137,9 @@ def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
         parser: the child process to use, or None to start one.
 
     Raises:
-        UserError: if the file is not a video, is truncated, or has fewer than 2 frames or frames without times. This
-            error is also raised if the metadata mirrors the frames, or turns them by an angle that is not a multiple of
-            90 degrees.
+        UserError: if the file is not a video, is truncated, or has fewer than 2 frames or frames without times.
+            UserError is also raised if the metadata mirrors the frames, or turns them by an angle that is not a
+            multiple of 90 degrees.
     """
     if not path.is_file():
         raise UserError(f"{path}: expected a video, got no such file; copy the video again")
@@ -237,7 +237,7 @@ class VideoReader:
     """Reads frames of a video by number.
 
     Reading frames in ascending order decodes each frame once. For other orders, the reader seeks to the last keyframe
-    before the requested frame, and decodes all frames from this keyframe. Close the reader after use, or use it as a
+    before the requested frame, and decodes all frames from the keyframe on. Close the reader after use, or use it as a
     context manager. The reader is not thread-safe.
     """
 
@@ -292,9 +292,9 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek ended after the requested frame. There are two possible reasons: the frame is stored after a
-            # keyframe that is displayed later, or the container seeks beyond the requested time. Decode from the start
-            # of the video instead.
+            # The seek ended after the requested frame, for one of two reasons: the frame is stored after a keyframe
+            # that is displayed later, or the container seeks beyond the requested time. Decode from the start of the
+            # video instead.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -315,7 +315,7 @@ class VideoReader:
     def _number(self, elapsed: Fraction) -> int:
         """Return the number of the frame that is shown ``elapsed`` seconds after frame 0.
 
-        Unlike the result of ``nearest``, this number can be outside the video.
+        Unlike the result of ``nearest``, the returned number can be outside the video.
         """
         if not self.index.times:
             return round(elapsed * self.index.fps)
@@ -357,7 +357,7 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     """Frame rate in 1/s from the ascending presentation times of at least 2 frames, and whether the times are even.
 
     The times may be rounded to multiples of the container's time base ``base``, in seconds. If the times are uneven, as
-    in videos of phones, intervals with dropped frames do not count.
+    in videos of phones, intervals with dropped frames are ignored.
 
     Raises:
         UserError: if several frames have the same time.

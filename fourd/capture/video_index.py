@@ -43,8 +43,8 @@ def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dic
 def index_capture(capture: Path, names: Sequence[str] | None, track: Track) -> None:
     """Create and cache the indices of all videos that are not listed in the capture's videos.json.
 
-    With these indices, opening the capture does not read whole videos. The function does nothing if the capture has
-    image files or its folder is not writable.
+    When all indices are cached, opening the capture does not read whole videos. The function does nothing if the
+    capture has image files or its folder is not writable.
 
     Args:
         capture: the capture's folder.

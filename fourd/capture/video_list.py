@@ -1,7 +1,7 @@
 """Reading and writing of videos.json, which lists the videos of a capture with their indices and offsets in frames.
 
-The frames of a capture are at even times on a common clock. For each of these times, the nearest frame of each video is
-used.
+The frames of a capture are evenly spaced in time on a common clock. For the time of each frame, the nearest frame of
+each video is used.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ MAX_OFFSET = 1e9
 MAX_PIXELS = 1 << 28
 """Maximum number of pixels of a frame."""
 MAX_DRIFT_FRAMES = 0.5
-"""Two frame rates count as equal if two videos with these rates drift apart by at most this number of frames."""
+"""Maximum drift, in frames, of two videos whose frame rates count as equal."""
 
 Entry = dict[str, Any]
 
@@ -72,8 +72,8 @@ class Video:
         return max(0, floor(last * self.rate - Fraction(self.offset)) + 1)
 
     def clock_error(self, frames: int) -> tuple[float, int]:
-        """Largest difference in seconds between the time of a capture's frame and the time of the video frame that it
-        shows.
+        """Largest difference in seconds between the time of a capture's frame and the time of the video frame that is
+        used for it.
 
         Args:
             frames: number of frames of the capture.
@@ -124,7 +124,8 @@ def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
 def write_entries(path: Path, entries: Mapping[str, Entry], fps: Fraction | None = None) -> None:
     """Atomically write the entries of videos by camera name to a file in the format of videos.json.
 
-    ``fps`` is the frame rate of the capture in 1/s. With None, the file contains no frame rate, as in ``.fourd/``.
+    ``fps`` is the frame rate of the capture in 1/s. With None, the file contains no frame rate, as in the cache file in
+    ``.fourd/``.
     """
     content = {"version": VERSION, **({} if fps is None else {"fps": str(fps)}), "cameras": entries}
     write_text_atomically(path, json.dumps(content, indent=1) + "\n")
@@ -185,7 +186,7 @@ def common_rate(videos: Mapping[str, Video]) -> Fraction | None:
 
 
 def make_entry(video: Video) -> Entry:
-    """Create a video's entry for videos.json."""
+    """Create the entry of a video in videos.json."""
     status = video.path.stat()
     return {
         "file": video.path.name,

@@ -57,7 +57,7 @@ def transfer_of(frame: av.VideoFrame) -> str:
 
 
 def turn_of(frame: av.VideoFrame) -> int | None:
-    """Angle in degrees by which a frame must be turned counter-clockwise to be upright: 0, 90, 180 or 270.
+    """Angle in degrees (0, 90, 180 or 270) by which a frame must be turned counter-clockwise to be upright.
 
     Returns None if the display matrix of the frame has another angle, or mirrors the frame.
     """
@@ -135,8 +135,8 @@ def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
 
     Returns:
         Three tables. The first has the linear light for each signal value, in units of the reference white (for HLG:
-        scene light in [0, 1]). The second has the 8-bit sRGB value for each square root of linear light. The third is
-        for HLG, and has the OOTF's factor from scene to display light for each luminance.
+        scene light in [0, 1]). The second has the 8-bit sRGB value for each square root of linear light. The third, for
+        HLG, has the OOTF's factor from scene light to display light for each luminance.
     """
     steps = np.linspace(0, 1, LEVELS)
     if transfer == HLG:

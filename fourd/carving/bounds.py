@@ -17,8 +17,8 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 COARSE_CELLS = 48
-"""Number of grid cells along the longest side of the hull's bounding box. With this number, the error of the measured
-box is at most 2% of its longest side. This error is smaller than the default margin."""
+"""Number of grid cells along the longest side of the hull's bounding box. The number limits the error of the measured
+box to 2% of its longest side, which is less than the default margin."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +83,8 @@ def find_bounds(
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
-            their silhouettes.
+        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
+            that see it.
         least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
             and of at least 3 views. If there are only 2 views, a hull point must project into both images.
         margin: distance by which each face of the box is moved outwards, as a share of the box's longest side.
@@ -149,10 +149,10 @@ def hull_bounds(
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance between this point and the farthest camera.
 
-    If the optical axes are almost parallel, no point is clearly nearest. In this case, a weak prior determines the
-    result. The prior is a point in front of the mean of the camera centres. The distance of the prior from this mean is
-    four times the distance of the farthest camera from the mean. If the optical axes are not almost parallel, the prior
-    has almost no effect, because its weight is only 0.1% of the weight of the axes.
+    If the optical axes are almost parallel, no point is clearly nearest. For almost parallel axes, a weak prior
+    determines the result. The prior is a point in front of the mean of the camera centres. The distance of the prior
+    from the mean is four times the distance of the farthest camera from the mean. For other axes, the prior has almost
+    no effect, because its weight is only 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -192,11 +192,11 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
-    """For each view, compute the share in [0, 1] of the hull of all other views that this view removes.
+    """For each view, compute the share in [0, 1] that the view removes from the hull of all other views.
 
-    The hull of the other views is computed with an agreement of 1. As long as the hull of the other views is empty, the
-    agreement is lowered in steps, but not below 0.5. The search cube is centred on the origin of ``views``, and
-    ``half`` is half the cube's side in world units.
+    The hull of the other views is computed with an agreement of 1. If the hull of the other views is empty, the
+    agreement is lowered in steps until the hull is not empty, but not below 0.5. The search cube is centred on the
+    origin of ``views``, and ``half`` is half the cube's side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):

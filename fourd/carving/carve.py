@@ -18,7 +18,7 @@ from fourd.carving.surface import choose_cell_side, move_inwards, project_to_sur
 
 @dataclass(frozen=True, eq=False)
 class CarvedFrame:
-    """Points of one frame on the surface of the visual hull, or slightly below this surface.
+    """Points of one frame on or slightly below the surface of the visual hull.
 
     The points are in random order: for every M, the first M points are a uniform sample of the surface.
 
@@ -52,23 +52,23 @@ def carve_frame(
     """Carve one frame's visual hull and spread points evenly over its surface.
 
     Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
-    so small that more cells intersect the surface than points are requested. The centres of these cells are moved onto
-    the surface with an error of at most a tenth of a cell's side. Then points are removed evenly until the requested
-    number remains.
+    so small that more cells intersect the surface than points are requested. The centres of the finest cells are moved
+    onto the surface with an error of at most a tenth of a cell's side. Then points are removed evenly until the
+    requested number remains.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.
         cameras: undistorted pinhole cameras.
         bounds: search box, for example from :func:`find_bounds`.
         points: number of points to return, at least 1.
-        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
-            their silhouettes. For example, if 20 views see the point, an agreement of 0.95 tolerates one wrong view.
+        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
+            that see it. For example, if 20 views see the point, an agreement of 0.95 tolerates one wrong view.
         least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
             and of at least 3 views. If there are only 2 views, a hull point must project into both images.
         trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still
             covers all silhouettes.
         inset: distance by which points are moved into the hull, as a multiple of ``spacing``. In thin parts of the
-            hull, points are moved by less than this distance.
+            hull, points are moved less far.
         seed: seed of the random order of the points. Equal inputs and seeds give bitwise equal results.
         names: names of the cameras for error messages.
         label: name of the masks for error messages.

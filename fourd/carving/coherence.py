@@ -1,9 +1,10 @@
 """Agreement of mattes: the share of each matte that the visual hull of the other views covers.
 
 The measure needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares each silhouette with that of
-the visual hull of all views. This module instead compares each matte with the hull of the other views. If a matte
-covers more than the object, the hull of the other views does not cover the whole matte, so the matte's share is low. If
-a matte lacks a part of the object, the hulls lack this part too, so the shares of all other mattes are low.
+the visual hull of all views. In contrast to silhouette coherence, each matte is compared with the hull of the other
+views. If a matte covers more than the object, the hull of the other views does not cover the whole matte, so the
+matte's share is low. If a matte lacks a part of the object, the hulls also lack the part, so the shares of all other
+mattes are low.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from fourd.carving.silhouette import Floats
 Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
-"""Cells are subdivided repeatedly until there are more cells than this number."""
+"""Number of cells above which cells are not subdivided further."""
 THRESHOLD = 128
 
 
@@ -58,14 +59,14 @@ def frame_coherence(
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.
         cameras: undistorted pinhole cameras.
-        agreement: share in (0, 1]. Of the views that see a hull point, at least this share must have the point in their
-            mattes.
+        agreement: share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that see
+            it.
         least_views: share in (0, 1]. At least this share of all views must see a hull point.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # The candidate cells must include the cells of all hulls without one view. Therefore, the number of views that may
-    # reject a candidate is one more than the number of tolerated outliers.
+    # The candidate cells must include the cells of all hulls that leave out one view. A candidate may therefore be
+    # rejected by one view more than the number of tolerated outliers.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)
@@ -92,8 +93,8 @@ def frame_coherence(
 
 
 def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:
-    """Two arrays (C, N): whether each view sees the centre of each cell, and whether the silhouette of the view
-    excludes the cell."""
+    """Two boolean arrays (C, N). The first tells whether each view sees the centre of each cell, the second whether the
+    view's silhouette excludes the cell."""
     seen = np.zeros((len(views.views), cells.shape[1]), np.bool_)
     outside = np.zeros_like(seen)
     for index, view in enumerate(views.views):

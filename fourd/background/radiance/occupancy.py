@@ -12,8 +12,8 @@ from fourd.background.radiance.volume_rendering import rendering_weights
 
 DECAY = 0.95
 UNIFORM_WEIGHT = 0.1
-"""Total weight of uniform sampling in the histogram of sampling weights of a ray. The sum of the weights that are
-computed from the grid's densities is at most one. Uniform samples also find surfaces that are missing in the grid."""
+"""Total weight of the uniform part of a ray's sampling histogram. The part that is computed from the grid's densities
+has a total weight of at most one. Uniform samples also find surfaces that are missing in the grid."""
 BINS = 96
 """Number of bins in the histogram of sampling weights along a ray."""
 HINT_WEIGHTS = (0.25, 0.5, 0.25)

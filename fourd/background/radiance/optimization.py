@@ -20,8 +20,8 @@ from fourd.progress import Track, untracked
 FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
-"""Length of each ray's last interval, in units of the contraction's radius. With this length, the last interval makes
-every ray opaque. Otherwise, fog would appear in front of the cameras."""
+"""Length of each ray's last interval, in units of the contraction's radius. The last interval is so long that it makes
+every ray opaque. Rays that are not opaque would cause fog in front of the cameras."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,8 +50,8 @@ def camera_rays(camera: Camera, pixels: Tensor) -> Rays:
 
 
 def ray_matrix(camera: Camera) -> NDArray[np.float64]:
-    """(3, 3) matrix that maps a pixel (x, y, 1) to the direction of its ray in world coordinates. The direction has
-    depth 1 in the camera's frame."""
+    """(3, 3) matrix that maps a pixel (x, y, 1) to the direction of its ray in world coordinates. In the camera's
+    frame, the z coordinate of the direction is 1."""
     return np.asarray(camera.rotation.T @ np.linalg.inv(camera.intrinsics), np.float64)
 
 
@@ -59,7 +59,7 @@ def to_distance(normalized: Tensor) -> Tensor:
     """Convert normalised distances in [0, 1] to distances.
 
     Normalised distances in [0, 0.5] are mapped linearly to distances from 0.05 to 2. Normalised distances in [0.5, 1]
-    are mapped to distances from 2 to 200. In this range, inverse distance changes linearly.
+    are mapped to distances from 2 to 200, such that the inverse distance changes linearly.
     """
     near = NEAR + 2 * normalized * (LINEAR_UP_TO - NEAR)
     inverse = 1 / LINEAR_UP_TO + (2 * normalized - 1).clamp(min=0) * (1 / FAR - 1 / LINEAR_UP_TO)

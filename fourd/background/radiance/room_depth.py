@@ -28,10 +28,11 @@ floor spans only a few degrees."""
 NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, as multiples of the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Minimum share of depth-map cells with known depth. Below this share, the room's shape is unreliable. The room is then
-enlarged until it contains a hall. The hall is a ball around the centre without the part below the floor."""
+"""Minimum share of depth-map cells with known depth. Below this share, the room's shape is unreliable, and the room is
+enlarged until it contains a large ball around the centre, cut off at the floor."""
 HALL_RADIUS = 1.5
-"""Radius of the hall, as a multiple of the farthest camera's distance from the centre."""
+"""Radius of the ball that a room with an unreliable shape must contain, as a multiple of the farthest camera's distance
+from the centre."""
 FLOOR_PERCENTILE = 2.0
 """Percentile of the measured heights that is used as the height of the floor."""
 STEPS = 32
@@ -119,7 +120,7 @@ class Room:
 
 
 def _hall_inverse_distance(sphere: DirectionGrid, radius: float, depth: float) -> Array:
-    """Inverse distances (cells,) from the centre to the surface of the hall: a ball around the centre without the part
-    below the floor. The floor is at the distance ``depth`` below the centre."""
+    """Inverse distances (cells,) from the centre to the surface of a ball that is cut off at the floor. The floor is at
+    the distance ``depth`` below the centre."""
     down = -(sphere.directions() @ sphere.R_world_sphere[:, 2])
     return np.asarray(np.maximum(1 / radius, down / depth if depth > 0 else 0 * down))

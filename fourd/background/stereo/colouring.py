@@ -31,8 +31,8 @@ def sample_coloured_points(
         seed: random seed of the points' order.
 
     Returns:
-        the points in random order. Also, for each surface, the depth-map cells from which points were sampled, with one
-        entry per point. For every N, the first N points are a uniform sample of all points.
+        the points in random order. The second result lists, for each surface, the depth-map cell of each sampled point.
+        For every N, the first N points are a uniform sample of all points.
     """
     samples = sample_surfaces(surfaces, [plate.seen for plate in reduced], points)
     found = _fuse_colours(plates, surfaces, samples)

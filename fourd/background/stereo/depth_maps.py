@@ -33,11 +33,11 @@ MAX_CELLS = 16384
 MIN_FEATURES = 8
 """Minimum number of triangulated points from which a depth range is estimated."""
 MIN_RELIABLE = 30
-"""Minimum number of points that are seen in three or more plates. If there are fewer such points than this minimum,
-points that are seen in only two plates are also used."""
+"""Minimum number of points that are seen in three or more plates. Below this number, points that are seen in only two
+plates are also used."""
 NEAR_FACTOR, FAR_FACTOR = 0.5, 4.0
-"""Factors that multiply the depths of the nearest and the farthest triangulated points. The products are the ends of
-the depth range."""
+"""Factors that widen the depth range: the depth of the nearest triangulated point is multiplied by the first factor,
+and the depth of the farthest point by the second."""
 
 
 @dataclass(frozen=True, eq=False)

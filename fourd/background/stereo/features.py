@@ -78,8 +78,8 @@ def write_pictures(folder: Path, plates: Sequence[PlateView]) -> list[str]:
 def extract_features(folder: Path, database: Path, names: list[str]) -> None:
     """Detect features in the images written by :func:`write_pictures` and add them to the COLMAP ``database``."""
     extraction = pycolmap.FeatureExtractionOptions(use_gpu=False)
-    # Neighbouring cameras of a typical ring are at least 18 degrees apart. At such angles, only affine-covariant
-    # features match.
+    # Neighbouring cameras of a typical ring are at least 18 degrees apart. At angles of 18 degrees or more, only
+    # affine-covariant features match.
     extraction.sift.estimate_affine_shape = True
     extraction.sift.peak_threshold = MIN_CONTRAST
     extraction.sift.max_num_features = MAX_FEATURES

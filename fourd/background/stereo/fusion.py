@@ -27,8 +27,8 @@ DEPTH_TOLERANCE = 0.01
 """Maximum relative depth difference between a surface and a point that lies on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
 """Maximum forward-backward error in pixels. To compute the error, the centre of a cell is projected into another image.
-The surface of the other image has a point at this pixel, which is projected back into the cell's image. The error is
-the distance between this back-projected position and the cell's centre."""
+The surface point that the other image has at this pixel is projected back into the cell's image. The error is the
+distance between the projected surface point and the cell's centre."""
 OCCLUSION_MARGIN = 0.03
 """Relative depth difference above which a point in front of a known surface occludes the surface."""
 ITERATIONS = 3
@@ -41,7 +41,7 @@ this maximum, the two cells are not connected."""
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A depth map with a mark for each known cell, and with the number of confirmations of each cell.
+    """A depth map that also stores which cells are known and how many images confirm each cell.
 
     Attributes:
         camera: pinhole camera of the image.
@@ -106,10 +106,10 @@ class Projection:
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
     """Remove the cells of depth maps that are inconsistent with other depth maps.
 
-    A cell is kept if at least one other image confirms it. In addition, the known surfaces that the cell occludes must
-    be fewer than the images that confirm the cell. One confirmation is enough, because walls are often seen by only two
-    cameras. With two cameras, one cell in 60 is confirmed although its depth is wrong. Connected components of fewer
-    than 25 cells are removed.
+    A cell is kept if at least one other image confirms it. In addition, the cell must occlude fewer known surfaces than
+    there are images that confirm it. One confirmation is enough, because walls are often seen by only two cameras. With
+    two cameras, one cell in 60 is confirmed although its depth is wrong. Connected components of fewer than 25 cells
+    are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))

@@ -19,13 +19,13 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight of the value 0 in the interpolation of the correction. With this weight, the correction decays with the
+"""Weight of the value 0 in the interpolation of the correction. The value 0 makes the correction decay with the
 distance from known cells. The weight is divided by the square of the share of known cells. If almost all cells are
-known, the correction decays to one half over seven cells. If few cells are known, the correction decays over a shorter
-distance, because the known cells are unreliable."""
+known, the correction decays to one half over seven cells. If few cells are known, they are unreliable, and the
+correction decays over a shorter distance."""
 MIN_GUIDE_FACTOR = 0.25
-"""Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. Without this minimum, the
-correction could make the inverse depth negative."""
+"""Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. The minimum prevents a correction
+that makes the inverse depth negative."""
 
 
 def complete_with_guidance(

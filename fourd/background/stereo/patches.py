@@ -134,8 +134,8 @@ class PatchSimilarity:
         self.usable: NDArray[np.bool_] = centre & (count >= MIN_VISIBLE * len(self._across)) & (std > NOISE_STD)
         """(N,) bool, true for cells that can be matched.
 
-        A cell can be matched if its centre and enough of its window are visible. In addition, the window's contrast
-        must exceed the noise.
+        A cell can be matched if its centre and enough of its window are visible. In addition, the contrast of its
+        window must exceed the noise.
         """
 
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
@@ -255,7 +255,7 @@ def _correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _masked_correlations(first: Floats, second: Floats) -> Floats:
-    """Compute the same correlations as :func:`_correlations`, for windows with NaN samples."""
+    """Compute the correlations of :func:`_correlations` for windows with NaN samples."""
     known = np.isfinite(first) & np.isfinite(second)
     count = known.sum(axis=0)
     out = np.full(len(count), UNKNOWN_SCORE, np.float32)

@@ -25,8 +25,8 @@ whose normals are at about 87 degrees to the ray."""
 NEIGHBOURS = ((0, 1), (0, -1), (1, 0), (-1, 0), (0, 4), (0, -4), (4, 0), (-4, 0))
 """Offsets (rows, columns) from a cell to the neighbours whose planes are propagated to this cell."""
 SAME_DEPTH = 1e-3
-"""Minimum relative difference between the inverse depths of a neighbour's plane and of the cell's current plane. If the
-difference is below this minimum, the neighbour's plane is not tried."""
+"""Minimum relative difference in inverse depth between a neighbour's plane and the cell's current plane. Planes with a
+smaller difference are not tried."""
 
 
 @dataclass(frozen=True, eq=False)

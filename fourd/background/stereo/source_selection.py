@@ -17,12 +17,12 @@ RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Width of the bell-shaped score of a source camera, as a function of log(angle). The angle at a point is the angle
+"""Width of a source camera's score, which is a bell-shaped function of log(angle). The angle at a point is the angle
 between the rays from the point to the source camera and to the camera whose depth is computed. The score is 1 at 15
 degrees, 1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that is seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective per sampled point. A source camera that increases the objective by less than this
-value is not added."""
+"""Minimum increase of the objective per sampled point. A source camera is not added if it increases the objective by
+less than this minimum."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:

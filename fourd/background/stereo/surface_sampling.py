@@ -14,8 +14,8 @@ Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 SAME_SURFACE = 0.05
-"""Maximum relative difference between the depth of a sample of one image and that of the surface of another image. If
-the difference is at most this maximum, the sample also counts as a sample of the other surface."""
+"""Maximum relative difference in depth between a sample of one image and the surface of another image. Up to this
+difference, the sample also counts as a sample of the other surface."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
 """Side length of the smallest squares in pixels."""
@@ -24,8 +24,8 @@ EDGE_TOLERANCE = 0.05
 edge if the errors at the neighbours on both sides exceed this maximum."""
 MAX_PARTS = 2
 """Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
-points on steep surfaces. However, points on a floor would then hide the lower half of the points behind them. The
-texture of the floor would then appear half a point too high in the image."""
+points on steep surfaces. However, points on a floor would then hide the lower half of the points behind them. If points
+of the floor hide others, the texture of the floor appears half a point too high in the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +51,12 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     """Sample all surfaces, with at most ``points`` samples in total.
 
     Each image is tiled with squares. All squares have the same size, which is the smallest size that gives at most
-    ``points`` samples. Squares on surfaces at grazing angles are divided into parts. Without this division, a camera
-    that sees the surface less obliquely than the image's camera would show gaps between the samples. The centre of each
-    part is sampled if ``seen`` (H, W) is true there. A centre is not sampled if an earlier sample, from any image,
-    already lies on the surface within the part. As a consequence, near objects get more points than far objects, but
-    surfaces that are visible in many images get no additional points. Cells that other images confirm are sampled
-    first, and extrapolated cells afterwards.
+    ``points`` samples. Squares on surfaces at grazing angles are divided into parts. Undivided squares would leave gaps
+    between the samples in cameras that see the surface less obliquely than the image's camera. The centre of each part
+    is sampled if ``seen`` (H, W) is true at the centre. A centre is not sampled if an earlier sample, from any image,
+    already lies on the surface within the part. Near objects therefore get more points than far objects, but a surface
+    gets no additional points for being visible in many images. Cells that other images confirm are sampled first, and
+    extrapolated cells afterwards.
 
     Returns:
         the samples of each image.

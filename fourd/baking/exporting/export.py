@@ -72,7 +72,7 @@ class ExportReport:
         bytes_per_frame: mean size of a frame's file in bytes.
         psnr: PSNR in dB between renderings with the scene's colours and with the exported colours, averaged over the
             measured images. Only pixels that show the scene are compared. Both renderings use fourd's points, the
-            capture's cameras and cameras between them. None if no image shows a point.
+            capture's cameras and cameras between neighbouring cameras of the capture. None if no image shows a point.
     """
 
     files: tuple[Path, ...]
@@ -113,7 +113,7 @@ def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> 
     """The files of the frames. If ``out`` has the suffix of the format, the only file is ``out``. Otherwise, the files
     are in the folder ``out``, or in ``out/frames`` for USD.
 
-    Each name ends in the frame's number in the capture, so that other programs recognize the sequence.
+    Each file name ends in the frame's number in the capture, so that other programs recognise the sequence.
     """
     suffix = SUFFIXES[settings.format]
     if out.suffix.lower() == suffix:

@@ -1,7 +1,7 @@
 """Gaussian splats in USD files, with the schema ParticleField3DGaussianSplat of the package usd-core.
 
-Each frame is stored in a separate file. The file ``scene.usda`` plays these files as value clips. Therefore, neither
-the writer nor a program that plays the scene needs to hold all frames in memory.
+Each frame is stored in a separate file. The file ``scene.usda`` plays the frames' files as value clips. One file per
+frame saves memory: neither the writer nor a player of the scene needs to hold all frames in memory.
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ from fourd.ops.shade.harmonics import SH_TERMS
 
 Tier = Literal["full", "stream", "video", "light"]
 """Quality of a packed scene. A scene of the tier "full" looks like the unpacked scene. The tier "stream" has coarser
-quantisation steps than "full". The tier "video" stores points like "stream", and the colours in the source views as
-images. The tier "light" has no source views: all colours are stored as spherical harmonics."""
+quantisation steps than "full". The tier "video" stores points like "stream", but stores the colours in the source views
+as images. The tier "light" has no source views: all colours are stored as spherical harmonics."""
 TIERS: tuple[Tier, ...] = ("full", "stream", "video", "light")
 
 SH_NUMBERS = 3 * SH_TERMS
@@ -31,16 +31,17 @@ class CloudEncoding:
         lower: (3,) float64, smallest coordinates in world units.
         position_step: quantisation step of the coordinates, in world units.
         position_bits: number of bits per coordinate, 1 to 21.
-        radius_lower: radius in world units that the code 1 stands for. The code 0 stands for the radius 0.
+        radius_lower: radius in world units that code 1 encodes. Code 0 encodes the radius 0.
         radius_steps: number of codes per factor of 2 in the radius.
-        density_levels: code that stands for the density 1, at most 255.
+        density_levels: code that encodes the density 1, at most 255.
         sh_basis: (K, 48) float32, orthonormal basis vectors as rows. The spherical-harmonics coefficients of a point
-            are ``sh_mean`` plus a weighted sum of the rows. The scene stores the weights of this sum, called factors,
-            for each point. The 48 numbers of a row are 16 coefficients for red, then 16 for green, then 16 for blue.
+            are ``sh_mean`` plus a weighted sum of the rows. The weights of the sum are called factors, and the scene
+            stores the factors of each point. The 48 numbers of a row are 16 coefficients for red, then 16 for green,
+            then 16 for blue.
         sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
-        weight_steps: number of codes per factor of 2 in the blend weight. The code 1 stands for the largest weight of
-            the point, and the code 0 stands for the weight 0.
+        weight_steps: number of codes per factor of 2 in the blend weight. Code 1 is the largest blend weight of the
+            point, and code 0 is the weight 0.
         colour_step: quantisation step of the colours in the source views, in units of 1/255. The step is at most
             MAX_COLOUR_STEP.
         every_point_has_colours: whether colours are stored for all source views of each point. If false, colours are

@@ -73,5 +73,5 @@ def _cloud_from_json(node: JsonNode) -> CloudEncoding:
 
 
 def _floats(values: np.ndarray[Any, np.dtype[np.float32]]) -> list[float]:
-    """Return the shortest decimal numbers that are read as the same float32 values."""
+    """Return the shortest decimal numbers that parse to the same float32 values."""
     return [float(str(value)) for value in values.ravel()]

@@ -46,7 +46,7 @@ class GeometryBuffer:
         return self.hits / np.float32(self.samples)
 
     def picture(self, background: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The mesh over a background colour (3,): (H, W, 3) float32 in [0, 1]."""
+        """The image (H, W, 3) float32 in [0, 1] of the mesh in front of a background colour (3,)."""
         return self.rgb / np.float32(self.samples) + (1 - self.alpha)[..., None] * background
 
     def surface(self) -> Surface:
@@ -121,8 +121,8 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Clip coordinates (V, 4). All vertices in front of the camera are nearer than the far plane. Vertices are nearer
-    than the near plane only if their depth is below ``_NEAR_SHARE`` times the depth of the far plane."""
+    """Clip coordinates (V, 4). The far plane lies behind all vertices. The near plane lies behind a vertex only if the
+    vertex's depth is below ``_NEAR_SHARE`` times the depth of the far plane."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]

@@ -140,7 +140,7 @@ def _colours(linear: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def _up(document: dict[str, Any]) -> NDArray[np.float64]:
-    """Direction in the coordinates of the vertices that the root node rotates to +y."""
+    """The direction, in vertex coordinates, that the root node rotates to +y."""
     root = document["nodes"][_whole(document["scenes"][0]["nodes"][0])]
     for node in document["nodes"]:
         if {"matrix", "scale", "translation"} & set(node):

@@ -3,10 +3,11 @@
 The image of a source view shows how the colours of points in this view differ from the mean colours of the points. A
 point's colour in the view is its mean colour plus the difference at the projection of the point.
 
-An image is stored as a header and a key frame of VP9 (profile 0, 8 bits, 4:2:0). Its texels are those of a grid over
-the picture of the camera: texel (i, j) covers the square from (i, j) / s to (i + 1, j + 1) / s in pixels, where s is
-the scale of the encoding. The image contains the part of the grid that its points need. The value 128 of a plane stands
-for the difference 0. The conversion to red, green and blue is that of JFIF (BT.601, full range).
+An image is stored as a header and a key frame of VP9 (profile 0, 8 bits, 4:2:0). The texels form a grid over the
+camera's picture: texel (i, j) covers the square from (i, j) / s to (i + 1, j + 1) / s in pixels, where s is the
+``image_scale`` of the encoding. The image contains the part of the grid that its points need. In the planes of an
+image, the value 128 encodes the difference 0. The conversion to red, green and blue is that of JFIF (BT.601, full
+range).
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ Floats = NDArray[np.floating[Any]]
 HEADER = struct.Struct("<4HL")
 """Left and top texel, width and height in texels, and size of the VP9 frame in bytes."""
 ZERO = np.float32(128)
-"""Value of a texel that stands for the difference 0."""
+"""Texel value that encodes the difference 0."""
 RED_FROM_CR, GREEN_FROM_CB, GREEN_FROM_CR, BLUE_FROM_CB = np.array([1.402, -0.344136, -0.714136, 1.772], np.float32)
 """Coefficients of the conversion from Cb and Cr to red, green and blue (ITU-T T.871)."""
 MAX_SIDE = 1 << 14
@@ -39,8 +40,8 @@ _FRAME_BYTES_PER_TEXEL = 2
 """Maximum size of a stored image in bytes per texel. Even lossless VP9 frames are smaller."""
 _SMALLEST_FRAME = 1024
 _KEY_FRAME = b"\x82", b"\x83"
-"""The two valid first bytes of a key frame of profile 0 that is shown: without and with error resilience (VP9
-specification, 6.2)."""
+"""The valid first bytes of a visible VP9 key frame of profile 0 (VP9 specification, 6.2). The first value is without
+error resilience, the second with error resilience."""
 _SYNC_CODE = b"\x49\x83\x42"
 _RGB_SPACE = 7
 
@@ -161,8 +162,8 @@ def bilinear(planes: Sequence[NDArray[Any]], x: Floats, y: Floats) -> list[Float
 
 
 def _frame_size(frame: bytes) -> tuple[int, int]:
-    """Return the width and the height that a VP9 frame declares. The frame must be the only frame of its packet. It
-    must be a key frame of profile 0 that is shown. Otherwise StreamError is raised."""
+    """Return the width and the height that a VP9 frame declares. The frame must be the only frame of its packet. The
+    frame must be a visible key frame of profile 0. Otherwise StreamError is raised."""
     if frame[:1] not in _KEY_FRAME or frame[1:4] != _SYNC_CODE or len(frame) < 10:
         raise StreamError(f"expected a key frame of VP9, got other content ({frame[:4].hex() or 'nothing'})")
     if _is_superframe(frame):

@@ -1,7 +1,6 @@
 """Encoding and decoding of one cloud of points: of the members in a frame's folder, or in the background's folder.
 
-The next list describes the members. N is the number of points, which are in Morton order. All arithmetic on colours is
-modulo 256:
+The cloud has N points in Morton order, and its members are listed below. All arithmetic on colours is modulo 256:
 
 - ``points``: differences of successive Morton codes as byte planes, then radius codes (two byte planes), then density
   codes.
@@ -36,8 +35,8 @@ from fourd.ops.unpack.op import unpack_harmonics, unpack_positions, unpack_views
 
 POINTS, SH, COLOUR = "points", "sh", "colour"
 LARGEST_WEIGHT = 1024.0
-"""Decoded value of the largest blend weight of each point. With this value, decoded weights are normal float16 numbers
-down to 2^-24 times the largest weight."""
+"""Decoded value of the largest blend weight of each point. The value is so large that decoded weights down to 2^-24
+times the largest weight are normal float16 numbers."""
 _MAX_RADIUS_CODE = 2**16 - 1
 _MAX_LEVEL = 127
 """Largest difference between a colour and its mean colour, in steps. Levels are signed bytes."""
@@ -45,13 +44,13 @@ _MAX_LEVEL = 127
 
 @dataclass(frozen=True)
 class ColourRounding:
-    """How the writer rounds colours in addition to the ``colour_step`` of the encoding. Readers do not need these
-    numbers.
+    """Rounding of colours by the writer, in addition to the ``colour_step`` of the encoding. Readers do not need these
+    settings.
 
     Attributes:
         mean_step: mean colours are rounded to multiples of this number, in units of 1/255.
         unseen_step: in views with a blend weight of 0, the differences from the mean colours are rounded to multiples
-            of this number, in units of 1/255. It is a multiple of the encoding's ``colour_step``.
+            of this number, in units of 1/255. The number is a multiple of the encoding's ``colour_step``.
     """
 
     mean_step: int
@@ -146,8 +145,8 @@ def decode_cloud(
 
 
 def _allocate(points: int, views: int) -> tuple[NDArray[np.float16], NDArray[np.float16], NDArray[np.uint8]]:
-    """Allocate one memory block, and return parts of it as the harmonics (N, 48), the blend weights (N, V) and the
-    colours (N, V, 3).
+    """Allocate one memory block for the harmonics (N, 48), the blend weights (N, V) and the colours (N, V, 3), and
+    return the three arrays.
 
     The system allocates large pages for arrays of 4 MB or more. Decoding 40,000 points with 17 views is about 2 ms
     faster with large pages.
@@ -241,7 +240,8 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
 def _sample_view(
     member: bytes, xyz: NDArray[np.float32], mean: NDArray[np.uint8], camera: Camera, scale: float
 ) -> NDArray[np.uint8]:
-    """Return the content of a view's member with colours of points in place of the image. The colour step is 1.
+    """Return the content of a view's member, with the image replaced by the colours of the points. The colour step is
+    1.
 
     ``mean`` has the mean colours as planes (3, N).
     """

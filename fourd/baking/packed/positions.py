@@ -10,8 +10,7 @@ from fourd.ops.morton import morton_codes
 
 
 def encode_positions(xyz: NDArray[np.float32], encoding: CloudEncoding) -> NDArray[np.uint64]:
-    """Return the Morton codes (N,) of positions (N, 3). Coordinates outside the range of the encoding are clamped to
-    this range."""
+    """Return the Morton codes (N,) of positions (N, 3). Coordinates are clamped to the range of the encoding."""
     return morton_codes(_cells(xyz, encoding).astype(np.uint64))
 
 

@@ -16,15 +16,15 @@ Compression = Literal["zstd", "zlib"]
 """Compression format of the members of a file."""
 
 LEVEL, ZLIB_LEVEL = 19, 9
-"""Compression levels of Zstandard and zlib. The level hardly changes the time of decompression."""
+"""Compression levels of Zstandard and zlib. The level has little effect on the time of decompression."""
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 MAX_RATIO = 1024
-"""Maximum ratio of the content of a member to its compressed bytes. Points that differ from each other compress far
-less. Members of zeros compress more, and small files of zeros would take gigabytes of memory."""
+"""Maximum ratio of the content of a member to its compressed bytes. Real points have a far smaller ratio. Without a
+maximum, a small file whose members are all zeros would take gigabytes of memory."""
 SMALL_BYTES = 1 << 24
-"""Contents up to this size in bytes may be compressed by any ratio."""
+"""Maximum size in bytes of contents whose compression ratio is not limited."""
 
 
 class StreamError(ValueError):

@@ -46,8 +46,8 @@ def check_bounds(
 ) -> ColourErrors:
     """Decode ``members`` and compare the result with ``cloud``, whose points are in the same order.
 
-    Colours that are stored as images have no bound, because the images are compressed with loss.
-    ``cameras`` are the cameras of the source views. Returns the errors of the colours.
+    Errors of colours that are stored as images have no bound, because the images are compressed with loss. ``cameras``
+    are the cameras of the source views. Returns the errors of the colours.
 
     Raises:
         RuntimeError: if an error exceeds the bound that follows from the encoding's quantisation steps. The error
@@ -70,8 +70,8 @@ def check_bounds(
 
 
 def _check_sh(decoded: NDArray[np.float16], sh: NDArray[np.float16], encoding: CloudEncoding) -> None:
-    """Check the root mean square error of the spherical-harmonics coefficients. Single points can have larger errors,
-    because the basis was computed from a sample of the points."""
+    """Check the root mean square error of the spherical-harmonics coefficients. Only the mean square is checked: the
+    basis was computed from a sample of the points, so single points can have larger errors."""
     difference = decoded.astype(np.float32) - sh.astype(np.float32)
     rms = np.sqrt(np.square(difference).sum(axis=(1, 2)).mean() / SH_NUMBERS)
     magnitude = np.abs(sh.astype(np.float32)).max(initial=0)

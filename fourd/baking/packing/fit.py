@@ -81,7 +81,7 @@ def sample_cloud(frame: BakedFrame, frames: int = 1) -> CloudSamples:
 def fit_encoding(samples: CloudSamples, precision: Precision, image_scale: float | None = None) -> CloudEncoding:
     """Return the encoding of a cloud for the quantisation steps in ``precision``.
 
-    ``image_scale`` is the scale of the images of the source views, or None if points have colours of their own.
+    ``image_scale`` is the scale of the images of the source views, or None if colours are stored for each point.
     """
     basis, mean = _sh_basis(samples.sh, precision.sh_step)
     radius = float(np.median(samples.radii)) if len(samples.radii) else 0.0

@@ -1,7 +1,7 @@
 """Images of source views for packed scenes of the tier "video". :mod:`fourd.baking.packed.images` describes the images.
 
-An image is fitted to the colours of the points that its view sees, so that the colours that readers sample from it are
-near the colours of the scene. The recordings of the cameras are not needed.
+The image of a view is fitted to the colours of the points that the view sees. Colours that readers sample from the
+image are therefore close to the colours of the scene. The recordings of the cameras are not needed.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ the gaps between points."""
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02
-"""Number that is added to the sum of the points' weights in each texel. Texels with a small sum therefore stay near the
-difference 0."""
+"""Number that is added to the sum of the points' weights in each texel. This regularisation keeps texels with a small
+sum near the difference 0."""
 _FROM_YCC = np.array([[1, 0, RED_FROM_CR], [1, GREEN_FROM_CB, GREEN_FROM_CR], [1, BLUE_FROM_CB, 0]], np.float64)
 _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 """Matrix from red, green and blue to Y, Cb and Cr."""
@@ -51,9 +51,9 @@ _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 def choose_scale(cloud: BakedFrame, manifest: SceneManifest, precision: Precision) -> float | None:
     """Return the scale of the images for a typical cloud, or None if the tier has no images.
 
-    For each view, the median radius in pixels of the points that the view sees is computed. With the returned scale,
-    the largest of these medians is ``precision.texels_per_radius`` texels. The images have at most the resolution of
-    the cameras.
+    For each view, the median radius in pixels of the points that the view sees is computed. The scale is chosen such
+    that the largest median over all views is ``precision.texels_per_radius`` texels. The images have at most the
+    resolution of the cameras.
     """
     if precision.crf is None or manifest.view_count == 0:
         return None
@@ -76,7 +76,7 @@ def add_images(
 ) -> None:
     """Append the images of the source views to the members of the views, if the encoding has images.
 
-    ``members`` are those of :func:`fourd.baking.packed.members.encode_cloud` for ``cloud``.
+    ``members`` is the result of :func:`fourd.baking.packed.members.encode_cloud` for ``cloud``.
     """
     if encoding.image_scale is None or precision.crf is None or cloud.view_count == 0:
         return

@@ -38,7 +38,7 @@ class PackReport:
             The player fetches the members of ``neighbours`` source views, and all members that do not belong to a
             source view.
         colour_psnr: PSNR in dB of the colours in the source views against those of the source scene. None if the tier
-            does not store these colours as images.
+            does not store the colours in the source views as images.
     """
 
     bytes: int

@@ -14,12 +14,13 @@ class Precision:
 
     Attributes:
         positions_per_radius: number of position steps per median radius.
-        colour_step: at least 2, because the differences of colours are stored in steps, as signed bytes.
+        colour_step: quantisation step of colours. The step is at least 2, because colour differences are stored as
+            signed bytes, in steps.
         mean_colour_step: step to which mean colours are rounded, in units of 1/255.
         unseen_colour_step: step to which the colours of a point are rounded in views with a blend weight of 0, in units
-            of 1/255. None replaces these colours by the mean colour.
-        min_visibility: dynamic points are left out if their visibility is smaller in all views of the capture and in
-            all views between them. The visibility of a point is in [0, 1].
+            of 1/255. None replaces colours in views with a blend weight of 0 by the mean colour.
+        min_visibility: dynamic points are left out if their visibility is below this minimum in all views of the
+            capture and in all views between them. The visibility of a point is in [0, 1].
         crf: constant quality of the images of the source views, from 0 (best) to 63. None stores colours of points.
         texels_per_radius: texels of the images per median radius of the points in the images.
     """
@@ -74,4 +75,5 @@ LEVELS: dict[Tier, tuple[Precision, ...]] = {
 """Levels of each tier, from the finest to the coarsest."""
 
 DEFAULT_LEVELS: dict[Tier, int] = {"full": 1, "stream": 2, "video": 1, "light": 1}
-"""Index of the level that each tier uses, unless the rate of a connection chooses another one."""
+"""Index of the level that each tier uses by default. For a connection with a given data rate, another level may be
+chosen."""

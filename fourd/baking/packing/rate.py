@@ -20,7 +20,8 @@ MARGIN = 0.95
 """Share of the connection's data rate that the estimated data rate may use. The rest is for frames that are larger than
 the mean."""
 WEB_MARGIN = 0.9
-"""The same share for web pages, which request several frames at the same time."""
+"""Share of the connection's data rate that the estimated data rate may use on web pages, which request several frames
+at the same time."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,8 @@ class Choice:
     Attributes:
         tier, level: see :data:`fourd.baking.packing.precision.LEVELS`.
         mbps: estimated rate in megabits per second.
-        finer_mbps: estimated rate of the next better choice, which is too high. None if this choice is the best one.
+        finer_mbps: estimated rate of the next better level, which the connection cannot carry. None if no level is
+            better.
         fps: frames per second of playback.
     """
 
@@ -68,10 +70,11 @@ def choose_tier(
         max_mbps: rate of the connection.
         name: the file that the error message names, because ``source`` may be a temporary file.
         track: reports progress.
-        for_web: whether the scene is played by a web page: with the compression of web pages and WEB_MARGIN.
+        for_web: whether the scene is played by a web page, which needs the compression "zlib" and the margin
+            WEB_MARGIN.
 
     Raises:
-        UserError: if even the smallest level needs more, or if ``source`` is not a valid scene.
+        UserError: if even the smallest level needs a higher rate, or if ``source`` is not a valid scene.
     """
     compression: Compression = "zlib" if for_web else "zstd"
     margin = WEB_MARGIN if for_web else MARGIN

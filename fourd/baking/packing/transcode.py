@@ -53,7 +53,7 @@ def transcode_scene(
 
 
 def _contents(reader: SceneReader, folder: str, points: int, encoding: CloudEncoding) -> dict[str, bytes]:
-    """Return the decompressed contents of a cloud's members. The reader must have checked the members before."""
+    """Return the decompressed contents of a cloud's members. The members must have been checked by the reader."""
     manifest = reader.manifest
     optional = [item.nbytes(points, manifest.view_count) for item in manifest.attributes if item.is_optional]
     largest = max(points * max(encoding.code_bytes + 3, 2 * SH_NUMBERS), *optional, 0)

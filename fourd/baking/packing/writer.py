@@ -1,7 +1,7 @@
 """Writes packed scenes. The first member of the file is the manifest. The manifest contains the offsets of all other
 members.
 
-Therefore, after it has fetched the manifest, a player on a network can fetch any frame.
+A player on a network can therefore fetch any frame as soon as it has the manifest.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ class Storage:
     Attributes:
         compression: compression of all members. Web browsers can only decompress "zlib".
         view_order: order of the source views inside each cloud's part of the file. A player on a network reads views
-            that are adjacent in the file with one request. If empty, the views have the order of the manifest.
+            that are adjacent in the file with one request. If ``view_order`` is empty, the views have the order of the
+            manifest.
     """
 
     compression: Compression = "zstd"
@@ -121,7 +122,7 @@ class PackedWriter:
         assert self._zip is not None
         total = 0
         views = [view_member(view) for view in self._storage.view_order]
-        # Most players do not fetch optional attributes, which therefore follow the views.
+        # Optional attributes follow the views, because most players do not fetch optional attributes.
         optional = [name for name in members if name.startswith(optional_member(""))]
         base = [name for name in members if name not in {*views, *optional}]
         names = [*base, *(name for name in views if name in members), *optional]

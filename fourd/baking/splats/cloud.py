@@ -92,8 +92,8 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
     """Rotate a cloud about the origin by the matrix R = ``rotation``.
 
     Args:
-        rotation: (3, 3) matrix R. A point x moves to R x. From the direction R d, the point has the colour that it had
-            from the direction d.
+        rotation: (3, 3) matrix R. A point x moves to R x. Its colour from the direction R d is the earlier colour from
+            the direction d.
     """
     turned = _multiply(_quaternion(rotation), cloud.rotation)
     harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]
@@ -111,7 +111,7 @@ def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     of the same degree.
 
     The matrix is the solution of a linear system: the colours before and after the rotation must be equal in each
-    direction. There are more directions than coefficients, but the system has an exact solution.
+    direction. The system has more equations than unknowns but still has an exact solution.
     """
     directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

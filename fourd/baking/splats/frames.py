@@ -18,12 +18,12 @@ from fourd.ops.shade.harmonics import SH_CONSTANT, SH_TERMS
 
 RADIUS_PER_SCALE = 2.0
 SPLAT_SH_BASE, SPLAT_SH_RANGE = 0.5, 16.0
-"""Constants of the colour formula ``base + range * tanh(sh . Y(d))`` of frames that are made from splats. With this
-large range, the formula differs by less than 0.002 from the linear formula of splats, for colours in [-0.5, 1.5]."""
+"""Constants of the colour formula ``base + range * tanh(sh . Y(d))`` of frames that are made from splats. The range is
+so large that the formula differs by less than 0.002 from the linear formula of splats, for colours in [-0.5, 1.5]."""
 MAX_PIECES = 8
 """Maximum number of points by which one elongated splat is replaced."""
 _SAMPLES = 4096
-"""Number of coloured points from which their spacing is measured."""
+"""Number of coloured points that are sampled to measure the spacing of the points."""
 _POINT_SCALE = 0.9
 """Standard deviation of the splat of a coloured point, as a multiple of the distance to the nearest point."""
 MAX_HALF = float(np.finfo(np.float16).max)
@@ -66,7 +66,7 @@ def cloud_from_points(points: ColouredPoints) -> SplatCloud:
 def frame_from_splats(cloud: SplatCloud) -> BakedFrame:
     """Return points that look like a cloud of splats, for a scene without source views.
 
-    Points of fourd are round. Therefore, a splat whose longest axis is much longer than its middle axis is replaced by
+    Because fourd's points are round, a splat whose longest axis is much longer than its middle axis is replaced by
     several points along the longest axis. The shortest axis of a splat is ignored, so flat splats become thicker.
     """
     order = np.argsort(-cloud.scale, axis=1)

@@ -24,7 +24,7 @@ REQUIRED = (
     *(f"rot_{axis}" for axis in range(4)),
     *(f"f_dc_{channel}" for channel in range(3)),
 )
-"""Properties that a PLY file needs to be read as splats."""
+"""Properties that a PLY file of splats must have."""
 
 
 def write_splat_ply(path: Path, cloud: SplatCloud) -> None:

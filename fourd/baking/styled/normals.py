@@ -63,7 +63,8 @@ class FrameNormals:
         self, frame: BakedFrame, part: slice, manifest: SceneManifest, *, is_background: bool
     ) -> NDArray[np.uint8]:
         xyz = frame.xyz[part]
-        # Frames that are read again have equal positions in another array, so the key is computed from the positions.
+        # The cache key is computed from the positions, because reading a frame again gives equal positions in a new
+        # array.
         samples = xyz[:: max(1, len(xyz) // _SAMPLES)].tobytes()
         key = hashlib.sha256(samples + str((xyz.shape, is_background)).encode()).digest()
         if key not in self._cache:

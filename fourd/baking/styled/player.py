@@ -35,10 +35,10 @@ class _Picture:
 class StyledPlayer:
     """Draws baked frames in a style. Only one thread may use an instance.
 
-    While the camera does not move, depths and normals are averaged over successive pictures, lines fade in, and a line
-    disappears only when it is clearly below its threshold. This reduces flickering of lines due to the noise of the
-    points. Where a surface moves, its depth or normal differs from that of the previous picture, and no average is
-    computed. The first picture in a style has all its lines at full strength.
+    While the camera does not move, depths and normals are averaged over successive pictures. Lines fade in, and a line
+    disappears only when it is clearly below its threshold. The averages and the hysteresis reduce the flicker of lines
+    that the noise of the points causes. Where a surface moves, its depth or normal differs from that of the previous
+    picture, and no average is computed. The first picture in a style has all its lines at full strength.
 
     Attributes:
         style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.
@@ -62,7 +62,7 @@ class StyledPlayer:
         persistence: float = 0.0,
         threads: int = 0,
     ) -> Surface:
-        """Draw the visible surface of a frame. The next call overwrites the surface.
+        """Draw the visible surface of a frame. The next call of the method overwrites the surface.
 
         Args:
             persistence: weight of the previous surface if the camera has not changed, from 0 to below 1.
@@ -108,8 +108,8 @@ class StyledPlayer:
     ) -> NDArray[np.uint8]:
         """Draw a frame in a style as an (H, W, 4) uint8 image. The channels are RGB over the paper, and alpha.
 
-        The arguments are those of :meth:`fourd.baking.player.Player.draw`. ``background`` is the paper of styles that
-        have none. Raises UserError if the style's shade map cannot be read.
+        The arguments are those of :meth:`fourd.baking.player.Player.draw`. ``background`` is the paper colour for
+        styles that define no paper. Raises UserError if the style's shade map cannot be read.
         """
         is_same_style = self._table is not None and self._table[0] == style
         table = self._table_of(style)

@@ -15,10 +15,10 @@ Array = NDArray[np.float64]
 HALF_WINDOW = 2
 """Number of frames on each side from which a motion is computed."""
 END_WINDOW = 3
-"""Number of frames from which the motion in the first and in the last frame of a sequence is computed."""
+"""Number of frames from which the motion is computed in the first and in the last frame of a sequence."""
 MAX_GAP = 2
-"""Longest time between two successive frames of a sequence, as a multiple of the median time. Where the time exceeds
-this maximum, the sequence is divided, because the motion between the two frames is unknown."""
+"""Longest time between two successive frames of a sequence, as a multiple of the median time. At longer gaps, the
+sequence is divided, because the motion between the two frames is unknown."""
 
 
 def board_motion(frames: Sequence[int], boards: Poses) -> Array:

@@ -1,10 +1,9 @@
 """Errors of the corners in one image: independent errors, and errors that all corners of the image share.
 
-The corners of one image have errors in common. Their causes are a bent board, motion blur, and an exposure that does
-not start exactly at the frame's time. The shared errors are described as a small random rotation, shift and delay of
-the board in each view. The variances of these shared errors are estimated together with the rig by expectation
-maximisation (Dempster, Laird and Rubin 1977; Harville, Maximum likelihood approaches to variance component estimation,
-1977).
+The corners of one image share errors because of a bent board, motion blur, or an exposure that does not start exactly
+at the frame's time. The shared errors are described as a small random rotation, shift and delay of the board in each
+view. The variances of the shared errors are estimated together with the rig by expectation maximisation (Dempster,
+Laird and Rubin 1977; Harville, Maximum likelihood approaches to variance component estimation, 1977).
 """
 
 from __future__ import annotations
@@ -22,8 +21,8 @@ SHARED = 7
 """Number of shared errors of a view: rotation (3), shift (3), delay (1)."""
 TURN, SHIFT, JITTER = slice(0, 3), slice(3, 6), slice(6, 7)
 HUBER_VIEW = 0.7
-"""A view has less weight if the root mean square of its shared errors, in standard deviations, exceeds this value.
-Shared errors have heavy tails, because some images are blurred more than others."""
+"""Largest root mean square of a view's shared errors, in standard deviations, at which the view has full weight. Shared
+errors have heavy tails, because some images are blurred more than others."""
 SWEEPS = 4
 """Number of steps of the expectation maximisation per call."""
 MIN_CORNER_PX = 0.01

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 ROUNDS = 10
 STEPS = 2
-"""Largest number of steps per round. The last adjustment has no such limit."""
+"""Largest number of steps per round. The last adjustment has no limit on its steps."""
 DAMPING = 1e-6
 """Initial damping factor of each round."""
 HUBER = 1.0
@@ -28,7 +28,7 @@ TURN_STD, SHIFT_STD, JITTER_STD = 1e-3, 2e-4, 0.05
 MIN_SHARE = 0.02
 """A standard deviation of shared errors does not fall below this share of its initial value."""
 CONVERGED = 0.01
-"""The rounds end when no standard deviation changes by more than this share."""
+"""The rounds end when the relative change of every standard deviation is at most this value."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,9 +48,8 @@ PRIOR_CENTRE = 0.015
 is the image's centre.
 """
 PRIOR_DISTORTION = np.array([0.3, 0.3, 0.005, 0.005, 0.3])
-"""Standard deviations of the prior on k1, k2, p1, p2 and k3, whose mean is 0. This prior matters if corners cover only
-a small part of the image or the board has only a few orientations. Some combinations of the coefficients are then
-undetermined.
+"""Standard deviations of the prior on k1, k2, p1, p2 and k3, whose mean is 0. Without a prior, some combinations of the
+coefficients are undetermined if corners cover only a small part of the image or the board has only a few orientations.
 """
 PRIOR_TIME = np.array([0.5, 0.5])
 """Standard deviations of the prior on the delay and on the readout, in frames. The mean of the prior is 0."""
@@ -203,7 +202,7 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     The covariance is H^-1 G H^-1. H is the matrix of the reduced normal equations. G is the sum of the outer products
     of the frames' gradients, plus the precision of the prior (sandwich estimate with clusters, Liang and Zeger 1986).
     The estimate remains valid if errors are correlated within a frame, or larger than the error model assumes. H is
-    multiplied by the mean curvature of the Huber loss, relative to its weights (Huber, Robust Statistics, 1981, sec.
+    multiplied by the mean curvature of the Huber loss divided by the mean weight (Huber, Robust Statistics, 1981, sec.
     7.6).
     """
     views = group_views(corners)
@@ -222,7 +221,7 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
 
 
 def _curvature(weights: Array) -> float:
-    """Mean curvature of the Huber loss of two-dimensional errors, relative to the mean weight.
+    """Mean curvature of the Huber loss of two-dimensional errors, divided by the mean weight.
 
     For errors larger than the scale of the loss, the curvature is 0 in the direction of the error, and equal to the
     weight in the perpendicular direction.

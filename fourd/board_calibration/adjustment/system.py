@@ -1,4 +1,4 @@
-"""Normal equations of a rig: the sum over views, with the shared errors of each view eliminated.
+"""Normal equations of a rig: a sum over views, in which the shared errors of each view are eliminated.
 
 The unknowns are the C cameras (17 parameters each), the shape of the board (3 K + 1 parameters) and the F positions of
 the board (6 parameters each).
@@ -51,7 +51,7 @@ class System:
         coupling: (F, P, 6) blocks between the shared unknowns and each board.
         rhs_shared: (P,) right-hand side.
         rhs_boards: (F, 6) right-hand side.
-        gradients: (F, P) right-hand side of the shared unknowns from each frame.
+        gradients: (F, P) contribution of each frame to the right-hand side of the shared unknowns.
     """
 
     shared: Array
@@ -126,7 +126,7 @@ def build_system(
 def squared_error(
     residual: Array, shared: Array, views: Views, noise: ViewNoise, weights: Weights, scale: Array
 ) -> float:
-    """Weighted sum of squares of the residuals (N, 2), with the best shared errors of each view.
+    """Weighted sum of squares of the residuals (N, 2), minimised over the shared errors of each view.
 
     ``shared`` (N, 2, 7) are the derivatives with respect to the shared errors. ``scale`` (N,) are the square roots of
     the weights, divided by the standard deviations of the corners.
@@ -142,7 +142,8 @@ def squared_error(
 
 
 def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
-    """Gram matrices (V, Q, Q) of the columns before the last seven, with the shared errors eliminated."""
+    """Gram matrices (V, Q, Q) of all columns except the last seven. The last seven columns are the shared errors, which
+    are eliminated."""
     kept = padded[..., :-SHARED]
     gram = np.swapaxes(kept, 1, 2) @ kept
     if not std.any():
@@ -179,7 +180,7 @@ def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: 
 
 
 def _shape_columns(by_corner: Array, corners: Corners, views: Views, free: Free, which: slice) -> Array:
-    """Columns (V, 2 M, 3 K + 1) of the board's shape."""
+    """The columns (V, 2 M, 3 K + 1) of the Jacobian that belong to the board's shape."""
     rows = views.rows[which]
     count = len(corners.ids)
     columns = np.zeros((*rows.shape, 2, free.shape_unknowns))

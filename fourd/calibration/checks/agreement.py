@@ -35,9 +35,8 @@ FEW_CAMERAS_FRAMES = 3
 MAX_PICTURE_PIXELS = 2.1e6
 """Maximum number of pixels per image. Images with more pixels are reduced."""
 MAX_FRAME_PIXELS = 12e6
-"""Maximum total number of pixels of one frame's images from all cameras. Above this maximum, all images are reduced.
-
-Because of this limit on pixels, the check of a ring of cameras takes only seconds.
+"""Maximum total number of pixels of one frame's images from all cameras. Above this maximum, all images are reduced, so
+that the check of a ring of cameras takes only seconds.
 """
 MIN_SHARE = 0.5
 """Minimum share of matches within 3 pixels of their epipolar lines. Even with a correct calibration, a third of the
@@ -119,9 +118,7 @@ def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
     """Match each camera that matches no neighbour with all other cameras, because a wrong calibration gives wrong
-    neighbours.
-
-    The cameras are matched only if at least two cameras, and at most a quarter of all cameras, match no neighbour.
+    neighbours. If only one camera or more than a quarter of all cameras match no neighbour, nothing is done.
     """
     used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
     lone = [index for index in range(len(cameras)) if index not in used]

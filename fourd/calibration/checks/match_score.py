@@ -16,8 +16,8 @@ from fourd.cameras import Camera
 class MatchScore:
     """Summary of the distances of matches from their epipolar lines.
 
-    If the cameras are 90 degrees apart, a third of the feature matches can be wrong. The mean of the distances then
-    depends more on the wrong matches than on the calibration.
+    If the cameras are 90 degrees apart, a third of the feature matches can be wrong. The wrong matches would then
+    affect the mean distance more than the calibration does.
 
     Attributes:
         median_px: median distance in pixels, or NaN without matches.

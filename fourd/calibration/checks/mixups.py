@@ -1,7 +1,7 @@
 """Detection of two mistakes in captures: cameras with exchanged calibrations, and views with upside-down images.
 
-A hypothesis assumes one of these mistakes for one or two cameras, and corrects the mistake. A hypothesis is accepted if
-the matches of these cameras have large residuals with the given calibration, and small residuals after the correction.
+A hypothesis assumes one of the two mistakes for one or two cameras, and corrects the mistake. A hypothesis is accepted
+if the cameras' matches have large residuals with the given calibration, and small residuals after the correction.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ MIN_MATCHES = 16
 MIN_SHARE = 0.6
 """Minimum share of matches with small residuals after the correction of an accepted hypothesis."""
 MAX_SHARE_RATIO = 0.6
-"""Maximum share of matches with small residuals before the correction, as a multiple of the share after it."""
+"""Maximum share of matches with small residuals before the correction, as a multiple of the share after the
+correction."""
 MAX_MIXUPS = 4
 MAX_SUSPECTS = 8
 
@@ -32,7 +33,7 @@ class Mixup:
 
     Attributes:
         cameras: indices of the camera, or of the two cameras.
-        before: score of the matches of these cameras with the calibration as given.
+        before: score of the matches of ``cameras`` with the calibration as given.
         after: score of the same matches after the correction.
     """
 
