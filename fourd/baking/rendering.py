@@ -80,8 +80,9 @@ class Scene:
             self._cache.clear()
 
     def frame(self, index: int) -> BakedFrame:
-        """Return frame ``index``, from 0: the dynamic points, then the background points, in read-only arrays. Raises
-IndexError if the scene has no such frame, and UserError if the file is damaged.
+        """Return frame ``index``, from 0: the dynamic points, then the background points, in read-only arrays.
+
+        Raises IndexError if the scene has no such frame, and UserError if the file is damaged.
         """
         with self._lock:
             cached = self._cache.get(index)

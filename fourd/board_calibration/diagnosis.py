@@ -25,8 +25,9 @@ INLIER_SQUARES = 0.25
 MAX_PX = 800
 """Longer side of the reduced images in which other chessboards are searched."""
 FEW_PICTURES = 3
-"""Number of images that are searched first. The other images are searched only if the first images show no board,
-because the search for all dictionaries is slow.
+"""Number of images that are searched first.
+
+The other images are searched only if the first images show no board, because the search for all dictionaries is slow.
 """
 MAX_TRIALS = 60
 """Number of random samples per homography. Few samples are enough, because most markers are detected correctly."""

@@ -61,9 +61,10 @@ SCALES_PX = (10.0, 1.0, 0.5)
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
-"""Factor of the corners' standard deviation when corners are weighed against the prior. The factor is needed because
-the errors of the corners in one image are correlated. Causes are motion blur, a board that is not exactly flat, and
-cameras that do not expose at exactly the same time.
+"""Factor of the corners' standard deviation when corners are weighed against the prior.
+
+The factor is needed because the errors of the corners in one image are correlated. Causes of this correlation are
+motion blur, a board that is not exactly flat, and cameras that do not expose at exactly the same time.
 """
 OUTLIER_MEDIANS = 6.0
 """Maximum error of a corner in the last adjustment, as a multiple of its camera's median error. Other corners are left

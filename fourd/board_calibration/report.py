@@ -21,8 +21,9 @@ CELLS = (8, 6)
 FEW_VIEWS = 15
 LOW_COVERAGE = 0.5
 MIN_TILT_DEGREES = 20.0
-"""Tilt of the board against the image plane that at least a tenth of the views should exceed. In frontal views, a
-longer focal length looks almost the same as a smaller distance.
+"""Tilt of the board against the image plane that at least a tenth of the views should exceed.
+
+In frontal views, a longer focal length looks almost the same as a smaller distance.
 """
 MAX_FOCAL_STD = 0.005
 """Largest standard deviation of the focal length that is not reported, as a share of the focal length."""

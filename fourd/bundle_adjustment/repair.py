@@ -140,8 +140,10 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
 
 
 def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
-    """Number of the track of each feature. Because a camera sees each point at most once, a match joins two tracks only
-if no camera is in both tracks. If matches joined tracks that share cameras, a few wrong matches would join all tracks.
+    """Number of the track of each feature.
+
+    Because a camera sees each point at most once, a match joins two tracks only if no camera is in both tracks. If
+    matches joined tracks that share cameras, a few wrong matches would join all tracks.
     """
     members: list[dict[int, Feature]] = []
     track: dict[Feature, int] = {}

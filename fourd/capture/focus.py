@@ -10,7 +10,9 @@ from fourd.cameras import Camera
 
 PARALLEL = 1e-4
 """Maximum mean squared sine of the angles between optical axes and their common direction at which the axes are treated
-as parallel. The limit corresponds to an angle of 0.6 degrees.
+as parallel.
+
+The limit corresponds to an angle of 0.6 degrees.
 """
 
 

@@ -35,8 +35,9 @@ FEW_CAMERAS_FRAMES = 3
 MAX_PICTURE_PIXELS = 2.1e6
 """Maximum number of pixels per image. Images with more pixels are reduced."""
 MAX_FRAME_PIXELS = 12e6
-"""Maximum total number of pixels of one frame's images from all cameras. Above this maximum, all images are reduced, so
-that the check of a ring of cameras takes only seconds.
+"""Maximum total number of pixels of one frame's images from all cameras. Above this maximum, all images are reduced.
+
+The maximum limits the time of the check to a few seconds for a ring of cameras.
 """
 MIN_SHARE = 0.5
 """Minimum share of matches within 3 pixels of their epipolar lines. Even with a correct calibration, a third of the
@@ -118,7 +119,9 @@ def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
     """Match each camera that matches no neighbour with all other cameras, because a wrong calibration gives wrong
-    neighbours. If only one camera or more than a quarter of all cameras match no neighbour, nothing is done.
+    neighbours.
+
+    If only one camera or more than a quarter of all cameras match no neighbour, nothing is done.
     """
     used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
     lone = [index for index in range(len(cameras)) if index not in used]
