@@ -37,7 +37,7 @@ _PLAIN_TAGS = {f"tag:yaml.org,2002:{kind}" for kind in ("str", "int", "float", "
 def load_overlay(base: Config, path: Path) -> Config:
     """Return a copy of ``base`` with the values of the YAML file ``path``.
 
-    Fields that the file does not set keep their values.
+    Fields that are not in the file keep their values.
 
     Args:
         base: a frozen dataclass instance. Fields may have the types bool, int, float, str, Path and Literal, tuples of
@@ -63,8 +63,8 @@ def set_values(base: Config, assignments: Sequence[str], option: str = "--set") 
 
     Args:
         base: a frozen dataclass instance, with field types that :func:`load_overlay` supports.
-        assignments: strings KEY=VALUE. Dots in KEY separate the names of nested fields. VALUE is YAML. If a key is
-            assigned twice, the last assignment is used. Values are validated after all assignments are applied.
+        assignments: strings KEY=VALUE. Dots in KEY separate the names of nested fields. VALUE is YAML. The last
+            assignment to a key overrides earlier ones. Values are validated after all assignments are applied.
         option: name of the option, for error messages.
 
     Raises:
@@ -117,7 +117,7 @@ class _Place:
 
 
 MAX_DIGITS = 64
-"""Maximum number of characters of a whole number. Python refuses numbers of more than 4300 digits."""
+"""Maximum number of characters of a whole number. Python itself rejects texts of more than 4300 digits."""
 
 
 class _Dumper(yaml.SafeDumper):
@@ -199,7 +199,7 @@ def _overlay(base: Any, node: yaml.Node, place: _Place) -> Any:
 
 
 def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str, yaml.Node]]:
-    """Return each key of a YAML mapping with the node of its value. A null node counts as an empty mapping.
+    """Return each key of a YAML mapping with the node of its value. A null node is treated as an empty mapping.
 
     Raises UserError if a key is unknown or repeated.
     """

@@ -26,10 +26,10 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 
     If ``target`` is a named pipe, a socket or a device, UserError is raised, because renaming would replace it.
 
-    The temporary file is synced to disk before it is renamed. The context manager is meant for file writers
-    that take a path. If the ``with`` block raises an exception, the temporary file is removed and ``target`` is
-    unchanged. A killed process leaves the temporary file behind, and :func:`remove_unfinished` removes temporary files.
-    The temporary file keeps the suffix of ``target``, because some writers choose the file format by the suffix.
+    The temporary file is synced to disk before it is renamed. Use this context manager with file writers that take a
+    path. If the ``with`` block raises an exception, the temporary file is removed and ``target`` is unchanged. A killed
+    process leaves the temporary file behind, and :func:`remove_unfinished` removes temporary files. The temporary file
+    keeps the suffix of ``target``, because some writers choose the file format by the suffix.
     """
     target = Path(target)
     require_regular(target)
@@ -64,8 +64,8 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``target``. On success, the temporary folder replaces the folder ``target``.
 
     If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. An existing
-    ``target`` is first renamed, and is removed after the new folder has the name ``target``. ``target`` is therefore
-    missing only for a moment.
+    ``target`` is first renamed, and is removed after the new folder has the name ``target``. The folder ``target`` is
+    therefore missing only for a moment.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f"{UNFINISHED}{target.name}-"))
@@ -101,8 +101,8 @@ def write_text_atomically(target: Path | str, content: str) -> None:
 def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
     """Remove the temporary files that killed processes left in ``folder`` and, if ``deep``, in its subfolders.
 
-    Do not call this function while another process writes to ``folder``: the temporary files of that process are
-    removed too.
+    Do not call this function while another process writes to ``folder``, because it also removes temporary files that
+    are in use.
     """
     for path in list(Path(folder).glob(f"{'**/' if deep else ''}{UNFINISHED}*")):
         if path.is_dir() and not path.is_symlink():
@@ -118,7 +118,7 @@ def remove_unfinished_file(target: Path | str) -> None:
     """
     target = Path(target)
     stem, suffix = glob.escape(target.stem), glob.escape(target.suffix)
-    # A temporary file that is written atomically has its own temporary file.
+    # A temporary file that is itself written atomically has its own temporary file.
     patterns = (f"{UNFINISHED}{stem}-????????{suffix}", f"{UNFINISHED}{UNFINISHED}{stem}-????????-????????{suffix}")
     for path in [path for pattern in patterns for path in target.parent.glob(pattern)]:
         try:
@@ -135,8 +135,8 @@ def remove_unfinished_file(target: Path | str) -> None:
 def remove_unfinished_folder(target: Path) -> None:
     """Remove the temporary folders that killed processes left for the folder ``target``.
 
-    If a process was killed while it replaced ``target``, its old content is restored. Call this function only while
-    ``target`` is locked.
+    If a process was killed while it replaced ``target``, the old content of ``target`` is restored. Call this function
+    only while ``target`` is locked.
     """
     pattern = f"{UNFINISHED}{glob.escape(target.name)}-????????"
     for old in sorted(target.parent.glob(f"{pattern}-old")):
@@ -151,7 +151,7 @@ def remove_unfinished_folder(target: Path) -> None:
 def resolved(path: Path | str) -> Path:
     """The absolute path without symbolic links, also of missing files.
 
-    Path.resolve raises RuntimeError for links that form a loop (before Python 3.13). This function keeps such links.
+    Before Python 3.13, Path.resolve raises RuntimeError for links that form a loop. Such links are kept here.
     """
     return Path(os.path.realpath(path))
 
@@ -172,7 +172,7 @@ def _create_temporary(target: Path) -> tuple[int, str]:
         descriptor, name = tempfile.mkstemp(
             dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix
         )
-        # Another process may have removed the file before it was locked, because it looked like a leftover.
+        # Before the file was locked, another process may have taken it for a leftover and removed it.
         if try_lock(descriptor) is not False and os.path.exists(name):
             return descriptor, name
         os.close(descriptor)

@@ -26,7 +26,8 @@ MAX_CONFIG_BYTES = 1 << 20
 MAX_NUMBER = 64
 """Maximum number of characters of a number that is read from a file as an exact fraction."""
 _MIN_READ = 1 << 16
-"""Number of bytes that are read if the size of a file is reported as smaller. Files in /proc report the size 0."""
+"""Minimum number of bytes that are read from a file, even if its reported size is smaller. Files in /proc report the
+size 0."""
 _KINDS = (
     (stat.S_ISFIFO, "a named pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -54,9 +55,10 @@ def open_regular(path: Path | str) -> BufferedReader:
         UserError: if ``path`` is a named pipe, a socket or a device.
         OSError: if ``path`` is missing, is a folder, or cannot be opened.
     """
-    # The file is examined before and after it is opened. Opening a device can have effects, and another process may
-    # replace the file between the two calls. The stream owns the descriptor from the start: if Ctrl-C arrived between
-    # opening and owning, the descriptor would be closed twice, and the second time could be that of another thread.
+    # The file is examined before and after it is opened. Opening a device can have side effects, and another process
+    # may replace the file between examining and opening. The stream owns the descriptor from the start: if Ctrl-C
+    # arrived between opening and owning, the descriptor would be closed twice. The second close could close a
+    # descriptor that another thread has opened in the meantime.
     _require_regular_mode(path, os.stat(path).st_mode)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     # Opening raises IsADirectoryError for folders.
@@ -105,7 +107,7 @@ def read_fraction(value: object) -> Fraction:
     """Convert a value from a file, such as 25, 29.97 or "30000/1001", to an exact fraction.
 
     Raises TypeError, ValueError or ZeroDivisionError for other values, and for numbers with exponents or more than 64
-    characters. The text "1e99999999" would need gigabytes of memory as a fraction.
+    characters. For example, the text "1e99999999" would need gigabytes of memory as a fraction.
     """
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise TypeError("expected a number")

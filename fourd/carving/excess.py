@@ -3,15 +3,14 @@ silhouettes.
 
 The visual hull is the largest shape that agrees with all silhouettes. The hull protrudes from the object in directions
 that lie between the directions of the views, and in concave regions, which no silhouette shows. Training often cannot
-remove these parts, because they can have the correct colour in every view. An example is a white lump in front of a
+remove excess parts, because they can have the correct colour in every view. An example is a white lump in front of a
 white chest.
 
 First, the hull is filled with cells. Then, in each round, cells with a mostly empty neighbourhood are removed. However,
-for each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept. Every such ray
-therefore still intersects the remaining cells. As a result, the remaining shape still covers all silhouettes. Smoothing
-and thresholding, if repeated, move a surface by its mean curvature (Merriman, Bence and Osher 1994). Kolev and Cremers
-(2008) also search for a shape that has a small area and satisfies silhouette constraints. Their method solves a convex
-problem.
+for each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept. The remaining
+cells therefore still cover all silhouettes. Repeated smoothing and thresholding moves a surface by its mean curvature
+(Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a small area and satisfies
+silhouette constraints. Their method solves a convex problem.
 """
 
 from __future__ import annotations
@@ -31,33 +30,32 @@ from fourd.carving.silhouette import Floats, SilhouetteView, sample
 
 CELLS_PER_THICKNESS = 6
 """Number of cells across the mean thickness of the hull. The mean thickness is the hull's volume divided by its surface
-area. If the points are too sparse for cells of this size, the cells are as large as the distance between points."""
+area. If the points are sparse, the cells are as large as the distance between points."""
 
 MAX_GRID_CELLS = 1 << 24
-"""Maximum number of cells of the grid that encloses the hull. If the grid would exceed this number, the size of its
-cells is increased."""
+"""Maximum number of cells of the grid that encloses the hull. Cells are enlarged if the grid would exceed this
+maximum."""
 
 SMOOTHING_CELLS = 3.0
 """Standard deviation, in cells, of the Gaussian that measures how full the neighbourhood of a cell is."""
 
 MIN_FULLNESS = 0.48
-"""Cells are removed if the filled share of their neighbourhood is below this value. For a cell on a flat surface, the
-neighbourhood is half full."""
+"""Minimum filled share of the neighbourhood of a cell. Cells with emptier neighbourhoods are removed. On a flat
+surface, the neighbourhood of a cell is half full."""
 
 MAX_ROUNDS = 12
 
 RAY_CELLS = 0.7
-"""Distance between neighbouring rays through a silhouette, in cells. With a distance above this value, the contours
-would shrink."""
+"""Distance between neighbouring rays through a silhouette, in cells. A larger distance would make the contours
+shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""For each ray, the cell with the fullest neighbourhood is kept only if it is not much emptier than the cells on the
-adjacent rays. The filled share of its neighbourhood, divided by the largest filled share on the adjacent rays, must be
-at least this value. A cell below this limit is a small piece of an excess part. The ray of such a cell passes between
-the centres of the object's cells."""
+"""Minimum ratio of two filled shares: that of the neighbourhood of a ray's cell, and the largest on the adjacent rays.
+Below this ratio, the cell is a small piece of an excess part and is not kept, although it is the fullest on its ray.
+The ray of such a piece passes between the centres of the object's cells."""
 
 NEAR_CELLS = 1.3
-"""A point belongs to a cell if its distance from the cell's centre is at most this value, in cells."""
+"""Maximum distance, in cells, of a point from the centre of the cell to which it belongs."""
 
 SURFACE_SMOOTHING_CELLS = 1.2
 """Standard deviation, in cells, of the Gaussian that smooths the remaining cells before their surface is computed."""
@@ -102,7 +100,7 @@ class FilledHull:
 def replace_excess(
     views: Silhouettes, lower: Array, upper: Array, xyz: Floats, normals: Floats, size: float
 ) -> tuple[Floats, Floats]:
-    """Remove the surface points of the hull's excess parts. Add points on the surface that remains without these parts.
+    """Remove the surface points of the hull's excess parts. Add points on the surface of the remaining hull.
 
     Args:
         views: the silhouettes.
@@ -112,7 +110,7 @@ def replace_excess(
         size: distance between neighbouring points in world units.
 
     Returns:
-        points (M, 3) and their outward unit normals (M, 3). The added points have the same distance from each other.
+        points (M, 3) and their outward unit normals (M, 3). The spacing of the added points is ``size``.
     """
     thickness = float(np.einsum("ni,ni->n", xyz - xyz.mean(axis=0), normals).mean()) / 3
     if thickness <= 0:

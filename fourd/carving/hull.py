@@ -1,10 +1,11 @@
 """The visual hull as a signed distance function, and the search for cells that may contain its surface.
 
 Each soft matte is converted to a signed distance image in pixels. The distance is positive inside the silhouette and
-zero where the bilinearly sampled matte is one half. The distance image of one view is sampled at the projection of a
-world point, and the sample is multiplied by depth / focal length. The result is the point's signed distance to the
-silhouette of this view in world units. The point's signed distance to the hull is the minimum of these distances over
-all views that see the point. If k views may be wrong, the (k + 1)-th smallest distance is used instead of the minimum.
+zero where the bilinearly sampled matte is one half. To compute a world point's signed distance to the silhouette of a
+view, the view's distance image is sampled at the projection of the point. The sample is multiplied by depth / focal
+length, which converts pixels to world units. The point's signed distance to the hull is the minimum of its distances to
+the silhouettes of all views that see the point. If k views may be wrong, the (k + 1)-th smallest distance is used
+instead of the minimum.
 """
 
 from __future__ import annotations
@@ -24,9 +25,9 @@ CHUNK = 1 << 15
 L2 cache."""
 
 SLACK_PIXELS = np.float32(0.75)
-"""Tolerance in pixels that is added to the radius of a cell's projection. To classify a cell, the enlarged radius is
-compared with the signed distance at the cell's centre. The tolerance accounts for the matte's soft edge (0.5 pixels)
-and for rounding in bilinear sampling."""
+"""Tolerance in pixels that is added to the radius of a cell's projection. A cell is classified by comparing the
+enlarged radius with the signed distance at the cell's centre. The tolerance accounts for the matte's soft edge (0.5
+pixels) and for rounding in bilinear sampling."""
 
 SLACK_FACTOR = np.float32(1.03)
 """Factor that multiplies the radius of a cell's projection in pixels. The factor accounts for the error of the 5x5
@@ -45,10 +46,10 @@ class Silhouettes:
     """All silhouettes of one frame, and the share of the views that must agree.
 
     Attributes:
-        origin: (3,) float64 world point. The coordinates of all cells and points are relative to this point.
+        origin: (3,) float64 world point. The coordinates of all cells and points are relative to the origin.
         views: the silhouettes in the order of the cameras.
-        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
-            their silhouettes.
+        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
+            that see it.
         needed: minimum number of views that must see a hull point.
     """
 
@@ -89,7 +90,8 @@ class Silhouettes:
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """For each point, the number of views that may exclude it from the hull, if ``seen`` views see the point."""
+        """Number of views that may exclude each point from the hull. ``seen`` is the number of views that see each
+        point."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
@@ -141,9 +143,9 @@ class Silhouettes:
     def surface_slab(self, cells: Floats, size: float) -> tuple[Floats, Floats, NDArray[np.int16]]:
         """Select the cells (3, N) of side length ``size`` whose centres are at most ``size / 2`` from the surface.
 
-        The centres that satisfy this condition fill a slab of thickness ``size`` around the surface. For any slope of
-        the surface, this slab contains on average one centre per ``size ** 2`` of surface area. Therefore, the number
-        of selected cells is proportional to the surface's area.
+        The selected centres fill a slab of thickness ``size`` around the surface. For any slope of the surface, the
+        slab contains on average one centre per ``size ** 2`` of surface area. The number of selected cells is therefore
+        proportional to the surface's area.
 
         Returns:
             the selected cell centres (3, M), and the distance and the deciding view of each centre as in
@@ -235,7 +237,7 @@ def chunks(cells: Floats) -> Iterator[Floats]:
 def interleaved_order(count: int) -> list[int]:
     """The numbers 0 to count - 1, ordered such that successive cameras of a ring are far apart.
 
-    In this order, the first few views reject most cells, because they look from very different directions.
+    The first few views then reject most cells, because they look from very different directions.
     """
     return sorted(range(count), key=lambda index: (index * 0.6180339887) % 1)
 
@@ -251,8 +253,8 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
     - row 3: a part of the sphere may be in the image;
     - row 4: a part of the sphere may be in the image, and a part may project to the object.
 
-    Row 4 is needed for spheres that lie at the image borders of many views. Row 0 does not count views that see only a
-    part of the sphere, even if this part projects to the background.
+    Row 4 is needed for spheres that lie at the image borders of many views. Row 0 does not count a view that sees only
+    a part of the sphere, even if the visible part projects to the background.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)

@@ -18,7 +18,7 @@ from fourd.files import write_text_atomically
 from fourd.progress import Track, untracked
 
 POOR = 0.7
-"""A matte is reported if the hull of the other views covers less than this share of the matte."""
+"""Minimum share of a matte that the hull of the other views must cover. Other mattes are reported."""
 MIN_KEPT = 1 / 3
 """Minimum share of the mattes' area that the hull of all views must cover."""
 MAX_FRAMES = 48

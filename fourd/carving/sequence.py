@@ -39,11 +39,11 @@ VERSION = 3
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Worker processes are started only if carving the remaining frames is estimated to take at least this number of
-seconds. The reason is that starting worker processes takes some seconds."""
+"""Minimum estimated time in seconds for carving the remaining frames at which worker processes are started. Starting
+worker processes takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Files in a capture from which carving reads. The sizes and modification times of these files are part of the key. The
-key is a hash of all inputs of carving. If one of these files changes, the carved points are no longer valid."""
+"""Files in a capture from which carving reads. If a file changes, the carved points are no longer valid. The sizes and
+modification times of the files are therefore part of the key, which is a hash of all inputs of carving."""
 
 
 @dataclass(frozen=True)
@@ -81,17 +81,17 @@ def carve_capture(
         capture: cameras, images and masks.
         out_folder: folder for the files; it is created if missing.
         points: number of points per frame, at least 1.
-        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point inside
-            their silhouettes.
+        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
+            that see it.
         least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
             and of at least 3 views. If there are only 2 views, a hull point must project into both images.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: seed of the random order of the points.
         track: callback that reports progress.
-        workers: number of worker processes. Worker processes are started only if they save time. Whether they save time
-            is estimated from the time for the first frame. The capture must be picklable. The points do not depend on
-            the number of workers.
+        workers: number of worker processes. Worker processes are started only if they save time, which is estimated
+            from the duration of the first frame. The capture must be picklable. The points do not depend on the number
+            of workers.
 
     Returns:
         the bounding box of the points of all frames, with a margin of 5% of the longest side.
@@ -153,9 +153,9 @@ def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
 def _search_box(capture: MaskSource, folder: Path, settings: CarveSettings, key: str, track: Track) -> Bounds:
     """Return the search box in which the hull of each frame is carved.
 
-    If bounds.json contains the same ``key``, the search box is read from this file. Otherwise, the search box is
+    If bounds.json contains the same ``key``, the search box is read from bounds.json. Otherwise, the search box is
     computed and written to bounds.json. If the capture has more than MAX_BOUNDS_FRAMES frames, only some frames are
-    examined. In this case, the margin of the box is three times as wide as for a capture with fewer frames.
+    examined, and the margin of the box is three times as wide.
     """
     state = _load(folder / BOUNDS_NAME, missing_is_empty=True)
     if state.get("key") == key:

@@ -19,8 +19,8 @@ width and height are below 32,767."""
 
 
 MAX_SIDE_PX = 1024
-"""Maximum length in pixels of the longer side of a matte's crop around the object. Larger crops are reduced to this
-size, which limits the memory for large captures."""
+"""Maximum length in pixels of the longer side of a matte's crop around the object. Larger crops are reduced to limit
+the memory for large captures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class SilhouetteView:
         matrix: (3, 3) float32 matrix product K R of intrinsics and rotation.
         offset: (3,) float32 homogeneous pixel coordinates of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: upper bound of the displacement in pixels when a point at depth 1 moves by one world unit. The bound is
-            valid for all points inside the image.
+        reach: upper bound in pixels of the displacement of a point's projection if the point, at depth 1, moves by one
+            world unit. The bound is valid for all points inside the image.
         frame: left, top, right and bottom borders of the whole image, in pixel coordinates of the distance image.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. For a point outside the
             crop, the value at the nearest pixel of the crop gives a lower bound of the distance to the object.
@@ -104,8 +104,8 @@ def _object_box(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     """Left, top, width and height of the bounding box of the object in ``mask``. The box has a margin and is clipped to
     the image.
 
-    The margin is a sixteenth of the image's longer side plus 8 pixels. With this margin, the distances beside the
-    object are exact enough to classify coarse cells.
+    The margin is a sixteenth of the image's longer side plus 8 pixels. The margin makes the distances beside the object
+    exact enough to classify coarse cells.
     """
     left, top, width, height = cv2.boundingRect((mask >= 128).view(np.uint8))
     if width == 0:
@@ -120,9 +120,9 @@ def signed_distance(mask: NDArray[np.uint8]) -> Floats:
     """Signed distance (H, W) float32 in pixels to the contour of a soft matte (H, W) uint8. The contour is where the
     matte has half its maximum.
 
-    In pixels next to the contour, the distance is set to the matte, scaled to [0, 1], minus 0.5. Therefore, bilinear
-    samples of the distance are 0 where bilinear samples of the scaled matte are 0.5. The image border is not part of
-    the contour. The distance is -65,536 everywhere for an empty matte, and 65,536 for a full matte.
+    In pixels next to the contour, the distance is set to m - 0.5, where m is the matte scaled to [0, 1]. Bilinear
+    samples of the distance are therefore 0 where bilinear samples of m are 0.5. The image border is not part of the
+    contour. The distance is -65,536 everywhere for an empty matte, and 65,536 for a full matte.
     """
     inside = (mask >= 128).astype(np.uint8)
     far = float(1 << 16)

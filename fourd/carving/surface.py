@@ -13,11 +13,11 @@ from fourd.carving.hull import Silhouettes, refine, root_cells
 from fourd.carving.silhouette import Floats, sample
 
 CANDIDATES = 1.3
-"""Number of candidate cells for each requested point. With a high number, the density of the points is more even than
-with a low number, but the computation takes longer."""
+"""Number of candidate cells for each requested point. More candidates make the density of the points more even, but the
+computation slower."""
 MIN_DEPTH = 0.7
-"""After a point was moved into the hull, its distance from the surface must be at least this share of the length of the
-move. At creases of the surface, this distance is shorter than the move."""
+"""Minimum distance from the surface of a point that was moved into the hull, as a share of the length of the move. At
+creases of the surface, the distance is shorter than the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
@@ -62,9 +62,9 @@ def project_to_surface(
 def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float) -> Floats:
     """Move surface points (N, 3) into the hull, against their outward normals (N, 3).
 
-    In thin parts of the hull, points move only by 3/4, 1/2 or 1/4 of ``inset``, or not at all. For each point, the
-    longest acceptable move is used. A move is acceptable if the moved point's distance from the surface is about the
-    length of the move.
+    In thin parts of the hull, points move only by 3/4, 1/2 or 1/4 of ``inset``, or not at all. Each point makes the
+    longest acceptable move. A move is acceptable if the moved point's distance from the surface is about the length of
+    the move.
     """
     moved, remaining = xyz.copy(), np.arange(len(xyz))
     for quarters in (4, 3, 2, 1):
@@ -124,8 +124,8 @@ def choose_cell_side(views: Silhouettes, lower: Array, upper: Array, points: int
     """Choose the side length of cells such that the surface in the box intersects CANDIDATES cells per requested point.
 
     The area of the surface is measured with cells whose side length is 1/64 of the box's longest side. If fewer than
-    200 cells are near the surface, the area is measured again with smaller cells. The result is 0 if there is no
-    surface.
+    200 cells are near the surface, the area is measured again with smaller cells. The returned side length is 0 if
+    there is no surface.
     """
     side = float((upper - lower).max()) / 64
     for _ in range(3):

@@ -1,4 +1,4 @@
-"""Arguments that accept a URL instead of a local path. For all other paths, a URL is an error."""
+"""Arguments that accept a URL instead of a local path. In all other path arguments, a URL is an error."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
 
 @contextmanager
 def scene_or_copy(location: Location) -> Iterator[Location]:
-    """Yield a local path, or the URL of a .4dv file, which is read by ranges. Other objects are copied for the time of
-    the block."""
+    """Yield a local path, or the URL of a .4dv file, which is read by ranges. Other objects in a store are copied to a
+    local path, which exists until the block ends."""
     if isinstance(location, Path) or location.suffix.lower() == ".4dv":
         yield location
         return
@@ -46,8 +46,8 @@ def transfer_progress() -> Track:
 
 
 def refuse_urls(arguments: object, words: Sequence[str]) -> None:
-    """Raise UserError if a URL was given where only a local path is valid. Without this check, the URL would be used as
-    a path.
+    """Raise UserError if a URL was given where only a local path is valid. The check prevents the use of a URL as a
+    path.
 
     Args:
         arguments: the parsed arguments of a command, as a dataclass.
@@ -64,7 +64,7 @@ def refuse_urls(arguments: object, words: Sequence[str]) -> None:
 
 
 def _paths(value: object) -> Iterator[Path]:
-    """Yield all paths in a dataclass, also in its tuples and dataclasses."""
+    """Yield all paths in a dataclass, including those in nested tuples and dataclasses."""
     if isinstance(value, Path):
         yield value
     elif isinstance(value, tuple):

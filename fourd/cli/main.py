@@ -67,7 +67,7 @@ SYSTEM_FOLDERS = ("/proc", "/sys")
 not exist."""
 
 MAX_MESSAGE = 4000
-"""Maximum number of characters of an error message. The middle of a longer message, which quotes text from a file, is
+"""Maximum number of characters of an error message. If a message that quotes text from a file is longer, its middle is
 left out."""
 MAX_SHOWN = 200
 """Maximum number of characters of a wrong name that an error message shows."""
@@ -75,7 +75,7 @@ MAX_SHOWN = 200
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
 VIDEO_PACKAGE = "av"
-"""PyAV, which some commands import when they are called."""
+"""The package PyAV, which some commands import when they are called."""
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch", "xatlas")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
 
@@ -120,8 +120,8 @@ A process that the signal SIGPIPE ends has the same exit code.
 SPIN_COUNT = "20000"
 """Value of GOMP_SPINCOUNT: the number of iterations that an idle OpenMP thread of torch spins before it sleeps.
 
-With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With SPIN_COUNT instead of
-OpenMP's default, a training step is 6 to 12% faster.
+With OpenMP's default value, spinning threads delay fourd's own threads on the same cores. With SPIN_COUNT iterations, a
+training step is 6 to 12% faster than with OpenMP's default.
 """
 
 
@@ -144,12 +144,13 @@ def console_main() -> int:
     try:
         return main()
     finally:
-        # The command has ended. Ctrl-C would only print a traceback while Python exits.
+        # After the command has ended, Ctrl-C would only print a traceback while Python exits.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _reader_is_gone() -> bool:
-    """Return whether the program that reads the standard output has ended. If so, all further output is discarded."""
+    """Return whether the program that reads the standard output has ended. If it has ended, all further output is
+    discarded."""
     try:
         output = sys.stdout.fileno()
     except OSError:
@@ -159,7 +160,7 @@ def _reader_is_gone() -> bool:
         poll.register(output, 0)
         if not any(event & select.POLLERR for _, event in poll.poll(0)):
             return False
-    # Python flushes the output again when it exits. The null device makes sure that this flush does not fail.
+    # Python flushes the output again when it exits. The null device makes sure that the second flush does not fail.
     os.dup2(os.open(os.devnull, os.O_WRONLY), output)
     return True
 

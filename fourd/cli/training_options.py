@@ -42,7 +42,7 @@ CONFIG_KEYS = {
     "seed": "seed",
     "segment": "segments.frames",
 }
-"""Dotted key of the training config that each option overrides."""
+"""For each option, the dotted key of the training config that the option overrides."""
 
 SWITCHES = {
     "refine.poses": "refine_cameras",

@@ -56,7 +56,7 @@ def write_parts(path: Path, document: Mapping[str, Any], parts: Sequence[bytes],
 
     Args:
         path: the file.
-        document: the glTF document, without buffers and buffer views, which are added here.
+        document: the glTF document without buffers and buffer views, which this function adds.
         parts: contents of the buffer views.
         targets: for each part, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, or None for images.
 
@@ -77,7 +77,8 @@ def write_parts(path: Path, document: Mapping[str, Any], parts: Sequence[bytes],
 
 
 def pad(part: bytes, filler: bytes) -> bytes:
-    """Append the byte ``filler`` until the length is a multiple of 4. glTF requires such lengths for every part."""
+    """Append the byte ``filler`` until the length is a multiple of 4. glTF requires lengths that are multiples of 4 for
+    every part."""
     return part + filler * (-len(part) % 4)
 
 

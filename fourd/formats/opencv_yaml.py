@@ -1,8 +1,9 @@
 """Reading of the YAML that OpenCV's class FileStorage writes: numbers, strings, lists of both, and matrices.
 
 OpenCV's own parser recurses without bound on nested content, and its reader of matrices corrupts memory if a matrix is
-incomplete. This reader accepts only what calibrations contain, in time proportional to the size of the file. It splits
-a file into entries, and parses an entry when its value is requested. Entries of other types are therefore ignored.
+incomplete. The reader in this module accepts only the types that calibrations contain, and its time is proportional to
+the size of the file. A file is split into entries, and an entry is parsed when its value is requested. Entries of other
+types are therefore ignored.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ Item = float | str
 
 _NUMBER = re.compile(r"[-+]?(?:(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?|\.(?:inf|nan))", re.IGNORECASE)
 _GAP = re.compile(r"(?:\s++|#[^\n]*+)*+")
-"""Spaces and comments. Possessive quantifiers keep the time of failed matches proportional to the length."""
+"""Spaces and comments. With possessive quantifiers, the time of a failed match is proportional to the length of the
+text."""
 _ITEM = re.compile(
     _GAP.pattern
     + r"""(?:"(?P<double>(?:[^"\\\n]|\\.){0,1000}+)"|'(?P<single>(?:[^'\n]|''){0,1000}+)'"""
@@ -50,7 +52,7 @@ class OpenCvYaml:
         return key in self._entries
 
     def number(self, key: str) -> float | None:
-        """The number with the key ``key``, or None if the value is not a number. It may be infinite or NaN."""
+        """The number with the key ``key``, which may be infinite or NaN. None if the value is not a number."""
         item = _single_item(self._entries[key])
         return item if isinstance(item, float) else None
 
@@ -124,7 +126,7 @@ def _without_tag(text: str) -> str:
 
 
 def _fields(text: str) -> dict[str, str]:
-    """The fields of a map such as a matrix, one level deep. A field continues on the next lines without a key."""
+    """The fields of a map such as a matrix, one level deep. The value of a field ends at the next line with a key."""
     fields: dict[str, list[str]] = {}
     name = None
     for line in text.split("\n")[1:]:

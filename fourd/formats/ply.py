@@ -145,7 +145,7 @@ class PlyHeader:
         order: NumPy's character for the byte order ("<" or ">"), or None for ASCII files.
         count: number of vertices that the header declares.
         properties: names and NumPy types of the vertices' properties.
-        faces: the faces, if they directly follow the vertices and have no other property than their vertices.
+        faces: the faces, if they directly follow the vertices and have only their vertex indices as a property.
     """
 
     order: str | None

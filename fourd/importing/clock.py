@@ -11,10 +11,10 @@ from fourd.capture.video_list import Video, common_frames
 from fourd.capture.video_picture import HLG_PEAK, KNEE, REFERENCE_WHITE
 
 LONG_KEYFRAME_INTERVAL = 250
-"""A note suggests --unpack if keyframes are more than this number of frames apart. To read a frame, all frames since
-the last keyframe are decoded."""
+"""Maximum distance between keyframes in frames. Beyond this distance, a note suggests --unpack, because reading a frame
+decodes all frames since the last keyframe."""
 MIN_TOLD_SECONDS = 5e-4
-"""Errors of the frame times below this number of seconds are not reported."""
+"""Minimum error of the frame times that is reported, in seconds."""
 MIN_TOLD_FRAMES = 0.5
 """Offsets below this number of frames are not reported."""
 
@@ -25,7 +25,8 @@ def describe_pictures(videos: Mapping[str, Video]) -> list[str]:
     for turn in (90, 180, 270):
         names = [name for name, video in videos.items() if video.index.turn == turn]
         if names:
-            # The note states the clockwise angle, because other programs also describe rotation metadata by this angle.
+            # The note states the clockwise angle, because other programs describe rotation metadata by the clockwise
+            # angle.
             notes.append(f"{', '.join(names)}: frames are turned {360 - turn} degrees clockwise (rotation metadata)")
     hdr = {name: video.index.transfer for name, video in videos.items() if video.index.transfer}
     if hdr:

@@ -19,14 +19,14 @@ from fourd.limits import open_regular, read_limited
 Array = NDArray[np.float64]
 
 MAX_VALUE = 1e100
-"""Maximum magnitude of a number in a calibration file. Numbers above this magnitude are treated as infinite, because
-their products may overflow."""
+"""Maximum magnitude of a number in a calibration file. Larger numbers are treated as infinite, because their products
+may overflow."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw", "synchronized_videos")
 """Folders of a source that may contain the cameras' frames. Earlier folders are preferred. Anipose uses raw-2d and
 videos-raw. FreeMoCap uses synchronized_videos."""
 CALIBRATION_FOLDER = re.compile("calib|intri|extri", re.IGNORECASE)
-"""Pattern of the names of calibration folders. Images and videos in these folders show calibration boards, not the
-recording."""
+"""Pattern of the names of calibration folders. Images and videos in calibration folders show calibration boards, not
+the recording."""
 
 
 def list_entries(folder: Path) -> list[str]:
@@ -122,9 +122,9 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
     """Match the names of the cameras that have frames to the names in the calibration.
 
-    Equal names match. If there are no equal names, names with equal last numbers match, if these numbers are unique. If
-    this gives no matches either, a camera matches if its name ends with a separator and the calibration's name, such as
-    2019-08-02-vid01-camA and A. Returns the calibration's name for each camera in ``found`` that has a calibration.
+    Equal names match. If no names are equal, names whose last numbers are equal and unique match. If there is still no
+    match, a camera matches if its name ends with a separator and the calibration's name, such as 2019-08-02-vid01-camA
+    and A. Returns the calibration's name for each camera in ``found`` that has a calibration.
 
     Raises:
         UserError: when no camera has a calibration, or several videos have the same calibration.
@@ -165,8 +165,8 @@ def join_calibrations(
         frames: frames by camera name.
         calibrations: cameras by their names in the file ``path``.
         path: the calibration file, for error messages.
-        mattes: folders that may contain a folder of mattes for each camera. For each camera, the first of these folders
-            that contains mattes is used.
+        mattes: folders that may contain a folder of mattes for each camera. The mattes of a camera are read from the
+            first folder that contains any.
 
     Raises:
         UserError: when :func:`match_names` or :func:`find_mattes` raises UserError.
@@ -234,7 +234,8 @@ def make_camera(
 
 
 def _ends_with(name: str, camera: str) -> bool:
-    """Whether a video's name ends with a separator and a camera's name, such as -A. "cam" may be between the two."""
+    """Whether a video's name ends with a separator and a camera's name, such as -A. The text "cam" may be between
+    separator and name."""
     return re.search(rf"(?:^|[-_. ])(?:cam)?{re.escape(camera)}$", name) is not None
 
 

@@ -15,16 +15,17 @@ from fourd.errors import UserError
 from fourd.importing.imported import ImportedCamera
 
 CalibratedFrames = Literal["auto", "turned", "stored"]
-"""Frames that a calibration belongs to: frames that are turned upright by the rotation in the video's metadata, or
-frames as stored in the file."""
+"""Frames to which a calibration belongs: the frames as stored in the file, or the frames after the rotation in the
+video's metadata turned them upright."""
 
 
 def turn_camera(camera: Camera, degrees: int) -> Camera:
     """Return the camera whose image is the image of ``camera``, turned counter-clockwise by ``degrees``.
 
-    In an image that is W pixels wide, a turn by 90 degrees maps the pixel (x, y) to (y, W - x), and camera axes (X, Y,
-    Z) to (Y, -X, Z). Of OpenCV's distortion coefficients, the radial ones do not change. The pairs (p2, p1) of
-    tangential coefficients and (s1, s3), (s2, s4) of thin prism coefficients are turned like vectors in the image.
+    In an image that is W pixels wide, a turn by 90 degrees maps the pixel (x, y) to (y, W - x), and the camera
+    coordinates (X, Y, Z) to (Y, -X, Z). Of OpenCV's distortion coefficients, the radial ones do not change. The pairs
+    (p2, p1) of tangential coefficients and (s1, s3), (s2, s4) of thin prism coefficients are turned like vectors in the
+    image.
 
     Raises:
         ValueError: if the camera has skew or a tilted sensor, or ``degrees`` is not a multiple of 90.

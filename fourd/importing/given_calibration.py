@@ -13,7 +13,7 @@ from fourd.importing.imported import Imported
 VIDEOS_FORMAT = "videos"
 """Name of the format of sources without a calibration. Only this format accepts --calibration."""
 REPORT = "report.json"
-"""``fourd calibrate`` writes this file beside a calibration. Other programs do not."""
+"""File that ``fourd calibrate`` writes beside a calibration, and that other programs do not write."""
 
 
 def is_metric_calibration(folder: Path) -> bool:
@@ -26,7 +26,7 @@ def apply_calibration(imported: Imported, format_name: str, folder: Path) -> Imp
     """Add the calibrations in ``folder`` (intri.yml and extri.yml) to the cameras of a source without a calibration.
 
     Cameras are matched by :func:`fourd.importing.folders.match_names`. The calibrations keep their image sizes. A later
-    step of the import compares these sizes with the sizes of the videos.
+    step of the import compares the image sizes with the sizes of the videos.
 
     Raises:
         UserError: if the format has its own calibration, if the folder has no valid calibration, if the calibration of

@@ -48,10 +48,10 @@ METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "dna-rendering")
 """Formats whose calibrations are in metres."""
 
 MAX_SAMPLE_FRAMES = 3
-"""Number of frames whose images are matched to check a calibration, if there are at most FEW_CAMERAS cameras."""
+"""Number of frames whose images are matched to check a calibration of at most FEW_CAMERAS cameras."""
 FEW_CAMERAS = 5
-"""Number of cameras above which only one frame is matched. The images of one frame then have enough matches, and
-matching three frames would take minutes."""
+"""Number of cameras above which only one frame is matched. With many cameras, the images of one frame have enough
+matches, and matching three frames would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,8 @@ class ImportOptions:
 def import_source(
     source_format: Format, source: Path, out: Path, options: ImportOptions, *, log: Log, warn: Log, track: Track
 ) -> None:
-    """Write ``source`` as a capture into the folder ``out``. Repeating an interrupted call completes the import.
+    """Write ``source`` as a capture into the folder ``out``. To complete an interrupted import, call the function
+    again.
 
     Args:
         source_format: format of the source.
@@ -112,7 +113,8 @@ def import_source(
         track: wraps loops to report progress.
 
     Raises:
-        UserError: when the source or an option is invalid. The calibration files are written after all other files.
+        UserError: when the source or an option is invalid. The calibration files are written last, after all other
+            files.
     """
     refuse_symlinks(out, out / DERIVED)
     before = read_record(out)

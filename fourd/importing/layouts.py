@@ -19,7 +19,7 @@ from fourd.importing.folders import CALIBRATION_FOLDER, find_frames
 from fourd.importing.imported import Imported
 
 MAX_DEPTH = 2
-"""The search covers this number of folder levels below the source, and of parent folders above it."""
+"""Number of folder levels below the source, and of parent folders above the source, that are searched."""
 CALIBRATION_NAME = re.compile(r"calib|camera|intri|extri|\.qca", re.IGNORECASE)
 CALIBRATION_SUFFIXES = (
     *(".toml", ".yml", ".yaml", ".json", ".xml", ".txt", ".csv", ".xcp", ".calib"),
@@ -38,7 +38,7 @@ class CalibrationFormat:
     Attributes:
         name: the format's name on the command line.
         is_calibration: function that tests whether a file is a calibration of this format.
-        read: function that reads a calibration file, and the frames in a folder.
+        read: function that reads the cameras from a calibration file, with the frames in a folder.
     """
 
     name: str
@@ -206,7 +206,7 @@ def _files_beside(folder: Path) -> Iterator[Path]:
     """Files in ``folder`` and in its folders of calibrations."""
     yield from _files(folder)
     for child in _children(folder):
-        # Only folders of calibrations are searched, because other recordings may also be in ``folder``.
+        # Other subfolders of ``folder`` are not searched, because they may contain other recordings.
         if CALIBRATION_FOLDER.match(child.name):
             yield from _files_below(child, 1)
 
@@ -242,7 +242,7 @@ def _is_suspect(path: Path) -> bool:
 
 
 def _reason(path: Path) -> str:
-    """Reason why a file that no format recognises is not used."""
+    """The reason for not using a file that no format recognises."""
     if path.suffix.lower() in PICKLES:
         return "fourd never loads pickles, because loading one can run code"
     for own, other in ((INTRINSICS_NAME, EXTRINSICS_NAME), (EXTRINSICS_NAME, INTRINSICS_NAME)):

@@ -18,7 +18,7 @@ from fourd.limits import read_json
 RECORD = DERIVED / "import.json"
 VERSION = 1
 MAX_NUMBER = 1e12
-"""Upper limit of the numbers in a record. Offsets in frames and scales are far below."""
+"""Upper limit of the numbers in a record. Valid offsets in frames and valid scales are far below this limit."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ImportRecord:
         files: hash of the names and sizes of the source's files; see :func:`digests`.
         options: options of the command.
         offsets: applied delays of the videos in frames of the capture.
-        unpacked: whether the videos' frames were written as images, with these offsets.
+        unpacked: whether the videos' frames were written as images, with the offsets ``offsets``.
         done: whether the import finished.
         warnings: warnings of the import.
     """

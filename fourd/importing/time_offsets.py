@@ -82,7 +82,7 @@ def estimate_offsets_of(
     otherwise. The log states the method and the reason for it.
 
     Raises:
-        UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. With "sound", this error
+        UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. With "sound", UserError
             is also raised if a soundtrack is missing, is silent, or has nothing in common with the others.
     """
     rate = float(min((index.fps for index in indices.values()), default=Fraction(1)))
@@ -169,8 +169,8 @@ def correct_sound_travel(
 ) -> Estimate:
     """Subtract the travel time of sound to the calibrated cameras from estimated delays.
 
-    A measured lag is the sum of an offset and a difference of travel times. The two cannot be separated, so the
-    position of the source of the sound cannot be estimated. The user can specify the position; otherwise, the point
+    A measured lag is the sum of an offset and a difference of travel times. Because the two cannot be separated, the
+    position of the source of the sound cannot be estimated. The user can specify the position. Otherwise, the point
     that the cameras face is used.
 
     Args:

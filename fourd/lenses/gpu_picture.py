@@ -30,11 +30,13 @@ def draw_through_lens_gpu(
     """Draw a frame in device memory through a lens, as RGB (H, W, 3) float32 in [0, 1] on its device.
 
     The image is that of :func:`fourd.lenses.picture.draw_through_lens` without mirrors and glass balls, up to rounding.
-    The tree over the points and the rays are made on the CPU. For frames in CPU memory, the emulated kernels run.
+    The rays and the bounding volume tree of the points are made on the CPU. For frames in CPU memory, the emulated
+    kernels run.
 
     Args:
         frame: the frame.
-        camera: a pinhole camera without lens distortion. It gives position, axes and image size.
+        camera: a pinhole camera without lens distortion. The camera determines the position, the axes and the image
+            size.
         manifest: description of the scene.
         lens: the lens.
         layers: maximum number K of points that are composited for each ray; None for the scene's value.

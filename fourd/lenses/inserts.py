@@ -15,8 +15,8 @@ _GAP = 1e-4
 
 @dataclass(frozen=True)
 class Branch:
-    """Rays that continue from an insert: origins and directions (R, 3). ``share`` (R,) is the factor by which a ray's
-    light is multiplied in the light of the ray that met the insert."""
+    """Rays that continue from an insert: origins and directions (R, 3). The light of the ray that met the insert
+    contains the light of each continued ray, multiplied by ``share`` (R,)."""
 
     origins: Array
     directions: Array
@@ -31,8 +31,7 @@ class MirrorFloor:
         centre: (3,) position in world units.
         normal: (3,) unit vector that points away from the mirror's reflecting side.
         radius: radius in world units, above 0.
-        reflectivity: share of the light that is reflected, from 0 to 1. The remaining share has the colour of the
-            floor.
+        reflectivity: share of the light that is reflected, from 0 to 1. The rest of the light comes from the floor.
         colour: RGB colour of the floor, in [0, 1].
     """
 
@@ -61,7 +60,8 @@ class MirrorFloor:
 
 @dataclass(frozen=True)
 class GlassBall:
-    """A ball of clear glass, which reflects and refracts (Snell's law, and Schlick's approximation of Fresnel's).
+    """A ball of clear glass. Refraction follows Snell's law, and reflection Schlick's approximation of Fresnel's
+    equations.
 
     Attributes:
         centre: (3,) position in world units.
@@ -91,7 +91,8 @@ class GlassBall:
         least = ((self.refractive_index - 1) / (self.refractive_index + 1)) ** 2
         reflectance = (least + (1 - least) * (1 - cosine) ** 5)[:, 0]
         reflected = unit + 2 * cosine * normal
-        # The ray meets the opposite side of the ball at the same angle, so there is no total internal reflection.
+        # A refracted ray meets the opposite side of the ball at the angle at which it entered, so there is no total
+        # internal reflection.
         ratio = 1 / self.refractive_index
         inside = ratio * unit + (ratio * cosine - np.sqrt(1 - ratio**2 * (1 - cosine**2))) * normal
         chord = -2 * self.radius * (inside * normal).sum(1, keepdims=True)

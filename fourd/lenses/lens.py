@@ -52,8 +52,8 @@ class Fisheye:
     its ray and the viewing direction.
 
     Attributes:
-        fov_deg: field of view in degrees, above 0 and at most 360. This is the angle across the largest circle that
-            fits in the image. Pixels outside this circle stay black.
+        fov_deg: field of view in degrees, above 0 and at most 360. The field of view is the angle across the largest
+            circle that fits in the image. Pixels outside the circle stay black.
         samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
     """
 
@@ -81,7 +81,7 @@ class Fisheye:
 @dataclass(frozen=True)
 class Panorama:
     """An equirectangular panorama: columns are 360 degrees around the camera's vertical axis, and rows 180 degrees from
-    top to bottom. The viewing direction is in the middle. Viewers for headsets open such images.
+    top to bottom. The viewing direction is in the middle. Viewers for headsets can open equirectangular images.
 
     Attributes:
         samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
@@ -130,7 +130,8 @@ class ThinLens:
         corners, pixels = _sample_points(camera, 1)
         bundles = []
         for k in range(self.rays_per_pixel):
-            # Ring by ring (golden angle), turned by a random angle in each pixel, so that the blur has no pattern.
+            # Samples on the lens lie on a golden-angle spiral, which is turned by a random angle in each pixel, so that
+            # the blur has no pattern.
             radius = 0.5 * self.aperture * np.sqrt((k + 0.5) / self.rays_per_pixel)
             angle = k * np.pi * (3 - np.sqrt(5)) + rng.uniform(0, 2 * np.pi, len(corners))
             on_lens = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros_like(angle)], 1)

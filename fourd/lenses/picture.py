@@ -19,11 +19,12 @@ from fourd.ops.rays.discs import DiscTree
 Array = NDArray[np.float64]
 
 MAX_BOUNCES = 3
-"""Maximum number of inserts that a ray meets. If a ray would meet another insert, it shows the background instead."""
+"""Maximum number of inserts (mirrors or glass balls) that a ray meets. After the last of them, a ray shows the
+background in place of another insert."""
 RAYS_PER_CHUNK = 1 << 18
 """Number of rays that are traced at once, which limits memory."""
 MIN_SHARE = 1 / 512
-"""A ray is not traced if its share of the light of the previous ray is at most this number."""
+"""Share of the light of the previous ray at or below which a ray is not traced."""
 
 
 @dataclass(frozen=True)
@@ -85,8 +86,8 @@ def draw_through_lens(
     """Draw a frame through a lens, as RGB (H, W, 3) float32 in [0, 1].
 
     Points are discs with the alpha that the compositor gives them. For a :class:`~fourd.lenses.lens.Pinhole` and a
-    :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image plane, and for other lenses each disc faces
-    the ray. The colours of points are those seen from the camera's position, also in mirrors and glass.
+    :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image plane. For other lenses, each disc faces the
+    ray. The colours of points are those seen from the camera's position, also in mirrors and glass.
 
     Args:
         frame: a frame whose values are all finite.

@@ -43,8 +43,8 @@ class MeshView:
     ) -> MeshView:
         """Crop an undistorted image (H, W, 3) and its matte (H, W) to the subject.
 
-        If the matte is empty, the crop is the whole image: the view then still shows that the subject is nowhere in the
-        image.
+        If the matte is empty, the crop is the whole image, so that the view still shows that the subject is nowhere in
+        the image.
 
         Raises:
             ValueError: if the sizes of image, matte and camera differ.
@@ -70,7 +70,7 @@ class MeshView:
 def clip_positions(xyz: Tensor, camera: Camera) -> Tensor:
     """Clip-space positions (N, 4) of world points (N, 3), differentiable.
 
-    Between the near and far planes are all points in front of the camera.
+    All points in front of the camera lie between the near plane and the far plane.
     """
     depth = xyz.detach() @ torch.tensor(camera.rotation[2].tolist(), dtype=xyz.dtype) + float(camera.translation[2])
     in_front = depth[depth > 0]

@@ -12,16 +12,16 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""Minimum visibility weight with which a view contributes to the colour of a point. Smaller weights are set to 0. This
-minimum limits the ratio between the weights of two views, so that a baked scene can store the weights in float16."""
+"""Minimum visibility weight with which a view contributes to the colour of a point. Smaller weights are set to 0, which
+limits the ratio between the weights of two views, so that a baked scene can store the weights in float16."""
 
 
 class ImageEncoder(nn.Module):
     """Feature pyramid over the source images. The three levels of the pyramid have 8, 16 and 32 channels.
 
     The encoder maps V images (V, 3, H, W) in [0, 1] to features (V, image_features, H / stride, W / stride). H and W
-    must be multiples of 4 * stride. No layer normalises with statistics of the whole image. Therefore, the features of
-    an image crop equal those of the whole image, except near the crop's border.
+    must be multiples of 4 * stride. No layer normalises with statistics of the whole image, so the features of an image
+    crop equal those of the whole image, except near the crop's border.
     """
 
     def __init__(self, out_features: int, stride: int) -> None:
@@ -36,8 +36,7 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # The kernel that samples the features reads all channels of a pixel at once. Therefore, the channels of a pixel
-        # are stored together.
+        # The channels of a pixel are stored together, because the kernel that samples the features reads them at once.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
@@ -50,8 +49,8 @@ class BlendHead(nn.Module):
     """MLP that predicts a blend logit for each point and source view.
 
     The input of the first layer is [point feature, image sample, optional direction]. The part that depends only on the
-    point feature is computed once per point instead of once per point and view. Because this changes the order of
-    summation, the logits change by rounding errors.
+    point feature is computed once per point instead of once per point and view. Splitting the layer changes the order
+    of summation, so the logits change by rounding errors.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -118,8 +117,8 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
             ``colours``.
         share: share of the own colour in each mixed colour, in [0, 1). Mixed colours are clamped to [0, 1], because
             baked scenes store mixed colours as bytes. If the share is 0, the own colour replaces the colours of views
-            in which the point is occluded: the mixed colour of a view with visibility v and colour c is
-            v c + (1 - v) own.
+            in which the point is occluded. For a view with visibility v and colour c, the mixed colour is then v c + (1
+            - v) own.
 
     Returns:
         (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.
@@ -132,8 +131,8 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
 
 
 def blend(logits: Tensor, visibility: Tensor, colours: Tensor, view_weights: Tensor | None = None) -> Tensor:
-    """Image-based colour: the weighted mean of the views' colours. The weight of a view is the softmax of its logit
-    times its visibility.
+    """Image-based colour: the weighted mean of the views' colours. The weight of a view is its visibility times the
+    softmax of its logit.
 
     Args:
         logits: (V, N).
@@ -143,7 +142,8 @@ def blend(logits: Tensor, visibility: Tensor, colours: Tensor, view_weights: Ten
 
     Returns:
         (N, 3) colours. A point that is visible in no view gets the mean of the views' colours, weighted by
-        ``view_weights``. In a baked scene, points whose stored weights are all 0 also get this mean.
+        ``view_weights``. In a baked scene, points whose stored weights are all 0 also get the mean of the views'
+        colours.
     """
     visibility = zero_low_visibility(visibility)
     weights = torch.softmax(logits, dim=0) * visibility

@@ -10,8 +10,8 @@ MAX_HIDDEN = 4096
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise ValueError(message) if ``condition`` is false. The code that reads config files adds the name of the file
-    and of the key to the message."""
+    """Raise ValueError(message) if ``condition`` is false. The code that reads config files adds the file's name and
+    the key to the message."""
     if not condition:
         raise ValueError(message)
 
@@ -55,26 +55,26 @@ class ModelConfig:
     """Source of the SH coefficients. With `mlp`, an MLP predicts the coefficients from the point's feature. With
     `explicit`, training optimises 48 coefficients for each point of each frame."""
     sh_range: float = 0.25
-    """Maximum absolute value of the colour from SH when it is added to the image-based colour."""
+    """Maximum absolute value of the colour from SH that is added to the image-based colour."""
     high_sh_share: float = 0.6
-    """Factor on the SH coefficients of degrees 2 and 3 in rendered and exported scenes, from 0 to 1. Training uses the
-    whole coefficients. With `appearance: both`, these coefficients mainly correct errors that the image-based colours
-    have in single training views. New views have other errors, so that smaller coefficients give a higher PSNR. With
+    """Factor on the SH coefficients of degrees 2 and 3 in rendered and exported scenes, from 0 to 1. Training does not
+    use this factor. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors that the image-based
+    colours have in single training views. New views have other errors, so smaller coefficients give a higher PSNR. With
     `appearance: sh`, this key has no effect, because the whole colour comes from SH."""
     own_colour: float = 0.6
     """Share of the own colour of a point in the point's image-based colour, at least 0 and less than 1. Each point of
     each frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a
-    point a wrong colour where geometry or blending is inexact. The own colour reduces this error in new views. If the
-    share is 0, points have no own colour."""
+    point a wrong colour where geometry or blending is inexact. In new views, the own colour reduces errors from inexact
+    geometry or blending. If the share is 0, points have no own colour."""
     continuous: bool = False
     """Let the blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be
     exported."""
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
     fade_views: bool = True
-    """Multiply the blend weights of each source view by 1 - a / b. Here, a is the angle between the source view and the
-    viewing camera, and b is the angle between the nearest view that is not selected and the viewing camera. With this
-    factor, images change smoothly along a camera path."""
+    """Multiply the blend weights of each source view by 1 - a / b. In 1 - a / b, a is the angle between the source view
+    and the viewing camera, and b is the angle between the nearest view that is not selected and the viewing camera. The
+    factor makes images change smoothly along a camera path."""
     image_features: int = 8
     """Number of channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from fourd.model.config import ModelConfig
 
 DENSITY_OFFSET = 5.0
-"""Constant that is added to the logit of the density. With this constant, points are nearly opaque at the start of
+"""Constant that is added to the logit of the density. The constant makes points nearly opaque at the start of
 training."""
 
 

@@ -38,8 +38,8 @@ class KPlanes(nn.Module):
 
     @property
     def out_features(self) -> int:
-        """Number of output channels. With the reduction "concat", these are the channels of all planes of all levels.
-        With the other reductions, these are the channels of one plane of each level."""
+        """Number of output channels. With the reduction "concat", the output has the channels of all planes of all
+        levels. With the other reductions, the output has the channels of one plane of each level."""
         planes = len(self.pairs) if self.config.reduction == "concat" else 1
         return self.config.levels * self.config.features * planes
 
@@ -61,7 +61,7 @@ class KPlanes(nn.Module):
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)
         if self.config.reduction == "product":
-            # If all planes were initialised to 0, the gradient of their product would be 0. Therefore, as in K-Planes,
-            # time planes are initialised to 1.
+            # As in K-Planes, time planes are initialised to 1: if all planes were initialised to 0, the gradient of
+            # their product would be 0.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)

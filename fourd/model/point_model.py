@@ -28,7 +28,7 @@ LOW_SH_TERMS = 4
 @dataclass(frozen=True)
 class PointFeatures:
     """Outputs of the first layers of the heads for N points, computed from the K-Planes features of the points. Each
-    output has the shape (N, H), and is taken before the ReLU.
+    output has the shape (N, H) and is the input of the ReLU.
 
     Attributes:
         geometry: output of the geometry head's first layer.
@@ -72,7 +72,7 @@ class PointModel(nn.Module):
     """The networks of the point model, which all frames share. The points of each frame are stored outside this model.
 
     Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. ``shadow`` is the field
-    with the foreground's shadows on the background. Only the model of a background has this field.
+    with the foreground's shadows on the background. Only the model of a background has the field ``shadow``.
     """
 
     lower: Tensor
@@ -132,7 +132,7 @@ class PointModel(nn.Module):
 
     @property
     def sh_range(self) -> float:
-        """Maximum absolute value of the colour from SH. If the model uses only SH, this maximum is 0.75, so that every
+        """Maximum absolute value of the colour from SH. If the model uses only SH, the maximum is 0.75, so that every
         colour in [0, 1] can be reached."""
         return 0.75 if self.config.appearance == "sh" else self.config.sh_range
 
@@ -145,11 +145,11 @@ class PointModel(nn.Module):
         explicit_sh: Tensor | None = None,
         rgb: Tensor | None = None,
     ) -> EvaluatedPoints:
-        """Compute positions, radii and densities of points at ``time``. Then :meth:`colour` can compute the points'
-        colours for a viewing camera.
+        """Compute positions, radii and densities of points at ``time``. From the result, :meth:`colour` computes the
+        points' colours for a viewing camera.
 
-        The result is differentiable. The positions ``xyz`` get no gradient through the K-Planes features, from which
-        geometry and appearance are computed.
+        The result is differentiable. Geometry and appearance are computed from K-Planes features, through which the
+        positions ``xyz`` get no gradient.
 
         Args:
             xyz: (N, 3) optimised positions in world units.
@@ -183,8 +183,8 @@ class PointModel(nn.Module):
             sources: the source views nearest to the viewing camera; None if the model uses only SH.
             shadow: factors by which the image-based colours are multiplied. An exported scene stores the same factors
                 as bytes.
-            train_encoder: whether the image encoder gets a gradient. Without this gradient, a training step takes a
-                third less time than with it.
+            train_encoder: whether the image encoder gets a gradient. Without a gradient of the encoder, a training step
+                takes a third less time.
             is_training: whether the colours are those of a training step. Otherwise, the SH coefficients are those of
                 an exported scene; see :meth:`harmonics`.
         """
@@ -243,8 +243,8 @@ class PointModel(nn.Module):
     def blend_logits(
         self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None
     ) -> Tensor:
-        """Blend logits (V, N) of the source views. ``viewer`` is used only for continuous blending. Otherwise, it may
-        be None."""
+        """Blend logits (V, N) of the source views. ``viewer`` is used only for continuous blending and may otherwise be
+        None."""
         assert self.blend_head is not None
         assert points.features.blend is not None
         directions = None

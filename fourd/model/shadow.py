@@ -18,12 +18,12 @@ MARGIN = 0.5
 """Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
 FADE = 0.25
 """Width of the zone at the field's border in which shadows fade out, as a share of the distance between the border and
-the centre. Without this zone, shadows would end in a sharp edge at the border."""
+the centre. Without a fade-out, shadows would end in a sharp edge at the border."""
 GAIN = 3.0
-"""Factor that multiplies the MLP's output. With this factor, the field learns faster than without it. Fast learning is
-needed because each frame is rendered in only a few training steps."""
+"""Factor that multiplies the MLP's output, which makes the field learn faster. Fast learning is needed because each
+frame is rendered in only a few training steps."""
 STRENGTH = 127 / 128
-"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store this range in units of 1/128."""
+"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store shadow factors in units of 1/128."""
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Shadow:
     is_inside: Tensor
 
     def apply(self, colour: Tensor) -> Tensor:
-        """Image-based colours (N, 3) multiplied by the shadow factor. For points inside the field, the shadow factor
-        gets a gradient, but ``colour`` gets none; see :meth:`detach_inside`."""
+        """Image-based colours (N, 3) multiplied by the shadow factor. For points inside the field, the gradient goes
+        only to the shadow factor, not to ``colour``; see :meth:`detach_inside`."""
         return self.detach_inside(colour) * self.factor[:, None]
 
     def detach_inside(self, colour: Tensor) -> Tensor:
@@ -56,8 +56,8 @@ class ShadowField(nn.Module):
     """Small K-Planes with time planes, followed by a small MLP. The field covers the foreground's bounds, extended by a
     margin.
 
-    The factor is ``1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. The planes are initialised to 0.
-    Therefore, the factor is exactly 1 before training. The factor also remains 1 wherever the planes never get a
+    The factor is ``1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. Because the planes are
+    initialised to 0, the factor is exactly 1 before training. The factor also remains 1 wherever the planes never get a
     gradient.
     """
 

@@ -1,4 +1,4 @@
-"""Several linear layers over the same input, computed as one matrix product. This product reads the input only once for
+"""Several linear layers over the same input, computed as one matrix product. One product reads the input only once for
 all layers."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Source views (the images nearest to a viewing camera), and samples of these views at points."""
+"""Source views (the images nearest to a viewing camera), and samples of source views at points."""
 
 from __future__ import annotations
 
@@ -69,9 +69,9 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
     """Project points into every source view and sample the views bilinearly.
 
     A point's visibility weight in a view is the squared matte times the occlusion factor. The matte is squared because
-    pixels on the silhouette also contain background colour. The weight of these pixels must therefore be lower than
-    their coverage. For float32 inputs, one fused kernel projects the points and also samples the views. The fused
-    kernel runs on the CPU or, if the CUDA kernels are compiled, on a CUDA device.
+    pixels on the silhouette also contain background colour, so their weight must be lower than their coverage. For
+    float32 inputs, one fused kernel projects the points and also samples the views. The fused kernel runs on the CPU
+    or, if the CUDA kernels are compiled, on a CUDA device.
 
     Args:
         xyz: (N, 3) points in world units. The points get gradients through the projection.
@@ -80,7 +80,7 @@ def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, s
             sample only RGB.
         softness: (N,) decay length of the visibility weight of each point, in world units. The weight decays
             exponentially with the point's depth behind the nearest surface in the view. The decay starts two decay
-            lengths behind the surface. ``softness`` gets no gradient.
+            lengths behind the surface. No gradient is computed for ``softness``.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)

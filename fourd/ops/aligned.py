@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 Number = TypeVar("Number", bound=np.generic)
 
 CACHE_LINE = 64
-"""Size of a cache line in bytes, on all common processors. A row of 16 pixels of 4 bytes has the same size."""
+"""Size of a cache line in bytes, on all common processors. A row of 16 pixels of 4 bytes fills one cache line."""
 
 HUGE_PAGE = 2 << 20
 """Size of a huge page in bytes, on Linux with x86-64 or with pages of 4 KiB on arm64."""
@@ -20,13 +20,13 @@ HUGE_PAGE = 2 << 20
 def zeros_aligned(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number]:
     """Make an array of zeros that starts at a multiple of :data:`CACHE_LINE`.
 
-    NumPy aligns large arrays to 16 bytes. The renderers draw tiles of 16 x 16 pixels in parallel. In an image of
-    4 bytes per pixel that is not aligned to cache lines, each row of a tile shares two cache lines with the
-    neighbouring tiles, which other threads may draw at the same time.
+    NumPy aligns large arrays to 16 bytes. The renderers draw tiles of 16 x 16 pixels in parallel. If an image with 4
+    bytes per pixel is not aligned to cache lines, each row of a tile shares two cache lines with the neighbouring
+    tiles. Other threads may draw the neighbouring tiles at the same time.
 
-    An array of at least :data:`HUGE_PAGE` bytes starts at a multiple of that size, and its memory extends to a multiple
-    of that size. NumPy asks Linux for huge pages for such memory, and Linux can then use them for the whole array.
-    Without them, the stylizer takes a third longer, because each row of a filter is in a different page.
+    The memory of an array of at least :data:`HUGE_PAGE` bytes starts and ends at multiples of :data:`HUGE_PAGE`. NumPy
+    asks Linux for huge pages for large arrays, and with this alignment, Linux can use huge pages for the whole array.
+    Without huge pages, the stylizer takes a third longer, because each row of a filter is in a different page.
     """
     size = prod(shape) * np.dtype(dtype).itemsize
     alignment = HUGE_PAGE if size >= HUGE_PAGE else CACHE_LINE

@@ -1,8 +1,8 @@
 """Access to the CUDA kernels for torch tensors: the native module, the stream and scratch memory.
 
-No function of this module waits for the GPU. For CPU tensors, these functions run the CUDA sources in a slow emulator,
-which executes one CUDA thread after another. The emulator is for tests of the kernels on machines without a GPU. The
-operators use the emulator if the environment variable FOURD_SIMD is "emulated".
+No function of this module waits for the GPU. For CPU tensors, the CUDA sources run in a slow emulator, which executes
+one CUDA thread after another. The emulator is for tests of the kernels on machines without a GPU. The operators use the
+emulator if the environment variable FOURD_SIMD is "emulated".
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Gpu:
     def allocate(self, size: int) -> Tensor:
         """Allocate ``size`` bytes with torch's allocator.
 
-        Later work on the same stream may reuse the memory after the tensor is deleted.
+        After the tensor is deleted, later work on the same stream may reuse the memory.
         """
         return torch.empty(size, dtype=torch.uint8, device=self.device)
 

@@ -41,8 +41,8 @@ PRINT_HELP = "Print the board to a PDF file at true scale, and stop. VIDEOS and 
 
 @dataclass(frozen=True)
 class Arguments:
-    """The command writes intrinsics, distortion and poses in metres. fourd import and fourd make read them with
-    --calibration.
+    """The command writes intrinsics, distortion and poses in metres. fourd import and fourd make read the calibration
+    with --calibration.
     """
 
     board: Path

@@ -36,7 +36,7 @@ class Arguments:
     """Decode all images to find damaged files."""
     quick: bool = False
     """Skip the checks that decode images: epipolar residuals, time offsets between the cameras, and the agreement of
-    the mattes. These checks take seconds for 20 cameras of 512 x 512 pixels."""
+    the mattes. The skipped checks take seconds for 20 cameras of 512 x 512 pixels."""
 
 
 def run(arguments: Arguments) -> None:
@@ -66,7 +66,7 @@ def _check(capture: Path, arguments: Arguments) -> None:
     warnings = (*report.warnings, *(agreement.warnings if agreement else ()), *found, *poor)
     for title, style, lines in (("problem", "bold red", report.problems), ("warning", "yellow", warnings)):
         for line in first_lines(lines, MOST_LINES):
-            # The copy of a capture in a store has another path, which the user does not know.
+            # A capture in a store is checked in a local copy, whose path the user does not know.
             shown = line.replace(str(capture), name)
             console.print(Text(f"{title}: ", style).append(shown, "default"), soft_wrap=True)
     if report.problems:

@@ -45,13 +45,13 @@ class Arguments:
     """Maximum number of soft triangles."""
     cells: int = TriangleSettings.cells
     """Resolution of the connected mesh: number of cells along the longest side of the subject. The number of triangles
-    of the mesh grows with the square of this number."""
+    of the mesh grows with the square of the resolution."""
     separate: bool = False
     """Keep the triangles separate instead of connecting them to a closed mesh."""
     max_seconds: Annotated[float | None, option("SECONDS", "120 without --max-steps, else none")] = None
     """Stop after this many seconds of fitting."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
-    """Stop after this many steps. If this is the only limit, repeated commands write identical files."""
+    """Stop after this many steps. If the number of steps is the only limit, repeated commands write identical files."""
     agreement: HullAgreement = TriangleSettings.agreement
     least_views: HullLeastViews = TriangleSettings.least_views
     seed: int = 0

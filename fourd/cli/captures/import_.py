@@ -68,7 +68,7 @@ class Arguments:
     copy: bool = False
     """Copy the files of SRC instead of linking to them."""
     unpack: bool = False
-    """Write the frames of videos as JPEG images. Random access to images is faster than to frames of videos."""
+    """Write the frames of videos as JPEG images. Random access is faster for images than for frames of videos."""
     offset: Annotated[
         tyro.conf.UseAppendAction[tuple[str, ...]],
         tyro.conf.arg(metavar="CAM=FRAMES", help=OFFSET_HELP, help_behavior_hint="(repeatable)"),

@@ -47,12 +47,12 @@ class Arguments:
     frames: Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)] = None
     test_views: Annotated[str | None, option("NAME,NAME", "none, or the held-out views of the run")] = None
     """Names of held-out cameras, separated by commas. The meshes do not depend on held-out cameras. The meshes are
-    compared with the images of these cameras, and the scores are written to scores.json."""
+    compared with the images of the held-out cameras, and the scores are written to scores.json."""
     scale: Annotated[float | None, option("FLOAT", "1, or the scale of the run")] = None
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     cells: int = MeshSettings.cells
     """Number of grid cells along the longest side of the subject. The number of triangles is proportional to the square
-    of this number. The computing time grows at least as fast as the number of triangles."""
+    of the number of cells. The computing time grows at least as fast as the number of triangles."""
     steps: int = FitSettings.steps
     """Number of gradient-descent steps per frame. With 0, the meshes are the visual hulls."""
     remesh: float = MeshSettings.remesh

@@ -23,7 +23,7 @@ SIZE_HELP = "Width and height of the images in pixels, 32 to 4096. With --board,
 
 @dataclass(frozen=True)
 class Arguments:
-    """Two runs with the same options write byte-identical captures."""
+    """Repeated commands with the same options write byte-identical captures."""
 
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Capture folder to write: a new or empty folder, or a synthetic capture, which is replaced."""

@@ -45,15 +45,14 @@ class Arguments:
     views: Annotated[str | None, option("NAME,NAME", "the held-out views")] = None
     """Names of the cameras to evaluate, separated by commas."""
     scene: Annotated[Path | None, option("SCENE.4dv", "none")] = None
-    """Scene file exported from the run. Images rendered from this file are evaluated instead of images of the run's
-    model."""
+    """Scene file exported from the run. Images rendered from the scene file are evaluated instead of images of the
+    run's model."""
     plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
-    """Before evaluation, fit the pose of each evaluated camera to the images of this camera. The scene is not
-    changed (as in BARF)."""
+    """Before evaluation, fit the pose of each evaluated camera to the camera's images. The scene is not changed (as in
+    BARF)."""
     refine_test_colours: bool = False
-    """With --refine-test, also fit an affine colour correction of each evaluated camera to the images of this
-    camera."""
+    """With --refine-test, also fit an affine colour correction of each evaluated camera to the camera's images."""
     lpips_weights: LpipsWeights = None
 
 

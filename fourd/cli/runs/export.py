@@ -62,9 +62,9 @@ class Arguments:
     degree: int = 2
     """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply have only degree 0."""
     keep_axes: bool = False
-    """With --to: keep the scene's coordinates. Otherwise, the scene is rotated so that up is the axis that other
-    programs expect in this format: +y for spz, glb and usd, and -y for the other formats of splats. The format ply
-    always keeps the coordinates."""
+    """With --to: keep the scene's coordinates. Otherwise, the scene is rotated to the up axis that other programs
+    expect: +y for spz, glb and usd, and -y for the other formats of splats. The format ply always keeps the
+    coordinates."""
 
 
 def run(arguments: Arguments) -> None:
@@ -112,7 +112,7 @@ def _export(arguments: Arguments, kind: Format, console: Console) -> None:
         with open_scene(arguments.source) as scene:
             _write(arguments, out, kind, scene, console)
         return
-    # The folder is removed by the next command if this process is killed.
+    # If this process is killed, the next command removes the folder.
     with closing(Scratch(out.parent / SCRATCH)) as scratch:
         baked = scratch.folder / "scene.4dv"
         _bake(arguments, baked, console)

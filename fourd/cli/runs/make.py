@@ -75,7 +75,7 @@ def run(arguments: Arguments) -> None:
     options = arguments.training
     check_rate(arguments.fps)
     config = options.train_config(DEFAULT_SECONDS)
-    # Loading the LPIPS weights here reports invalid weights before any stage runs.
+    # The LPIPS weights are loaded here so that invalid weights are reported before any stage runs.
     load_lpips(options.lpips_weights)
     given = None if arguments.calibration is None else str(resolved(arguments.calibration))
     with nullcontext() if arguments.ray is None else join_cluster(arguments.ray, arguments.ray_cores) as cluster:

@@ -44,14 +44,14 @@ class Arguments:
     """Run folder to write: a new folder, or an existing run with --resume."""
     training: TrainingOptions
     resume: bool = False
-    """Continue training from the newest checkpoint. Only the budget (--max-steps, --max-seconds) may differ from the
-    options of the run."""
+    """Continue training from the newest checkpoint. Of the run's options, only the budget (--max-steps, --max-seconds)
+    may be changed."""
     workers: Workers = None
 
 
 def run(arguments: Arguments) -> None:
     """Run the stages that training needs, then train."""
-    # Rank 0 prepares the run. The other ranks only train it.
+    # Rank 0 prepares the run. The other ranks only take part in training.
     with join_process_group() as group, locked_folder(arguments.out) if group.is_first else nullcontext():
         if group.is_first:
             remove_leftovers(arguments.out)
@@ -63,7 +63,7 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     console = Terminal(quiet=not group.is_first)
     options = arguments.training
     context = Context(console, worker_count(arguments.workers), group)
-    # Loading the LPIPS weights here reports invalid weights before any stage runs.
+    # The LPIPS weights are loaded here so that invalid weights are reported before any stage runs.
     load_lpips(options.lpips_weights)
     given, copies = arguments.capture, arguments.out / SOURCE
     capture = given if isinstance(given, Path) else fetched_path(given, copies)

@@ -34,7 +34,7 @@ _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 _MOST_VALUE = 1e300
 _MOST_TEXT = 1000
-"""Maximum number of characters that are shown of a text from a file."""
+"""Maximum number of characters of a text from a file that are shown."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def run(arguments: Arguments) -> None:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     for name, value in rows:
-        # The copy of an object in a store has another path, which the user does not know.
+        # An object in a store is read from a local copy, whose path the user does not know.
         table.add_row(name, Text(value.replace(str(path), location)))
     Terminal().print(table)
 
@@ -74,7 +74,7 @@ def _describe_file(path: Path) -> tuple[str, Rows]:
             head = stream.read(16)
     except OSError as error:
         raise UserError(f"{path}: expected a readable file, got '{error.strerror}'; check its permissions") from error
-    # Scene files start with the bytes PK. A truncated scene file is also recognised by these bytes.
+    # Scene files, also truncated ones, start with the bytes PK.
     if head.startswith(b"PK") or path.suffix == ".4dv":
         return "a 4D scene", _scene(path)
     if path.suffix.lower() == ".splat":

@@ -35,7 +35,8 @@ class LensOptions:
     focus_distance: Annotated[float | None, option("FLOAT", "the distance to the scene's focus")] = None
     """Depth of the plane in focus of the thin lens, in world units."""
     lens_samples: Annotated[int | None, option("INT", "2; 32 for thin-lens")] = None
-    """Rays in each pixel: along rows and along columns, and in total for thin-lens. 1 to 64."""
+    """Number of rays per pixel along rows and along columns, 1 to 64. For thin-lens, the total number of rays per
+    pixel."""
     mirror_floor: bool = False
     """Add a round mirror under the subject."""
     glass_ball: Annotated[str | None, option("auto|X,Y,Z,R", "none")] = None
@@ -93,7 +94,7 @@ def make_inserts(options: LensOptions, cameras: list[Camera], subject: NDArray[n
     heights = (points - middle) @ up
     across = points - middle - heights[:, None] * up
     radius = float(np.percentile(np.linalg.norm(across, axis=1), 99.5))
-    # Single points below the subject do not lower the floor.
+    # A percentile of the heights is used, so that single points below the subject do not lower the floor.
     floor = middle + float(np.percentile(heights, 0.1)) * up
     inserts: list[Insert] = []
     if options.mirror_floor:
@@ -108,7 +109,8 @@ def _glass_ball(
 ) -> GlassBall:
     if text == "auto":
         size = 0.28 * radius
-        # Towards the first camera and to its right, so that the subject is seen through the ball and beside it.
+        # The ball is placed towards the first camera and to its right, so that the subject is seen through the ball and
+        # beside it.
         right = np.cross(up, floor - cameras[0].centre)
         right /= -np.linalg.norm(right)
         forward = np.cross(right, up)

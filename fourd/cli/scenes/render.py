@@ -61,7 +61,7 @@ class Arguments:
     style: StyleName = None
     optics: LensOptions = field(default_factory=LensOptions)
     fps: Annotated[float | None, option("FLOAT", "the scene's")] = None
-    """Frames per second of the video. If --frames selects every S-th frame, the default is divided by S."""
+    """Frames per second of the video. If --frames selects every S-th frame, the default rate is divided by S."""
 
 
 def run(arguments: Arguments) -> None:

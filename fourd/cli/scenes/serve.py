@@ -80,7 +80,7 @@ def _open_scene(arguments: Arguments, stack: ExitStack) -> SiteServer:
     console, source = Terminal(stderr=True), arguments.source
     styles = load_styles(arguments.style)
     folder = source if is_site(source) else _temporary_folder(stack)
-    # The conversion of the scene takes time, so the port is checked first.
+    # The port is checked before the scene is converted, because the conversion takes time.
     server = stack.enter_context(SiteServer(folder, arguments.host, arguments.port))
     if folder != source:
         site = LiveSite(source, folder, arguments.tier, console, styles)

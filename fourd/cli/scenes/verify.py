@@ -17,9 +17,9 @@ from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files
 
 @dataclass(frozen=True)
 class Arguments:
-    """A run: compares every checkpoint, also those of its segments, with its digests (BLAKE2b). A scene: compares every
-    member of the file with its checksum (CRC-32) and decodes all frames. A capture: decodes every image, matte and
-    video. No file is changed."""
+    """For a run, the command compares every checkpoint, also those of segments, with its BLAKE2b digests. For a scene,
+    it compares every member of the file with its CRC-32 checksum and decodes all frames. For a capture, it decodes
+    every image, matte and video. No file is changed."""
 
     path: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
     """A run folder, a .4dv file or a capture folder, or the URL of one."""

@@ -21,11 +21,11 @@ from fourd.importing.opencv_toml import camera_of_table, read_toml
 
 KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
 HEAD_BYTES = 4096
-"""Number of bytes at the start of a file that contain the table of its first camera."""
+"""Number of bytes at the start of a file that are enough to contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
-"""Largest plausible median distance between cameras in metres. If the median distance in the file exceeds this value,
-the file's unit is assumed to be millimetres."""
+"""Largest plausible median distance between cameras in metres. A file with a larger median distance is assumed to be in
+millimetres."""
 
 
 def looks_like(source: Path) -> bool:

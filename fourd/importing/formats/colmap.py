@@ -212,7 +212,7 @@ def _load_model(path: Path) -> Any:
     try:
         model = pycolmap.Reconstruction(str(path))
         for image in model.images.values():
-            image.name.encode()  # pycolmap decodes image names when they are accessed, not when the model is read
+            image.name.encode()  # pycolmap decodes an image's name only when the name is accessed
         return model
     except UnicodeDecodeError as error:
         raise UserError(f"{path}: expected image names in UTF-8, got other bytes; rename the image") from error

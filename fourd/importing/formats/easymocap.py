@@ -1,7 +1,7 @@
 """EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext.
 
-Mattes in masks/CAM/ are optional. Pixel coordinates are not converted. The captures of fourd use the same files.
-EasyVolcap writes pixel coordinates in the convention of COLMAP, and fourd uses the same convention.
+Mattes in masks/CAM/ are optional. Captures of fourd use the same files. Pixel coordinates are not converted. EasyVolcap
+and fourd use COLMAP's convention of pixel coordinates.
 """
 
 from __future__ import annotations

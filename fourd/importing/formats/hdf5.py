@@ -1,6 +1,6 @@
 """HDF5 files with encoded images and matrices, which a child process reads.
 
-HDF5 is a complex format, and damaged files have crashed its library. Files that refer to other files are refused.
+HDF5 is a complex format, and damaged files have crashed the HDF5 library. Files that refer to other files are refused.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ PARSER_ERRORS = (
     MemoryError,
     RecursionError,
 )
-"""Errors of NumPy for invalid headers, which it parses as a Python literal."""
+"""Errors that NumPy raises for invalid headers, because it parses headers as Python literals."""
 MAX_PIXELS = 1 << 20
 MAX_BYTES = 1 << 20
 """Maximum size of the file in bytes. A camera has 136 bytes."""
@@ -75,7 +75,7 @@ def read(source: Path) -> Imported:
 
 def _rows(path: Path) -> Array:
     try:
-        # With memory mapping, a header that declares a too large array raises an error before memory is allocated.
+        # With memory mapping, a header that declares too large an array raises an error before memory is allocated.
         if read_limited(path, MAX_BYTES)[:6] != MAGIC:
             raise ValueError("another format")
         array = np.load(path, mmap_mode="r", allow_pickle=False)

@@ -65,7 +65,7 @@ def read(source: Path) -> Imported:
     """Read the cameras of ``source``.
 
     If the entries have times, the entries of one folder form a camera. If the entries of any folder differ in pose or
-    intrinsics, entries with equal pose and intrinsics form a camera instead.
+    intrinsics, a camera instead consists of the entries with equal pose and intrinsics.
 
     Raises:
         UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the
@@ -175,8 +175,8 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
     """Make a camera of each entry.
 
-    The camera names are the image file names if these are unique, otherwise the folder names if these are unique,
-    otherwise the image paths.
+    The cameras are named by their image file names, or by the folder names if file names are not unique. If neither are
+    unique, the image paths are the names.
     """
     stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
     folders = [entry.path.parent.name for entry in entries]

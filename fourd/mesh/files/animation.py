@@ -1,8 +1,8 @@
 """Writes an animated GLB file from the GLB files of single frames.
 
-Different frames have different triangles, so neither skinning nor morph targets can animate the meshes. Therefore, the
-file has one node for each frame. The animation changes the scale of the nodes in steps: the scale of a node is 1 while
-its frame is shown, and 0 otherwise.
+Different frames have different triangles, so neither skinning nor morph targets can animate the meshes. The file
+instead has one node for each frame. The animation changes the scale of the nodes in steps: the scale of a node is 1
+while its frame is shown, and 0 otherwise.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ def _append_frame(document: dict[str, Any], file: GlbFile, offset: int, index: i
 def _append_keyframes(document: dict[str, Any], count: int, fps: float, offset: int) -> bytes:
     """Append the animation to the document, and return the animation's keyframes, which are stored at ``offset``.
 
-    Frame i is shown from i / fps to (i + 1) / fps. The last keyframe of each node is at the end of the animation.
-    Therefore, all nodes have the same duration, and the animation loops at the end of the last frame.
+    Frame i is shown from i / fps to (i + 1) / fps. Because the last keyframe of each node is at the end of the
+    animation, all nodes have the same duration, and the animation loops at the end of the last frame.
     """
     keys = b""
     samplers, channels = [], []

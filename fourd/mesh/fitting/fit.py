@@ -22,7 +22,7 @@ from fourd.raster.triangles import antialias, interpolate, rasterize
 
 MAX_OFFSET_CELLS = 0.4
 """Maximum offset of a grid vertex along each axis, in units of a cube's side. Neighbouring vertices of the grid are at
-least 0.87 cube sides apart. With the maximum offset, tetrahedra therefore keep their orientation."""
+least 0.87 cube sides apart. Offsets up to this maximum therefore keep the orientation of the tetrahedra."""
 
 DEPTH_STEPS = 20
 """Number of steps between two renderings of the depth images. The depth images determine which points are visible."""

@@ -62,8 +62,8 @@ def hull_distance_grid(
         cameras: undistorted pinhole cameras.
         bounds: box that contains the hull.
         cells: number of cubes along the longest side of ``bounds``, at least 1.
-        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point in
-            their mattes.
+        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that
+            see it.
         least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views.
         trim: whether to remove protruding parts of the hull (see :mod:`fourd.carving.excess`). The remaining hull still
             covers all mattes.
@@ -117,9 +117,9 @@ class _RemovedParts:
     def depth(self, xyz: NDArray[np.float32], limit: float) -> NDArray[np.float32]:
         """Amount (N,) by which the signed distance at points (3, N) decreases because of the removed parts.
 
-        For points at most ``limit`` from the surface, the distance decreases by at most twice this limit. At a flat
-        surface, the smoothed occupancy has the slope 1 / (sigma sqrt(2 pi)). The inverse of this slope converts shares
-        to distances.
+        For points at most ``limit`` from the surface, the distance decreases by at most ``2 * limit``. At a flat
+        surface, the smoothed occupancy has the slope 1 / (sigma sqrt(2 pi)). Shares are converted to distances by
+        division by the slope.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)

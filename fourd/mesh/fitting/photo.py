@@ -12,16 +12,16 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 MIN_COSINE = 0.25
-"""Minimum cosine between normal and viewing direction. Points with a cosine below this value are seen at a grazing
-angle and are not compared."""
+"""Minimum cosine between normal and viewing direction. Points with a smaller cosine are seen at a grazing angle and are
+not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
-"""A point is visible in a view if it is at most this distance, in pixels, behind the depth image."""
+"""Maximum distance, in pixels, of a visible point behind the depth image of a view."""
 
 
 @dataclass(frozen=True, eq=False)
 class PhotoView:
-    """A view whose data are tensors.
+    """A view with its data as tensors.
 
     Attributes:
         camera: pinhole camera.
@@ -47,8 +47,8 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
 
     A source view sees a point if the surface at the point faces the camera of the view, and if no other part of the
     mesh hides the point. For each point, the colour differences to the source views that see the point are computed,
-    and only the smallest half of these differences is used. In this way, most highlights and most errors of the
-    visibility test are ignored.
+    and only the smallest half of the differences is used. Most highlights and most errors of the visibility test are
+    thus ignored.
 
     Args:
         xyz: (P, 3) surface points, differentiable.

@@ -11,8 +11,8 @@ class FitSettings:
 
     Attributes:
         steps: number of gradient steps, 0 or more. If 0, the surface is that of the visual hull.
-        rate: initial learning rate of distances and offsets, in units of a cube's side, more than 0. The rate decreases
-            to a tenth of this value at the last step.
+        rate: initial learning rate of distances and offsets, in units of a cube's side, more than 0. At the last step,
+            the rate is a tenth of the initial rate.
         silhouette: weight of the squared difference between rendered and given mattes.
         photo: weight of the colour difference between different views of the same surface point.
         laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, in units of the squared side of a cube.

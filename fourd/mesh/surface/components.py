@@ -22,7 +22,7 @@ def drop_crumbs(
 
     Returns:
         the remaining vertices and triangles, in their original order. Unused vertices are removed. Parts with
-        negative volume are cavities. If all parts have negative volumes, nothing is removed as a cavity.
+        negative volume are cavities. If all parts have negative volumes, no part is treated as a cavity.
 
     Raises:
         ValueError: if ``min_share`` is outside [0, 1].

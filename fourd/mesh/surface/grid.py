@@ -1,9 +1,9 @@
 """Tetrahedral grids that cover a set of cubes.
 
 The vertices form a body-centred cubic lattice: they are the corners and the centres of the cubes. Each face that two
-cubes share produces four tetrahedra, one for each edge of the face. The edge opposite to the face's edge joins the
-centres of the two cubes. All tetrahedra are congruent, and their dihedral angles are 60 and 90 degrees (Labelle and
-Shewchuk 2007, sec. 3).
+cubes share produces four tetrahedra, one for each edge of the face. In each tetrahedron, the edge opposite to the
+face's edge joins the centres of the two cubes. All tetrahedra are congruent, and their dihedral angles are 60 and 90
+degrees (Labelle and Shewchuk 2007, sec. 3).
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def _keys(positions: NDArray[np.int64]) -> NDArray[np.int64]:
 def _border_vertices(tetrahedra: NDArray[np.int64], count: int) -> NDArray[np.bool_]:
     """(V,) bool, true for vertices of a face that belongs to only one tetrahedron."""
     faces = np.sort(np.concatenate([np.delete(tetrahedra, corner, axis=1) for corner in range(4)]), axis=1)
-    # After sorting, the two copies of a shared face are adjacent.
+    # In the sorted list, the two copies of a shared face are adjacent.
     order = np.lexsort(faces.T)
     ordered = faces[order]
     is_first = np.ones(len(ordered), np.bool_)

@@ -42,9 +42,8 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
     """Mean square of the uniform Laplacian. The uniform Laplacian of a vertex is its distance from the mean of its
     neighbours.
 
-    The uniform Laplacian (Desbrun et al. 1999) has two effects. The first effect is that vertices move along the
-    normal, which smooths the surface. The second effect is that vertices move in the tangent plane, which makes
-    triangles regular. Vertices without neighbours are ignored.
+    Minimising the uniform Laplacian (Desbrun et al. 1999) moves vertices along the normal, which smooths the surface.
+    It also moves vertices in the tangent plane, which makes triangles regular. Vertices without neighbours are ignored.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
@@ -66,8 +65,8 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
 def normal_consistency_loss(xyz: Tensor, triangles: Tensor, topology: MeshTopology) -> Tensor:
     """Mean of 1 minus the cosine between the normals of triangles that share an edge.
 
-    The loss of a flat mesh is 0. A triangle without area has the normal 0. Each of its pairs has the loss 1 and the
-    gradient 0.
+    The loss of a flat mesh is 0. A triangle without area has the normal 0, so each pair with this triangle has the loss
+    1 and the gradient 0.
 
     Args:
         xyz: (N, 3) vertices, differentiable.
@@ -119,8 +118,8 @@ def triangle_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
 
 
 def vertex_normals(xyz: Tensor, triangles: Tensor) -> Tensor:
-    """Unit normals (N, 3) of the vertices. Each is the mean of the normals of the adjacent triangles, weighted by their
-    areas. Differentiable."""
+    """Unit normals (N, 3) of the vertices. A vertex normal is the mean of the normals of the adjacent triangles,
+    weighted by their areas. The result is differentiable."""
     triangles = triangles.long()
     a, b, c = (xyz[triangles[:, corner]] for corner in range(3))
     weighted = torch.linalg.cross(b - a, c - a)

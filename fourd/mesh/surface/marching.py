@@ -28,9 +28,9 @@ _CUTS = (
     (0, 2, 1, -1, -1, -1),
     (-1, -1, -1, -1, -1, -1),
 )
-"""For each set of inside corners, the cut edges that form the one or two triangles. Bit i of the row index is set if
-corner i is inside. If the determinant of the tetrahedron is positive, the triangles are counter-clockwise seen from
-outside."""
+"""For each set of corners that are inside the surface, the cut edges that form one or two triangles. Bit i of the row
+index is set if corner i is inside. If the determinant of the tetrahedron is positive, the triangles are
+counter-clockwise seen from outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,8 +52,8 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
     """Extract the surface where the linear interpolation of ``sdf`` is zero.
 
     If an edge with the ends a and b is cut, its vertex is at (x_a s_b - x_b s_a) / (s_b - s_a), where x are positions
-    and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share its vertex. Therefore, the
-    surface is closed if no triangle lies on the border of the grid.
+    and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share its vertex. The surface is
+    therefore closed if it does not reach the border of the grid.
 
     Args:
         xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.
@@ -63,7 +63,7 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
             :class:`fourd.mesh.surface.grid.TetrahedralGrid`.
 
     Returns:
-        The surface. The surface has no vertices if all distances have the same sign. For gradients, the set of
+        The surface. The surface has no vertices if all distances have the same sign. In the backward pass, the set of
         triangles is treated as constant.
 
     Raises:

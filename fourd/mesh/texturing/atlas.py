@@ -12,8 +12,8 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import rasterize
 
 PADDING_TEXELS = 2
-"""Distance between charts in texels. With this distance, bilinear samples at a chart's border do not include texels of
-other charts."""
+"""Distance between charts in texels. The distance is large enough that bilinear samples at a chart's border do not
+include texels of other charts."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,12 +15,11 @@ from fourd.mesh.views import MeshView
 Floats = NDArray[np.float32]
 
 ANGLE_POWER = 6
-"""Power p of the cosine between normal and direction to the camera in the weight of a view. With a high power, textures
-are sharp, because few views are mixed. With a low power, differences between the views are less visible than with a
-high power."""
+"""Power p of the cosine between normal and direction to the camera in the weight of a view. A high power gives sharp
+textures, because few views are mixed. A low power makes differences between the views less visible."""
 
 MIN_COSINE = 0.1
-"""Minimum cosine at which a view colours a point. Below this minimum, the point is seen at a grazing angle."""
+"""Minimum cosine at which a view colours a point. A smaller cosine means that the point is seen at a grazing angle."""
 
 CHUNK = 1 << 19
 """Number of points that are coloured in one block. The block size limits the memory for large textures."""
@@ -29,10 +28,10 @@ CHUNK = 1 << 19
 def blend_views(xyz: Floats, normals: Floats, views: Sequence[MeshView], occluder: Occluder) -> tuple[Floats, Floats]:
     """Blend the colours of points from the views that see the points.
 
-    The weight of a view is cos^p m^2. Here, cos is the cosine between the normal and the direction to the camera, and p
-    is ANGLE_POWER. The factor m is the smallest matte value of the 3 x 3 pixels around the point. Therefore, pixels at
-    the contour, which mix subject and background, have little weight. The weight is 0 if the mesh hides the point from
-    the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
+    The weight of a view is cos^p m^2, where cos is the cosine between the normal and the direction to the camera, and p
+    is ANGLE_POWER. The factor m is the smallest matte value of the 3 x 3 pixels around the point. Because of m, pixels
+    at the contour, which mix subject and background, have little weight. The weight is 0 if the mesh hides the point
+    from the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
 
     Args:
         xyz: (P, 3) points on the mesh.

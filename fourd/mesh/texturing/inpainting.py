@@ -11,15 +11,15 @@ from scipy.sparse.linalg import spsolve
 Floats = NDArray[np.float32]
 
 GREY = 0.5
-"""Colour of connected parts of a mesh of which no view sees any point."""
+"""Colour of connected parts of a mesh that are invisible in all views."""
 
 
 def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.integer]) -> Floats:
     """Spread the colours of vertices with a known colour over the mesh to the other vertices.
 
     The colours of the other vertices are harmonic: each colour is the mean of the neighbours' colours (membrane
-    inpainting on the surface). Neighbours are taken from the mesh. Neighbours in the texture would be wrong, because
-    neighbouring charts may belong to different parts of the surface.
+    inpainting on the surface). Neighbours are those on the mesh, not those in the texture, because neighbouring charts
+    may belong to different parts of the surface.
 
     Args:
         rgb: (N, 3) colours.

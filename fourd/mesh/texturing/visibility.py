@@ -1,4 +1,4 @@
-"""Which surface points a camera sees, by rays from the surface to the camera."""
+"""Visibility of surface points from a camera, tested with rays from the surface to the camera."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from fourd.raster.rays import Bvh, occluded
 Floats = NDArray[np.float32]
 
 OFFSET_EDGES = 0.5
-"""Distance between the surface and the start of a ray, along the normal, in units of the mesh's mean edge length. Small
-dents around a point therefore do not hide the point."""
+"""Distance between the surface and the start of a ray, along the normal, in units of the mesh's mean edge length. The
+distance prevents small dents around a point from hiding the point."""
 
 CORNERS_PX = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5))
-"""Positions in the image of the four rays of a point, relative to the point, in pixels: the corners of a pixel. A
-bilinear sample reads neighbouring pixels, which must not show a part in front of the point."""
+"""Image positions of the four rays of a point, relative to the point, in pixels: the corners of a pixel. Four rays are
+needed because a bilinear sample reads neighbouring pixels, which must not show a part in front of the point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Occluder:
     def hides(self, xyz: Floats, normals: Floats, camera: Camera) -> NDArray[np.bool_]:
         """Return (P,) bool: whether the mesh hides points, or the surface half a pixel beside them, from a camera.
 
-        Rays start in the tangent plane of the point, which is moved outwards by the offset.
+        Rays start in the tangent plane of the point, after the plane is moved outwards by ``offset``.
 
         Args:
             xyz: (P, 3) points on the mesh, in front of the camera.
@@ -65,7 +65,7 @@ class Occluder:
             height = (towards * normal).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = ((start - centre) * normal).sum(axis=1) / height
-            # Near the contour, the ray and the tangent plane meet far away, or not at all.
+            # Near the contour, the ray through the pixel's corner meets the tangent plane far away, or not at all.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)

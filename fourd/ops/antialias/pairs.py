@@ -1,4 +1,5 @@
-"""Pairs of neighbouring pixels that show different triangles, and crossings of silhouette edges, in plain torch."""
+"""Search in plain torch for neighbouring pixels that show different triangles, and for the silhouette edges between
+them."""
 
 from __future__ import annotations
 
@@ -84,8 +85,8 @@ def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Return a linear function that is 0 on the edge from p to q.
 
-    The results are the value (N,) of the function at the owner, and the decreases (N,) of the function per pixel along
-    and across the pair.
+    The first result is the value (N,) of the function at the owner. The others are the decreases (N,) of the function
+    per pixel along and across the pair.
     """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
@@ -104,7 +105,7 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
     perpendicular = (along >= across) if pairs.axis == 0 else (along > across)
     crossing = value / along
     valid = perpendicular & (along > 0) & (crossing >= -TOLERANCE_PX) & (crossing <= 1 + TOLERANCE_PX)
-    # If several edges have the same crossing, the kernels select the last edge.
+    # As in the kernels, the last of several edges with the same crossing is selected.
     nearest, edge = torch.where(valid, crossing, torch.inf).flip(1).min(1)
     edge = 2 - edge
     slack = TOLERANCE_PX * (along.abs() + across)
@@ -114,8 +115,8 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
 
 
 def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, edge: Tensor) -> Tensor:
-    """Return whether each edge is a silhouette. An edge is a silhouette if it has no neighbouring triangle, or if this
-    triangle is not on the other side of the edge."""
+    """Return whether each edge is a silhouette. An edge is a silhouette if it has no neighbouring triangle, or if the
+    neighbouring triangle is on the same side of the edge."""
     neighbour = opposite.long()[pairs.triangle, edge]
     corners = tri.long()[pairs.triangle]
     ends = corners.gather(1, torch.tensor(EDGES, device=tri.device)[edge])
@@ -137,7 +138,7 @@ def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
 
 def crossing_of_edge(pairs: Pairs, clip: Tensor, tri: Tensor, edge: Tensor) -> Tensor:
     """Return the distance (N,), in pixels, from the owner to the crossing of the edge with the given number (0 to 2).
-    Differentiable."""
+    The distance is differentiable."""
     ends = torch.tensor(EDGES, device=tri.device)[edge]
     seen = see(pairs, clip, tri.long()[pairs.triangle[:, None], ends])
     value, fall, _ = line_of(pairs, seen[:, 0], seen[:, 1])

@@ -6,15 +6,16 @@ import torch
 from torch import Tensor
 
 NO_VERTEX = -1
-"""Marks edges that have no neighbour or several neighbours."""
+"""Value that marks edges without a neighbour or with several neighbours."""
 
 
 @torch.no_grad()
 def opposite_vertices(tri: Tensor) -> Tensor:
-    """Return for each edge of each triangle the third vertex of the neighbour, (T, 3) int32.
+    """Return (T, 3) int32: for each edge of each triangle, the third vertex of the triangle's neighbour across the
+    edge.
 
     Column i belongs to the edge opposite to vertex i. The value is -1 if the edge belongs to only one triangle, or to
-    more than two triangles. The vertices of an edge may have any order. Not differentiable.
+    more than two triangles. The vertices of an edge may have any order. The function is not differentiable.
 
     Args:
         tri: (T, 3) int32 vertex indices.
@@ -24,7 +25,7 @@ def opposite_vertices(tri: Tensor) -> Tensor:
     ends = corners[:, [[1, 2], [2, 0], [0, 1]]].reshape(3 * count, 2).sort(1).values
     key = (ends[:, 0] << 32) | ends[:, 1]
     key, order = key.sort()
-    # An edge has a neighbour if its key occurs exactly twice.
+    # An edge has exactly one neighbour if the edge's key occurs twice.
     same = torch.zeros(3 * count + 1, dtype=torch.bool, device=tri.device)
     same[1:-1] = key[1:] == key[:-1]
     before, after = same[:-1], same[1:]

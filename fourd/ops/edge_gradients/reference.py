@@ -35,8 +35,8 @@ class _MovingEdges(torch.autograd.Function):
     """The identity on ``color``.
 
     The backward pass treats each crossing as an edge that moves between two pixel centres. If the edge moves away from
-    the owner by dt, either the owner or the other pixel changes by dt (c_owner - c_other). The gradient is the mean of
-    both cases.
+    the owner by dt, the change dt (c_owner - c_other) appears either in the owner or in the other pixel. The gradient
+    is the mean of both cases.
     """
 
     @staticmethod
@@ -56,13 +56,13 @@ class _MovingEdges(torch.autograd.Function):
 
 
 def _finite(crossing: Tensor) -> Tensor:
-    """Replace the crossings that are not finite by 0. These crossings have no gradient."""
+    """Replace the crossings that are not finite by 0, so that they have no gradient."""
     return torch.where(crossing.isfinite(), crossing, 0)
 
 
 @dataclass(frozen=True)
 class _Planes:
-    """z/w of N triangles in the image, as seen from the owners of N pairs.
+    """The depths z/w of N triangles, as linear functions of the image position relative to the owners of N pairs.
 
     Attributes:
         contains_pair: (N,) whether the triangle contains the centres of both pixels.
@@ -89,7 +89,7 @@ def _planes_of(pairs: Pairs, clip: Tensor, tri: Tensor, triangle: Tensor) -> _Pl
 
 
 def _dot(one: Tensor, two: Tensor) -> Tensor:
-    """Return the dot products (N,) of rows (N, 3), whose terms are added in the same order as in the kernel."""
+    """Return the dot products (N,) of rows (N, 3). The terms are added in the same order as in the kernel."""
     return one[:, 0] * two[:, 0] + one[:, 1] * two[:, 1] + one[:, 2] * two[:, 2]
 
 
@@ -98,7 +98,7 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
 
     Both triangles must contain both pixel centres, and the nearer triangle must change between the centres. As for
     silhouettes, intersection lines whose angle to the segment between the centres is below 45 degrees are ignored.
-    Triangles that share an edge intersect only along this edge, so they are not tested.
+    Triangles that share an edge are not tested, because they intersect only along the edge.
     """
     corners = tri.long()
     own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]
@@ -113,8 +113,8 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
 
 
 def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return the distance in pixels from the owner to the point where both triangles have the same z/w, which is linear
-    in the image."""
+    """Return the distance in pixels from the owner to the point where both triangles have the same z/w. The depth z/w
+    is linear in the image."""
     one = _planes_of(pairs, clip, tri, pairs.triangle)
     two = _planes_of(pairs, clip, tri, pairs.other_triangle)
     return (one.depth - two.depth) / (one.fall - two.fall)

@@ -34,9 +34,9 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
 
     Returns:
         (N, shape.out_features), coarsest level first. The features are differentiable in the table and in the
-        coordinates. Second derivatives are not supported. Clamped coordinates have a gradient of 0. Gradients are
-        computed only if autograd requests them. On the CPU, the gradient is bit-identical for any number of threads.
-        On a GPU, the gradient's last bits vary between calls.
+        coordinates. Second derivatives are not supported. Clamped coordinates have a gradient of 0. Only the gradients
+        that autograd requests are computed. On the CPU, the gradient is bit-identical for any number of threads. On a
+        GPU, the gradient's last bits vary between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.

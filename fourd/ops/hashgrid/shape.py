@@ -16,12 +16,13 @@ ROW_ALIGNMENT = 16
 """The index of the first table row of every level is a multiple of this number, so that levels start at a cache
 line."""
 MAX_RESOLUTION = 2**20
-"""Maximum number of cells per side. With at most this number, float32 resolves at least 16 positions within a cell."""
+"""Maximum number of cells per side. Up to this number of cells, float32 resolves at least 16 positions within a
+cell."""
 
 
 @dataclass(frozen=True)
 class HashGridShape:
-    """Sizes of a hash grid. The symbols of Mueller et al. 2022 are in brackets at the fields.
+    """Sizes of a hash grid. The description of each field contains the symbol of Mueller et al. 2022 in brackets.
 
     Raises:
         ValueError: for an invalid field. The error message names the field and the expected value.
@@ -74,7 +75,7 @@ class HashGridShape:
 
     @property
     def total_entries(self) -> int:
-        """Number of rows of the table: the entries of all levels and the unused padding between levels."""
+        """Number of rows of the table: the number of entries of all levels, plus unused padding between levels."""
         return self.offsets[-1] + self.entries[-1]
 
     @property

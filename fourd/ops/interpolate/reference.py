@@ -1,4 +1,5 @@
-"""The interpolation in plain torch: slow, but simple. Its results are differentiable through autograd."""
+"""Interpolation of vertex attributes in plain torch: slow, but simple. The results are differentiable through
+autograd."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ def draw_attributes(
 
     Args:
         positions: (V, 4) clip coordinates.
-        triangles: (T, 3) vertex indices, all from 0 to V - 1, which callers check.
+        triangles: (T, 3) vertex indices. The caller must check that all are from 0 to V - 1.
         attributes: (V, C).
         size: (height, width) of the image in pixels, each 1 to 32768.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.

@@ -1,4 +1,4 @@
-"""Selection of the implementation that an operator for triangles runs: a kernel or the reference in plain torch."""
+"""Selection of the implementation of an operator for triangles: a kernel, or the reference in plain torch."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def select_backend(backend: str, name: str, value: Tensor) -> Literal["reference
         backend: "reference" for plain torch on any device (float32 or float64), "cpu" or "cuda" for the float32
             kernels, or "auto" for the kernels of the tensors' device.
         name, value: name and value of the argument whose device and dtype are checked. All other tensors must have the
-            same device and dtype.
+            device and dtype of this argument.
 
     Raises:
         TypeError: if the kernels do not support the dtype of ``value``.

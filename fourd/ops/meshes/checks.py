@@ -8,10 +8,10 @@ from torch import Tensor
 from fourd.ops.meshes.ids import MAX_TRIANGLES
 
 MAX_SIDE_PX = 2**15
-"""Maximum width or height of an image. Subpixel positions of this range fit into the kernels' integers."""
+"""Maximum width or height of an image. The subpixel positions in larger images would overflow the kernels' integers."""
 
 ALL_LAYERS = 2**20
-"""Maximum number of composited triangles per pixel. With this value, all triangles are composited."""
+"""Maximum number of composited triangles per pixel that stands for "all triangles"."""
 
 Axis = int | str
 """The size of an axis, or the letter of an axis of any size."""
@@ -32,8 +32,8 @@ def check_tensor(
         value: the argument. Its values are not checked.
         shape: expected shape. A letter is an axis of any size, also 0. Axes with the same letter may have different
             sizes.
-        like: name and value of another argument. ``value`` must be on the device of this argument. If this argument
-            has a floating-point dtype, ``value`` must also have the same dtype.
+        like: name and value of another argument. ``value`` must be on the device of this other argument, and must have
+            its dtype if the dtype is floating-point.
         dtypes: accepted dtypes. The dtypes are ignored if ``like`` has a floating-point dtype.
 
     Raises:
@@ -104,8 +104,7 @@ def check_layers(layers: int | None) -> int:
 def _value_range(values: Tensor) -> tuple[int, int]:
     """Return the smallest and the largest value of an integer tensor with at least one element."""
     if values.device.type == "cpu":
-        # torch.aminmax would start the threads of OpenMP. OpenMP threads keep spinning and delay the threads of the
-        # kernels.
+        # torch.aminmax would start OpenMP threads, which keep spinning and delay the threads of the kernels.
         array = values.numpy()
         return int(array.min()), int(array.max())
     low, high = torch.aminmax(values)

@@ -1,7 +1,7 @@
 """Triangle ids as values of a float32 image. ``csrc/common/triangle_id.h`` has the same functions for the kernels.
 
 The value 0 is the background. Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. Above 2^24,
-float32 cannot represent every integer, so the number n is stored as the float with the bits 0x4a800000 + n.
+float32 cannot represent every integer, so n is stored as the float with the bit pattern 0x4a800000 + n.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ NO_TRIANGLE = -1
 _EXACT_IDS = 2**24
 _ID_BITS = 0x4A800000
 MAX_TRIANGLES = 0x7F800000 - _ID_BITS - 1
-"""Largest number of triangles. The pixel values of ids above this number would be infinite or NaN."""
+"""Largest number of triangles. With more triangles, some ids would have pixel values that are infinite or NaN."""
 
 
 def encode_ids(triangle: Tensor) -> Tensor:
@@ -28,7 +28,7 @@ def encode_ids(triangle: Tensor) -> Tensor:
 def decode_ids(value: Tensor) -> Tensor:
     """Return the int32 triangle indices of pixel values of any shape and of dtype float32 or float64.
 
-    The index is -1 where the value is 0, negative or NaN. Not differentiable.
+    The index is -1 where the value is 0, negative or NaN. The function is not differentiable.
     """
     value = value.detach().to(torch.float32).contiguous()
     exact = torch.nan_to_num(value).clamp(0, _EXACT_IDS).to(torch.int32)
