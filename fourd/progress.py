@@ -115,7 +115,7 @@ class Tracker:
 class EndEstimate:
     """Estimates the end of a phase from the rate at which the last items were finished.
 
-    The rate is measured over the last minute, or over the last 20 items if these took longer than a minute. The time
+    The rate is measured over the last minute, or over the last 20 items if they took longer than a minute. The time
     window is long enough for a stable estimate when several processes finish items at the same time. The time window is
     short enough that the estimate follows changes of the machine's load.
     """
@@ -138,7 +138,7 @@ class EndEstimate:
 
 
 def format_duration(seconds: float) -> str:
-    """Format a duration as H:MM:SS, rounded to seconds. Negative durations count as 0."""
+    """Format a duration as H:MM:SS, rounded to seconds. A negative duration is shown as 0."""
     minutes, rest = divmod(round(max(0.0, seconds)), 60)
     return f"{minutes // 60}:{minutes % 60:02d}:{rest:02d}"
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 BITS = 10
 """Number of bits per axis that :func:`morton_order` compares."""
 MAX_BITS = 21
-"""Maximum number of bits per axis. The Morton code of three axes then fits in 63 bits."""
+"""Maximum number of bits per axis, with which the Morton code of three axes fits in 63 bits."""
 _SPREAD = (
     (32, 0x1F00000000FFFF),
     (16, 0x1F0000FF0000FF),
@@ -16,8 +16,7 @@ _SPREAD = (
     (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
 )
-"""Pairs (shift, mask). Applied one after another, they insert two zero bits before each of the MAX_BITS lowest bits of
-a number."""
+"""Pairs (shift, mask) of the steps that insert two zero bits before each of the MAX_BITS lowest bits of a number."""
 _LOWEST_BITS = 2**MAX_BITS - 1
 
 

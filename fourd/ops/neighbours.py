@@ -1,4 +1,4 @@
-"""Nearest neighbours of points, searched by several threads that Ctrl-C cannot leave behind."""
+"""Multithreaded search for nearest neighbours of points, in which no thread keeps running after Ctrl-C."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from fourd.ops.loading import thread_count
 
 BLOCK = 4096
-"""Number of points per search. After Ctrl-C, running searches continue to their end."""
+"""Number of points per search. Searches that are running when Ctrl-C arrives are finished."""
 
 
 def nearest_neighbours(

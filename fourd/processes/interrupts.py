@@ -11,8 +11,8 @@ class DeferredInterrupt:
     """A context manager in which the first Ctrl-C only sets :attr:`is_pending`. The second Ctrl-C raises
     KeyboardInterrupt.
 
-    Signals are only deferred in the main thread, because Python handles signals only there. A process that ignores
-    Ctrl-C, or handles it in another way, is not changed.
+    Signals are deferred only in the main thread, because Python handles signals only in the main thread. If a process
+    ignores Ctrl-C or handles it in another way, nothing changes.
     """
 
     def __init__(self) -> None:

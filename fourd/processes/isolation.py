@@ -24,7 +24,7 @@ from fourd.limits import printable
 from fourd.processes.worker import CRASHED, MAX_REPLY_BYTES, read_message, write_message
 
 SECONDS = 8.0
-"""Processor time in seconds that a call may use for an empty file."""
+"""Maximum processor time in seconds of a call for an empty file."""
 SECONDS_PER_MB = 10.0
 """Additional processor time in seconds for each MiB of the file. Decoding of one keyframe interval of a strongly
 compressed video needs a few seconds for each MiB."""
@@ -34,10 +34,10 @@ START = "import json, sys; sys.path[:] = json.loads(sys.argv.pop()); from fourd.
 """Program of the child process. Python runs it in isolated mode, so that no module is imported from the working
 directory."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables that are set to 1, because the buffers of idle threads count as used memory."""
+"""Environment variables that limit libraries to 1 thread, because the buffers of idle threads count as used memory."""
 WAIT_FACTOR = 20.0
-"""The child process is ended if a call takes longer than this factor times its limit of processor time. The factor is
-large because other programs may use the processor, and disks may be slow."""
+"""Maximum duration of a call before the child process is ended, as a multiple of the call's limit of processor time.
+The factor is large because other programs may use the processor, and disks may be slow."""
 
 
 @dataclass(frozen=True)

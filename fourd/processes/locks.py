@@ -43,9 +43,9 @@ def locked_file(path: Path) -> Iterator[None]:
 def locked_folder(folder: Path) -> Iterator[None]:
     """Lock ``folder`` for this process while the ``with`` block runs. A missing folder is created.
 
-    The lock is an flock on the folder itself, so it needs no file, and the system releases it when the process ends,
-    even if the process is killed. If the block leaves a created folder empty, the folder is removed. On Windows, and on
-    file systems without flock, nothing is locked.
+    The lock is an flock on the folder itself, so no lock file is needed. The system releases the lock when the process
+    ends, even if the process is killed. If the block leaves a created folder empty, the folder is removed. On Windows,
+    and on file systems without flock, nothing is locked.
 
     Raises:
         UserError: if another process holds the lock. The message names the process and the time of its start.
@@ -91,7 +91,8 @@ def _lock(folder: Path) -> int:
 
 
 def _describe_holder(descriptor: int) -> str:
-    """Describe the process that holds the lock. On Linux, /proc/locks contains the number of this process."""
+    """Describe the process that holds the lock. On Linux, /proc/locks contains the ID of the process that holds the
+    lock."""
     try:
         inode = os.fstat(descriptor).st_ino
         lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]

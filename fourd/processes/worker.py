@@ -54,7 +54,7 @@ def main() -> None:
     """Answer requests. The arguments of the command line are the parent's process ID and the memory limit in bytes."""
     parent, max_bytes = (int(word) for word in sys.argv[1:3])
     requests, replies = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    # Libraries print to the standard output. Their text must not be part of a reply.
+    # The standard output is redirected, because text that libraries print must not become part of a reply.
     null = os.open(os.devnull, os.O_RDWR)
     for descriptor in (0, 1, 2):
         os.dup2(null, descriptor)
@@ -89,8 +89,8 @@ def _limit_memory(max_bytes: int) -> None:
         return
     import resource
 
-    # RLIMIT_DATA does not count files that are mapped for reading. Libraries and their threads also reserve addresses
-    # that they do not use, which RLIMIT_AS would count.
+    # RLIMIT_AS would count files that are mapped for reading, and addresses that libraries and their threads reserve
+    # but do not use. RLIMIT_DATA does not count them.
     limit = resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS
     resource.setrlimit(limit, (max_bytes, max_bytes))
 

@@ -25,7 +25,7 @@ class PointRender:
         features: (H, W, C) composited features, including the background if a background is given.
         alpha: (H, W) opacity in [0, 1].
         depth: (H, W) weighted mean of the camera depths of the composited points in world units. The weight of a point
-            is its alpha times the transmittance in front of it. The depth is 0 where ``alpha`` is 0.
+            is the point's alpha times the transmittance in front of the point. The depth is 0 where ``alpha`` is 0.
     """
 
     features: Tensor
@@ -49,13 +49,13 @@ def render_points(
 ) -> PointRender:
     """Composite the nearest ``layers`` points of every pixel front to back (differentiable peeling, 4K4D sec. 3.3).
 
-    With intrinsics K, point i has depth z_i and projected centre q_i. In pixels, the radius of point i is rho_i = K[1,
+    With intrinsics K, point i has depth z_i and projected centre q_i. The radius of point i in pixels is rho_i = K[1,
     1] * radius_i / z_i. The alpha of point i at pixel p is alpha_i(p) = density_i * max(1 - |q_i - p|^2 / rho_i^2, 0).
     The points with alpha_i(p) > 0 are sorted by depth. Points with equal depth are sorted by index. The first
     ``layers`` points are composited.
 
-    The results are differentiable in xyz, features, radius, density and background. For the gradient, the selection of
-    points is treated as constant. On the CPU, results and gradients are bit-identical for any number of threads.
+    The results are differentiable in xyz, features, radius, density and background. In the backward pass, the selection
+    of points is treated as constant. On the CPU, results and gradients are bit-identical for any number of threads.
 
     Args:
         xyz: (N, 3) positions, world units.
@@ -71,7 +71,7 @@ def render_points(
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.
         transmittance_min: compositing of a pixel stops when the transmittance falls below this value. Gradients are
-            exact only with 0. Rendering with 1e-4 is faster than with 0. The "reference" backend uses 0.
+            exact only with the value 0, but rendering is faster with 1e-4. The "reference" backend uses 0.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
 
     Raises:

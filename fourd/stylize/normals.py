@@ -2,9 +2,9 @@
 
 A normal is the direction in which the neighbours of a point spread least (principal component analysis, Hoppe et al.
 1992). A normal points to the side from which the capture's cameras see the point. On thin parts, such as the legs of an
-animal, the neighbours lie on all sides and do not determine the normal. Therefore, each normal is rotated until it
-faces all cameras that see the point. Normals are then averaged over the neighbours, because the noise of the positions
-would show as speckle in a drawing.
+animal, the neighbours lie on all sides and do not determine the normal. Each normal is therefore rotated until it faces
+all cameras that see the point. Normals are then averaged over the neighbours, because the noise of the positions would
+show as speckle in a drawing.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from fourd.ops.neighbours import nearest_neighbours
 NEIGHBOURS = 24
 """Number of nearest points whose positions determine the normal of a point."""
 SMOOTHING_ROUNDS = 3
-"""How often each normal is replaced by the mean of the normals around it."""
+"""Number of smoothing rounds. Each round replaces every normal by the mean of the normals around it."""
 VOTING_ROUNDS = 4
 """Number of rounds of voting. In each round, a normal is reversed if the sum of its dot products with the normals of
 its nearest points is negative."""
@@ -31,11 +31,11 @@ LEAST_COSINE = 0.1
 TURNING_ROUNDS = 2
 """Number of rounds in which each normal is rotated towards each camera that sees the point."""
 _SEES = 0.3
-"""A camera sees a point if the camera's weight exceeds this share of the largest weight of the point. Smaller weights
-often belong to cameras that see the point through a gap between other points."""
+"""Minimum weight with which a camera counts as seeing a point, as a share of the point's largest weight. Smaller
+weights often belong to cameras that see the point through a gap between other points."""
 _COARSE = 12
-"""Number of cells of a coarse grid along the longest side of the scene. The grid determines the outer side of surfaces
-that no camera sees."""
+"""Number of cells of a coarse grid along the longest side of the scene. The grid is used to find the outer side of
+surfaces that no camera sees."""
 
 Points = NDArray[np.floating]
 Normals = NDArray[np.float32]
@@ -75,7 +75,7 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
             away from the centre of the points around them.
 
     Returns:
-        (N, 3) float32. Fewer than 3 points have the normal (0, 0, 1).
+        (N, 3) float32. If there are fewer than 3 points, their normals are (0, 0, 1).
     """
     count = len(xyz)
     if count < 3:
@@ -101,8 +101,9 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
 
 
 def encode_octahedral(normals: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Store unit normals (N, 3) as (N, 2) uint8: the bytes 127 x + 128 and 127 y + 128 of their points on an octahedron
-    (Cigolle et al. 2014). The angle between a normal and the decoded normal is at most 1 degree."""
+    """Encode unit normals (N, 3) as (N, 2) uint8: each normal is projected to a point (x, y) of an unfolded octahedron,
+    which is stored as the bytes 127 x + 128 and 127 y + 128 (Cigolle et al. 2014). The angle between a normal and the
+    decoded normal is at most 1 degree."""
     length = np.abs(normals).sum(1, keepdims=True)
     plane = normals[:, :2] / np.maximum(length, 1e-12)
     folded = (1 - np.abs(plane[:, ::-1])) * np.where(plane >= 0, 1, -1)
@@ -127,7 +128,8 @@ def _least_spread(positions: NDArray[np.float32], near: NDArray[np.intp]) -> Nor
 
 
 def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Visibility) -> Normals:
-    """Rotate each normal towards the cameras that see its point, but only until its cosine is LEAST_COSINE."""
+    """Rotate each normal towards the cameras that see its point, until the cosine between normal and direction to the
+    camera is LEAST_COSINE."""
     least = _SEES * np.asarray(seen.weights, np.float32).max(1, initial=0)
     for _ in range(TURNING_ROUNDS):
         turned = normals
@@ -140,8 +142,8 @@ def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Vis
 
 
 def _away_from_centres(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Directions (N, 3) to the points from the mean positions around them. The mean position around a point is taken
-    over the 3 x 3 x 3 coarse cells around the point."""
+    """For each point, the direction (N, 3) to the point from the mean position of the points in the 3 x 3 x 3 coarse
+    cells around it."""
     lower = positions.min(0)
     side = max(float((positions.max(0) - lower).max()) / _COARSE, 1e-12)
     cells = np.minimum(((positions - lower) / side).astype(int), _COARSE - 1) + 1

@@ -22,8 +22,8 @@ class Light:
 
     Attributes:
         direction: the direction towards the light, of any length.
-        frame: the axes of ``direction``. camera: x to the right, y down, z away from the camera, so that the light
-            moves with the camera. world: the axes of the scene.
+        frame: the axes of ``direction``. In the frame "camera", x points right, y down and z away from the camera, so
+            that the light moves with the camera. The frame "world" has the axes of the scene.
     """
 
     direction: Triple = (-0.5, -0.7, -0.5)
@@ -40,11 +40,11 @@ class Ramp:
     """The colours of toon and X-Toon shading.
 
     Attributes:
-        stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and the red, green and blue of that
+        stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and the red, green and blue of the
             colour. The first stop has the tone 0.
         softness: width of the transition between two colours, in tones, 0 to 1.
-        map: path of a PNG that replaces ``stops``. Its columns are tones, its rows are details. The first row is for
-            the detail 0. Toon shading has 1 row, X-Toon shading has 1 to 64 rows.
+        map: path of a PNG that replaces ``stops``. The columns of the PNG are tones, and its rows are details, starting
+            with the detail 0. Toon shading has 1 row, X-Toon shading has 1 to 64 rows.
         gain: factor by which the colours are multiplied.
     """
 
@@ -68,12 +68,13 @@ class DetailAxis:
     """The second axis of X-Toon shading.
 
     Attributes:
-        by: what the detail depends on. depth: 0 at ``near``, 1 at ``far``. focus: 0 at the depth ``focus``, 1 at the
-            distance ``far - near`` from it. facing: N.V to the power ``power``, 0 at silhouettes.
+        by: the quantity that determines the detail. With "depth", the detail is 0 at ``near`` and 1 at ``far``. With
+            "focus", it is 0 at the depth ``focus`` and 1 at the distance ``far - near`` from ``focus``. With "facing",
+            it is N.V to the power ``power``, which is 0 at silhouettes.
         near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
         power: exponent of N.V.
-        fade: share of ``fade_colour`` in the colours where the detail is 1, or at silhouettes if ``by`` is facing. Not
-            used with a map.
+        fade: share of ``fade_colour`` in the colours where the detail is 1, or at silhouettes if ``by`` is facing. With
+            a map, ``fade`` has no effect.
         fade_colour: colour that ``fade`` mixes into the colours.
     """
 
@@ -97,7 +98,8 @@ class DetailAxis:
 
 @dataclass(frozen=True)
 class Gooch:
-    """The two colours of Gooch shading, away from the light and towards it."""
+    """The two colours of Gooch shading: that of surfaces that face away from the light, and that of surfaces that face
+    the light."""
 
     cool: Triple = (0.1, 0.16, 0.5)
     warm: Triple = (0.62, 0.5, 0.2)
@@ -138,8 +140,8 @@ class LineSettings:
         filter: none, sobel (nine taps) or cross (five taps).
         depth: relative jump of depth at which a line begins, above 0.
         normal: change of the cosine between normals at which a line begins, above 0.
-        thickness: distance between the taps in pixels of a picture with 1080 rows, 0.25 to 8. Lines are about twice as
-            wide.
+        thickness: distance between the taps in pixels of a picture with 1080 rows, 0.25 to 8. The width of lines is
+            about twice ``thickness``.
         opacity: opacity of the strongest lines, 0 to 1.
         colour: red, green and blue.
     """
@@ -188,9 +190,9 @@ class Style:
 
     Attributes:
         shading: how a colour depends on the light.
-        albedo: share of the captured colours in the surface colours, 0 to 1. The remaining share is white, or ``base``
-            if the shading is none.
-        base: colour with the share ``1 - albedo`` in the surface colours if the shading is none.
+        albedo: share of the captured colours in the surface colours, 0 to 1. The rest is white, or ``base`` if the
+            shading is none.
+        base: colour that has the share ``1 - albedo`` in the surface colours if the shading is none.
         paper: colour behind the scene, or None for the background colour of the picture.
         persistence: weight of the previous depth, normals and fainter lines while the camera does not move, from 0 to
         0.95.
@@ -226,6 +228,6 @@ def _check_unit(name: str, *values: float) -> None:
 
 
 def _check_range(name: str, value: float, least: float, most: float) -> None:
-    # The comparison is false for NaN.
+    # NaN is rejected too, because comparisons with NaN are false.
     if not least <= value <= most:
         raise ValueError(f"{name}: expected {least:g} to {most:g}, got {value:g}")

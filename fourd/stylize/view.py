@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fourd.stylize.styles import Style
 
 REFERENCE_ROWS = 1080
-"""Lengths in a style are pixels of a picture with this many rows."""
+"""Number of rows of the picture to which the lengths in a style refer. Lengths are in pixels of this picture."""
 
 
 def view_style(

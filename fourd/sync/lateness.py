@@ -1,4 +1,4 @@
-"""Detection of cameras whose images are late or early. The motion in the images of all cameras is compared."""
+"""Detection of cameras whose images are late or early, by comparison of the motion in the images of all cameras."""
 
 from __future__ import annotations
 
@@ -32,7 +32,8 @@ def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
         track: callback that reports progress.
 
     Returns:
-        one line of text for each such camera. The list is empty for captures of fewer than 36 frames or 3 cameras.
+        one line of text for each camera that is early or late. The list is empty for captures of fewer than 36 frames
+        or 3 cameras.
 
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.

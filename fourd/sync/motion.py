@@ -37,8 +37,8 @@ WIDTH_PX = 200
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of an offset that is applied or reported."""
 UNRELIABLE_FRAMES = 3
-"""Maximum error, in frames, of offsets that are estimated from motion. Offsets that do not exceed this error are
-neither applied nor reported."""
+"""Maximum error, in frames, of offsets that are estimated from motion. Smaller offsets are neither applied nor
+reported."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2
@@ -57,19 +57,20 @@ INK, GRID, WARNING = (40, 40, 40), (215, 215, 215), (60, 60, 200)
 class Offsets:
     """Time offset of each camera's video relative to the first camera's video.
 
-    Let o be the offset of a camera. An event at frame f of the first camera's video is at frame f + o of the video of
-    this camera. A camera that starts to record 7 frames after the first camera has o = -7.
+    Let o be the offset of a camera relative to the first camera. An event at frame f of the first camera's video is at
+    frame f + o of the other camera's video. A camera that starts to record 7 frames after the first camera has o = -7.
 
     Attributes:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
-        confidence: confidence of each camera's offset in [0, 1]. Offsets with values above 0.3 are reliable. Offsets
-            with values below 0.1 are unreliable. The confidence of a pair of cameras is defined as follows. Let p1 be
-            the peak of the correlation of the two signals. Let p2 be the highest correlation at lags more than 3 frames
-            away from the peak. Let c = 4 / sqrt(frames) be the noise level. The pair's confidence is the smaller of
-            (p1 - c) / (1 - c) and 2 (p1 - p2). The pair's confidence is 0 if the pair's lag differs by more than one
-            frame from the difference of the two cameras' offsets. The confidence of a camera is the mean over the half
-            of its pairs with the highest confidence.
+        confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable, and
+            those with a confidence below 0.1 are unreliable. The confidence of a pair of cameras is computed from the
+            correlation of their two signals. Let p1 be the peak of the correlation, and p2 the highest correlation at
+            lags more than 3 frames away from the peak. Let c = 4 / sqrt(frames) be the noise level. The pair's
+            confidence is the smaller of (p1
+            - c) / (1 - c) and 2 (p1 - p2). If the pair's lag differs by more than one frame from the difference of the
+            two cameras' offsets, the pair's confidence is 0. The confidence of a camera is the mean over the half of
+            its pairs with the highest confidence.
     """
 
     frames: tuple[int, ...]
@@ -81,7 +82,7 @@ def motion_energy(pictures: Iterable[Grey]) -> Array:
     """Compute the motion energy (F,) of F images: the mean absolute difference of consecutive images in grey levels.
 
     Changes of the whole image, such as exposure flicker, are fitted by a gain and an offset, and then removed.
-    Differences below 3 standard deviations of the noise count as 0. The noise is estimated from the median of the
+    Differences below 3 standard deviations of the noise are set to 0. The noise is estimated from the median of the
     differences. The first image gets the energy of the second image.
 
     Args:
@@ -134,18 +135,18 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
     The logarithm of each motion energy is band-pass filtered with a difference of Gaussians. The filter removes gains
     and slow trends. The filtered signals of every pair of cameras are correlated, which gives one lag per pair. The
     offsets are fitted to the lags by iteratively reweighted least squares, which approximates least absolute
-    deviations. Pairs whose correlation is flat, ambiguous or inconsistent have little weight in this fit.
+    deviations. In the fit, pairs whose correlation is flat, ambiguous or inconsistent have little weight.
 
     Each camera records a different part of the motion. For slow and smooth motion, the best lag can therefore be wrong
-    by some frames. A high confidence does not exclude such an error. In a test with a balancing man who was recorded
-    from four sides, the error was up to 3 frames at 60 Hz. For sudden motion, such as claps or steps, the estimate is
-    exact to the frame. Therefore, an offset of up to 3 frames does not prove that the cameras lack a common trigger.
+    by some frames, even if the confidence is high. In a recording of a balancing man from four sides at 60 Hz, the
+    error was up to 3 frames. An offset of up to 3 frames therefore does not prove that the cameras lack a common
+    trigger. For sudden motion, such as claps or steps, the estimate is exact to the frame.
 
     Args:
         energies: result (F,) of :func:`motion_energy` for each camera. The number of frames F may differ between
             cameras.
-        max_offset: maximum offset in frames, at least 1. Two videos that are shifted by this offset must overlap in at
-            least 12 frames.
+        max_offset: maximum offset in frames, at least 1. Two videos that are shifted by ``max_offset`` must overlap in
+            at least 12 frames.
 
     Raises:
         ValueError: if there is no camera, or if there are too few frames for ``max_offset``.
@@ -173,8 +174,8 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
 
 
 def _bandpass(energy: Array) -> Array:
-    """Compute the logarithm (F,) of the motion energy after band-pass filtering, normalisation and clipping. The result
-    is 0 if the energy is constant."""
+    """Compute the logarithm (F,) of the motion energy after band-pass filtering, normalisation and clipping. If the
+    energy is constant, the signal is 0."""
     level = ENERGY_FLOOR * float(np.median(energy)) + 1e-3 * float(np.max(energy, initial=0)) + 1e-9
     logarithm = np.log(energy + level)
     band = gaussian_filter1d(logarithm, FINE_SIGMA_FRAMES) - gaussian_filter1d(logarithm, COARSE_SIGMA_FRAMES)

@@ -24,7 +24,8 @@ def solve_offsets(
         lags: (P,) offset of camera j minus offset of camera i, in any unit of time.
         pair_weights: (P,) weights in [0, 1].
         count: number of cameras.
-        tolerance: deviation of a lag, in the unit of the lags, below which all deviations have the same weight.
+        tolerance: deviation of a lag from the fitted offsets, in the unit of the lags, up to which a pair has its full
+            weight.
     """
     if not pairs:
         return np.zeros(count)

@@ -1,7 +1,7 @@
 """Time offsets between cameras, estimated from their soundtracks by GCC-PHAT.
 
-GCC-PHAT: C. Knapp and G. Carter, "The generalized correlation method for estimation of time delay", 1976. Only the
-phase of the cross-spectrum is correlated. Different levels and microphones therefore have no effect.
+GCC-PHAT (C. Knapp and G. Carter, "The generalized correlation method for estimation of time delay", 1976) uses only the
+phase of the cross-spectrum. Different levels and microphones therefore have no effect.
 """
 
 from __future__ import annotations
@@ -29,17 +29,16 @@ MAX_SECONDS = 300.0
 """Maximum duration, in seconds, of the part of a soundtrack that is used. The limit bounds the memory to 10 MB per
 camera."""
 LOW_HZ, HIGH_HZ = 200.0, 3000.0
-"""Lower and upper frequency of the pass band in Hz. Wind and handling noise are below this band, and much of the noise
-of phones is above it."""
+"""Lower and upper frequency of the pass band in Hz. Wind and handling noise have lower frequencies, and much of the
+noise of phones has higher frequencies."""
 MAX_LAG_SECONDS = 60.0
 MIN_OVERLAP_SECONDS = 0.25
 MAX_GAP_SECONDS = 0.005
-"""If a block of sound starts more than this number of seconds later than expected, silence is inserted before the
-block."""
+"""Maximum gap in seconds before a block of sound. A longer gap is filled with silence."""
 SILENCE_RMS = 1e-4
-"""A soundtrack counts as silent if its level, as a share of full scale, is below this value (-80 dB)."""
+"""Level below which a soundtrack is treated as silent, as a share of full scale. The value corresponds to -80 dB."""
 ECHO_SECONDS = 0.06
-"""Correlation peaks whose lag differs by at most this number of seconds from that of the highest peak count as its
+"""Maximum difference in lag, in seconds, between the highest correlation peak and other peaks that are treated as its
 echoes."""
 NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
 """Heights of the correlation peak, in standard deviations of the correlation, at which the confidence is 0 and 1.
@@ -49,8 +48,8 @@ For short clips without common sound, the highest value of the correlation was b
 MAX_LAG_ERROR_SECONDS = 0.003
 LAG_TOLERANCE_SECONDS = 2e-4
 MAX_ALL_PAIRS = 6
-"""Up to this number of cameras, all pairs of cameras are correlated. With more cameras, each camera is correlated with
-the first camera and with the next camera."""
+"""Maximum number of cameras for which all pairs of cameras are correlated. With more cameras, each camera is correlated
+with the first camera and with the next camera."""
 SPEED_OF_SOUND = 343.0
 """Speed of sound in air at 20 degrees Celsius in m/s."""
 
@@ -77,13 +76,13 @@ class SoundOffsets:
     """Time offset of each camera's video relative to the first camera's video.
 
     Attributes:
-        seconds: offsets. A sound at the time t of the first camera's video is at the time t + offset of this camera's
-            video.
+        seconds: offsets. A sound at the time t of the first camera's video is at the time t + offset of the other
+            camera's video.
         confidence: confidence of each offset in [0, 1]. The confidence of a pair of cameras rises from 0 to 1 while the
             peak of the correlation rises from 10 to 20 standard deviations of the correlation. The confidence of the
-            pair is lower if another peak, more than 60 ms away, has more than 3/4 of the height. The confidence of the
-            pair is 0 if its lag differs from the difference of the two offsets by more than 3 ms. The confidence of a
-            camera is the mean over the half of its pairs with the highest confidence.
+            pair is reduced if another peak, more than 60 ms away, is higher than 3/4 of the highest peak. The
+            confidence of the pair is 0 if its lag differs from the difference of the two offsets by more than 3 ms. The
+            confidence of a camera is the mean over the half of its pairs with the highest confidence.
         sigmas: for each camera, height of the highest peak of its pairs, in standard deviations of the correlation.
     """
 

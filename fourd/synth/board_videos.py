@@ -125,10 +125,10 @@ def board_pose(settings: BoardSettings, time: float) -> BoardPose:
     of the cameras' arc."""
     generator = np.random.default_rng([settings.seed, 2])
     phases, cycles = generator.uniform(0, 2 * np.pi, 6), generator.uniform(2.0, 5.0, 6)
-    # The speed of the board does not depend on the number of frames, so the motion blur does not depend on it either.
+    # Neither the speed of the board nor the motion blur depends on the number of frames.
     waves = np.sin(2 * np.pi * cycles * time / 60 + phases)
     tilts = np.radians(TILT_DEGREES) * waves[3:] * (1.0, 1.0, 1.5)
-    # In this orientation, the board is upright. The x axis of the board points to the right, and its front faces the
+    # The base rotation makes the board upright: the x axis of the board points to the right, and its front faces the
     # direction -y.
     upright = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
     rotation = np.asarray(upright @ Rotation.from_rotvec(tilts).as_matrix())

@@ -217,8 +217,8 @@ def _limb(frame: Array, joint: Array, length: float, first: float, second: float
 def _lowest_height(parts: Sequence[Part]) -> float:
     """Approximate height in metres of the lowest point of ``parts``: a soft minimum over the spheres of the parts.
 
-    With the soft minimum, the height changes smoothly over time, even when the lowest point changes from one foot to
-    the other.
+    The soft minimum makes the height change smoothly over time, even when the lowest point moves from one foot to the
+    other.
     """
     heights = np.array([centre[2] - radius for part in parts for centre, radius in part.spheres()])
     softness = 0.02

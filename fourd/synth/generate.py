@@ -41,8 +41,8 @@ class SynthSettings:
     """Settings of a synthetic capture. The settings determine every byte of the capture.
 
     Attributes:
-        frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each.
-            Therefore, the capture can be played in a loop.
+        frames: number of frames, at least 1. The frames cover a whole number of gait cycles of about 24 frames each, so
+            the capture can be played in a loop.
         cameras: number of cameras, 3 to 100. The cameras are evenly spaced on a ring with a radius of 3.6 m. The
             cameras have three different heights.
         size: width and height of the images, 32 to 4096 pixels.
@@ -86,8 +86,8 @@ def make_synthetic(
     The capture contains images/CAM/FRAME.jpg, masks/CAM/FRAME.png (soft mattes, 255 = figure), intri.yml, extri.yml,
     truth/depth/CAM/FRAME.png (uint16 camera depth in millimetres at pixel centres, 0 = background), truth/bgs/CAM.png
     (the empty studio) and synth.json (the settings). World units are metres, and +z points up. The same settings give
-    bit-identical files. If ``out`` contains a finished synthetic capture with the same settings, the capture is kept. A
-    synthetic capture with other settings is replaced.
+    bit-identical files. A finished synthetic capture in ``out`` is kept if it has the same settings, and is replaced if
+    it has other settings.
 
     Args:
         out: folder that does not exist, is empty, or contains a synthetic capture.
@@ -163,8 +163,7 @@ def _prepare_folder(out: Path) -> None:
 
 
 def _phase(frame: int, frames: int) -> float:
-    """Phase of a frame in gait cycles. The capture covers a whole number of cycles. Therefore, it can be played in a
-    loop."""
+    """Phase of a frame in gait cycles. The capture covers a whole number of cycles, so it can be played in a loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
 

@@ -1,5 +1,4 @@
-"""Surface colours as functions of the position in the coordinates of a part. The colours therefore move with the
-part."""
+"""Surface colours as functions of the position in the coordinates of a part, so that the colours move with the part."""
 
 from __future__ import annotations
 

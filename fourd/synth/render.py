@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 Box = tuple[int, int, int, int]
 
 SAMPLES = 3
-"""Number of rays per pixel along each axis. The number is odd, so that one ray passes through the centre of the pixel.
-This ray gives the depth."""
+"""Number of rays per pixel along each axis. The number is odd, so that one ray passes through the centre of the pixel,
+where the depth is measured."""
 
 BAND_SAMPLES = 1 << 20
-"""Approximate number of rays that are traced at once. This number limits the memory for large images."""
+"""Approximate number of rays that are traced at once. The limit bounds the memory for large images."""
 
 KEY_LIGHT = np.array([0.45, 0.35, 0.82]) / np.linalg.norm([0.45, 0.35, 0.82])
 FILL_LIGHT = np.array([-0.7, -0.5, 0.35]) / np.linalg.norm([-0.7, -0.5, 0.35])
@@ -131,8 +131,8 @@ def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
     """Camera depths (len(v), len(u)) at which the rays (u, v, 1) enter the part. The depth is infinite for rays that
     miss the part.
 
-    Along its axes before scaling, the part is a convex rounded cone. A ray enters the part at the first point where it
-    meets one of the two spheres or the lateral surface.
+    In its own coordinates before scaling, the part is a convex rounded cone. A ray enters the part at the first point
+    where it meets one of the two spheres or the lateral surface.
     """
     to_part = (part.frame / part.stretch).T
     eye = to_part @ (camera.centre - part.origin)

@@ -23,13 +23,13 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 SIZE_STEP_PX = 32
-"""The sides of padded plates are rounded up to a multiple of this number of pixels."""
+"""Number of pixels to whose multiples the sides of padded plates are rounded up."""
 CACHED_STEPS = 100
 """Number of training steps for which the cached depth and image features of a plate are reused. The depth and the
 features change only slowly during training."""
 MAX_DEPTH_BEHIND = 9.0
-"""Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if its distance
-behind the plate's occlusion depth exceeds this tolerance."""
+"""Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if it lies behind
+the plate's occlusion depth by more than the tolerance."""
 MIN_RADIUS = 0.6
 """Smallest radius of a background point, as a multiple of the point's spacing."""
 
@@ -40,7 +40,7 @@ def create_background(
     """Create an untrained background.
 
     Args:
-        points: initial points. The colour of such a point is used where no source view sees the point.
+        points: initial points. The colour of an initial point is used where no source view sees the point.
         plates: camera index -> clean plate.
         config: the run's training config.
         contraction: function that maps unbounded space into the volume of the K-Planes.
@@ -68,8 +68,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # Cells of the K-Planes that no plate observes get no gradient. Random initial values in these cells would
-        # remain as noise.
+        # The planes are not initialised at random, because random values would remain as noise in cells that no plate
+        # observes, which get no gradient.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -80,7 +80,7 @@ def create_background(
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """(N,) bool, true for the points of ``xyz`` (N, 3) that lie outside the images of all ``cameras``.
 
-    Training never renders these points. Densification must not remove them, although no camera observes them.
+    Training never renders points outside all images, and densification must not remove them.
     """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:

@@ -50,7 +50,8 @@ class SavedProgress:
 
     @classmethod
     def from_json(cls, state: object, source: Path | str) -> SavedProgress:
-        """The inverse of :meth:`to_json`. Raises UserError for other states. The message names ``source``."""
+        """The inverse of :meth:`to_json`. Raises UserError, with a message that names ``source``, if ``state`` has
+        another form."""
         values = [state.get(name) if isinstance(state, dict) else None for name in ("seconds", "psnr")]
         seconds, psnr = (
             value if isinstance(value, int | float) and abs(value) < MAX_STATE else None for value in values
@@ -103,11 +104,12 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
 
 
 def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
-    """Find the newest intact checkpoint in ``folder``. A checkpoint is intact if its file and all its points files are.
+    """Find the newest intact checkpoint in ``folder``. A checkpoint is intact if its own file and all its points files
+    are undamaged.
 
     Returns:
-        The pair (path, note). The path is None if the folder is missing or contains no intact checkpoint. If newer but
-        damaged files were skipped, the note is one line about these files. Otherwise, the note is an empty string.
+        The pair (path, note). The path is None if the folder is missing or contains no intact checkpoint. The note is
+        one line about newer but damaged files that were skipped, or an empty string if there are none.
     """
     damaged: list[str] = []
     found = None
@@ -140,7 +142,7 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
 def verify_checkpoint(path: Path) -> int:
     """Verify a checkpoint with the points of all frames, and return the number of verified files.
 
-    Runs of older versions of fourd have no digests of points. Only the checkpoint file of these runs is verified.
+    In runs of older versions of fourd, which have no digests of points, only the checkpoint file is verified.
 
     Raises UserError if a file is missing, truncated or altered. The message names the file.
     """
@@ -169,7 +171,7 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
         require_regular(path)
         with safe_open(path, framework="pt") as stream:
             header = stream.metadata() or {}
-            # The object that safe_open returns cannot be iterated over directly.
+            # ``stream`` has the method keys() but is not iterable.
             tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise UserError(
@@ -296,7 +298,7 @@ def _drop_old(folder: Path, step: int) -> None:
     """Delete all checkpoints up to ``step`` except the two newest. Damaged checkpoints of steps after ``step`` are also
     deleted.
 
-    Checkpoints of steps after ``step`` exist if the newest checkpoint was damaged when the run was resumed.
+    Checkpoints of later steps exist if the newest checkpoint was damaged when the run was resumed.
     """
     files = checkpoint_files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:
@@ -309,7 +311,7 @@ def _drop_old(folder: Path, step: int) -> None:
 
 
 def _cannot_write(folder: Path, error: Exception) -> UserError:
-    # safetensors raises its own exception type, whose text contains the system's error number.
+    # The error number of the system must be read from the text of safetensors' own exception type.
     is_full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
     before = checkpoint_files(folder)
     kept = f"the previous checkpoint, {before[-1].name}, is intact" if before else "there is no previous checkpoint"

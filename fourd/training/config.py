@@ -20,7 +20,7 @@ class LossConfig:
     image: Literal["mse", "huber"] = "mse"
     """Loss function of colour differences."""
     perceptual: float = 1e-3
-    """Weight of LPIPS (VGG-16). LPIPS is used only if its network weights are installed."""
+    """Weight of the LPIPS loss (VGG-16). LPIPS is used only if its network weights are installed."""
     stand_in: float = 1e-2
     """Weight of 1 - SSIM, which replaces LPIPS if the network weights of LPIPS are missing."""
     mask: float = 1e-1
@@ -53,8 +53,8 @@ class RateConfig:
     xyz_halving_updates: int = 60
     """Number H of updates after which the learning rate of a point's position is halved. After n updates of the point,
     the rate has been multiplied by 1 / (1 + n / H), in addition to the exponential decay of all learning rates. With H
-    = 0, the rate is not halved. Without halving, training moves points at random where no image constrains them. Novel
-    views of a long training are then worse than those of a short training."""
+    = 0, the rate is not reduced. Without this reduction, training moves points at random where no image constrains
+    them, and novel views become worse when training takes longer."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
@@ -84,14 +84,14 @@ class BackgroundConfig:
     """Source of the background points. With `ngp`, the points come from a radiance field that is fitted to the plates
     and to stereo depths. With `sfm`, the points come only from stereo."""
     seeds: Path | None = None
-    """PLY file with background points in world units. If this file is given, no points are computed from the plates."""
+    """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
     """Settings of the radiance field that is used with `seeding: ngp`."""
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
     """Render foreground and background together. If false, steps on frames render and train only the foreground, on
-    black. The background is then trained only in steps on plates."""
+    black, and only steps on plates train the background."""
     share: float = 0.35
     """Share of the training steps that use a clean plate as ground truth. The other steps use a frame."""
     window_px: int = 256
@@ -101,10 +101,10 @@ class BackgroundConfig:
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a share of the point spacing."""
     least_layers: int = 12
-    """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between this
-    minimum and `layers` of the training config. If K is too small, a floor viewed at a grazing angle lacks its farthest
-    points. The gradient then enlarges the discs, so that even more points overlap at each pixel. As a result, the image
-    becomes blurred."""
+    """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between
+    `background.least_layers` and `layers`. If K is too small, a floor viewed at a grazing angle lacks its farthest
+    points. To compensate, the gradient enlarges the discs, so that even more points overlap at each pixel, and the
+    image becomes blurred."""
     encoder_every: int = 8
     """The background's image encoder is updated only in training steps that use a clean plate, and only if the step
     number is divisible by `encoder_every`."""
@@ -129,8 +129,8 @@ class DensifyConfig:
     on: bool = True
     """Split and remove points during training."""
     frame_every: int = 40
-    """Number of training steps on a frame between two densifications of the frame's points. Each
-    densification removes the points that are at least `frame_every` steps old and have never received a gradient."""
+    """Number of training steps on a frame between two densifications of the frame's points. A densification removes
+    points that have existed for at least `frame_every` steps without ever receiving a gradient."""
     background_every: int = 250
     """Number of steps between two densifications of the background. Each densification removes the background points
     that are occluded in every plate."""
@@ -170,7 +170,8 @@ class RefineConfig:
     """Assumed standard deviation of each entry of a camera's colour correction."""
     band: float = 0.03
     """Maximum distance of a matched feature from its epipolar line, as a share of the longer image side. The epipolar
-    line is computed with the given cameras, before bundle adjustment. Matches beyond this distance are not used."""
+    line is computed with the given cameras, before bundle adjustment. Matches farther from their epipolar line are not
+    used."""
     weight: float = 1e-5
     """Loss weight of the sum of (correction / standard deviation)^2 over the corrections of a camera."""
     pose_rate: float = 1e-4
@@ -200,10 +201,10 @@ class SegmentConfig:
     """Segments of a long capture. A segment is a range of frames that has its own model."""
 
     frames: int | None = None
-    """Maximum number of frames of a segment. The budget applies to each segment. With null, one model describes all
+    """Maximum number of frames of a segment. The budget applies to each segment. With null, one model represents all
     frames."""
     overlap: int = 4
-    """Number of frames that two successive segments share. In these frames, the scene fades from one segment to the
+    """Number of frames that two successive segments share. In shared frames, the scene fades from one segment to the
     next."""
     warm_start: bool = False
     """Start the networks of each segment from the trained networks of the previous segment."""
@@ -242,22 +243,23 @@ class TrainConfig:
     all mattes."""
     hull_inset: float = 0.9
     """Distance by which the initial points are moved into the visual hull, as a multiple of the point spacing. The
-    inset is needed because discs extend beyond their centres. Without inset, the initial silhouettes are too large, and
-    training must first shrink them."""
+    inset is needed because discs extend beyond their centres. Without an inset, the initial silhouettes are too large,
+    and training must first shrink them."""
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
-    """Minimum number K of points that are composited at each pixel while training. Each step samples K between this
-    minimum and `layers`. An exported scene composites fewer layers than training does. The surfaces of an exported
-    scene must therefore be opaque after few layers. Training with a small K produces such surfaces. Full scenes use
+    """Minimum number K of points that are composited at each pixel while training. Each step samples K between
+    `least_layers` and `layers`. An exported scene composites fewer layers than training does, so its surfaces must be
+    opaque after few layers. Training with a small K makes surfaces opaque after few layers. Full scenes use
     `background.least_layers` instead of this key."""
     samples: int = 2
     """Number of samples in each pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of
     all its samples. With one sample, contours are ragged, and new views have a lower PSNR than with 2 x 2."""
     pixel_filter: float = 0.1
-    """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. The filter replaces several
-    samples in each pixel when a trained or exported scene is rendered. The weights of the filter are `pixel_filter`,
-    1 - 2 `pixel_filter` and `pixel_filter`, along rows and along columns. With 0, images are not filtered."""
+    """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. When a trained or exported scene
+    is rendered, the filter replaces the several samples per pixel of training. The weights of the filter are
+    `pixel_filter`, 1 - 2 `pixel_filter` and `pixel_filter`, along rows and along columns. With 0, images are not
+    filtered."""
     crop: Literal["mask", "full"] = "mask"
     """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
     selects the whole image."""
@@ -268,18 +270,18 @@ class TrainConfig:
     """Number of steps between two updates of the image encoder. The encoder's backward pass is expensive, and the
     encoder's weights change slowly."""
     hidden_weight: float = 3e-2
-    """In each step, the points whose largest compositing weight in the target view is below this threshold are skipped.
-    With threshold 0, no points are skipped."""
+    """Minimum compositing weight of a point in the target view. In each step, points that are below this minimum at all
+    pixels are skipped. With 0, no points are skipped."""
     keep_in_hull: bool = True
-    """Move a point back if a step moves the point out of the silhouette in the target view or in a source view. This
-    option prevents stray points."""
+    """Move a point back if a step moves the point out of the silhouette in the target view or in a source view, which
+    prevents stray points."""
     smoothing: float = 0.5
     """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Points within a
     quarter of the point spacing from their plane are not moved. With 0, smoothing is switched off."""
     neighbour_pool: int = 5
     """Size of the pool of views from which each step samples its source views. The pool contains the views nearest to
     the target view. If the pool is larger than the number of source views, some steps use source views with wide
-    baselines. Wide baselines also occur between a novel view and its source views."""
+    baselines, as they occur between a novel view and its source views."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None

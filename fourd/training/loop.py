@@ -74,8 +74,8 @@ class Trainer:
             run: the run folder.
             lpips: the network of the perceptual loss; with None, SSIM replaces the perceptual loss.
             console: console that shows the progress of training.
-            budget: the run's config with max_steps and max_seconds of this call. In a resumed run, these limits may be
-                larger than the limits in config.yaml.
+            budget: the run's config with max_steps and max_seconds of this call. When a run is resumed, the limits may
+                be larger than those in config.yaml.
             group: the ranks that train the run together.
         """
         if budget.max_steps is None and budget.max_seconds is None:
@@ -111,8 +111,8 @@ class Trainer:
         """Train until the budget is spent.
 
         Ctrl-C is handled after the training step, so that the saved checkpoint is that of a whole step. A second Ctrl-C
-        ends the training at once, without a new checkpoint. Requests to pause, to save and to stop, which ``fourd
-        serve`` writes, are also handled between steps.
+        ends the training at once, without a new checkpoint. Between steps, requests of ``fourd serve`` to pause, to
+        save and to stop are also handled.
         """
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done) if self.group.is_first else NoLog()
@@ -211,7 +211,7 @@ class Trainer:
 
     def _validate(self, log: MetricsLog | NoLog) -> None:
         """Log the mean PSNR of the held-out views at the middle frame, inside the bounding boxes of the mattes. If
-        another rank owns this frame, an earlier frame is used.
+        another rank owns the middle frame, an earlier frame is used.
 
         Training views are used if no view is held out.
         """
@@ -259,7 +259,8 @@ class Trainer:
 
     def _save_points(self, folder: Path) -> None:
         is_first, count = self.group.is_first, self.run.capture.frame_count
-        # In a damaged checkpoint of the same step, a file can be a pipe or a folder, which no file may replace.
+        # A file of a damaged checkpoint of the same step can be a pipe or a folder, which atomic writing does not
+        # replace.
         if is_first and any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
             shutil.rmtree(folder)
         self.group.barrier()
@@ -312,7 +313,7 @@ class Trainer:
         return seconds >= self.config.checkpoint_seconds
 
     def _passed(self, interval: int) -> bool:
-        """Whether the last step of the group, or the last of its steps, reached a multiple of ``interval``."""
+        """Whether a multiple of ``interval`` was reached in the last step that all ranks took together."""
         return self.done // interval > (self.done - self.group.size) // interval
 
     def _progress(self) -> Progress:

@@ -1,11 +1,10 @@
-"""Settings of the C library's heap. With these settings, freed memory is reused quickly, and the resident size stays
-bounded. Only glibc is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do
-nothing.
+"""Settings of the C library's heap, with which freed memory is reused quickly and the resident size stays bounded. Only
+glibc is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
 
-Images differ in size, so freed blocks do not always fit the next allocation. Therefore, the heap's address space grows
-for hours during training. However, a page of the heap occupies physical memory only if the page was written since the
-last trim. Data that is kept for many steps would fragment the heap. Such data is therefore stored outside the heap, in
-separate pages.
+Images differ in size, so freed blocks do not always fit the next allocation, and the heap's address space grows for
+hours during training. However, a page of the heap occupies physical memory only if the page was written since the last
+trim. Data that is kept for many steps is stored outside the heap, in separate pages, because it would fragment the
+heap.
 """
 
 from __future__ import annotations
@@ -41,8 +40,8 @@ _TRIM_THRESHOLD, _MMAP_MAX = -1, -4  # constants of malloc.h
 def retain_freed_memory() -> None:
     """Make the C library keep freed memory in the process until a :class:`HeapTrimmer` returns it to the system.
 
-    By default, the C library returns the memory of a large array to the system as soon as the array is freed. Without
-    this function, each training step would therefore spend time on page faults when it allocates large arrays.
+    By default, the C library returns the memory of a large array to the system as soon as the array is freed. Each
+    training step would then spend time on page faults when it allocates large arrays.
     """
     mallopt = _libc_function("mallopt")
     if mallopt is not None:

@@ -101,7 +101,8 @@ class MetricsLog:
         self.close()
 
     def _ignore_disk_errors(self, arguments: threading.ExceptHookArgs) -> None:
-        """Print no traceback if TensorBoard's thread cannot write. Its next call raises the same error."""
+        """Print no traceback if TensorBoard's thread cannot write, because the next call of TensorBoard raises the same
+        error."""
         if not (arguments.exc_type is not None and issubclass(arguments.exc_type, OSError | MemoryError)):
             self._hook(arguments)
 

@@ -47,11 +47,11 @@ def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
 
 
 def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
-    """Depth (H, W) behind which points count as occluded: the surface depth, dilated by the typical size of a point.
+    """Depth (H, W) behind which points are occluded: the surface depth, dilated by the typical size of a point.
 
-    For the surface depth, points are rendered as discs that face the camera. On a floor viewed at a grazing angle, such
-    a disc covers the discs behind it. Without dilation, half of the visible points of such a floor would therefore
-    count as occluded. The dilation assigns to each pixel the farthest surface depth within the median disc radius
+    For the surface depth, points are rendered as discs that face the camera. On a floor viewed at a grazing angle, each
+    disc covers the discs behind it. Without dilation, half of the visible points of the floor would therefore be
+    treated as occluded. The dilation assigns to each pixel the farthest surface depth within the median disc radius
     around the pixel.
     """
     pixels, depth = camera.project(points.xyz.double().numpy())

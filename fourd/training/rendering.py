@@ -16,8 +16,8 @@ from fourd.training.points.frame_points import FramePoints
 NEAR = 0.01
 """Depth of the near plane in world units."""
 COUNT_STEP = 1024
-"""Multiple to which the number of visible points is rounded up. Because of the rounding, tensors have few different
-sizes and fit into memory that earlier steps have freed."""
+"""Multiple to which the number of visible points is rounded up. The rounding leaves few different sizes of tensors,
+which then fit into memory that earlier steps have freed."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
     """For each cloud, indices of the points whose largest compositing weight over the pixels of the view exceeds
     ``min_weight``.
 
-    Occlusion between the clouds is taken into account. With ``min_weight`` 0, all points count as visible.
+    Occlusion between the clouds is taken into account. If ``min_weight`` is 0, all points are visible.
     """
     if min_weight == 0:
         return [torch.arange(cloud.xyz.shape[0]) for cloud in clouds]

@@ -66,12 +66,12 @@ class SceneConfig:
     spacing: float = 0.01
     """Mean distance between neighbouring points."""
     first_frame: int = 0
-    """Index in the capture of the frame at time 0. This is the first frame of a segment, or 0."""
+    """Index in the capture of the frame at time 0: the first frame of a segment, or 0."""
     frame_count: int = 1
-    """Number of frames from time 0 to time 1. These are the frames of a segment, or all frames of the capture."""
+    """Number of frames from time 0 to time 1: those of a segment, or all frames of the capture."""
     reach: float = 1.0
-    """Distance from the centre of the bounds to the farthest camera. Within this distance, the contraction does not
-    distort space."""
+    """Distance from the centre of the bounds to the farthest camera. Within this distance of the centre, the
+    contraction does not distort space."""
 
 
 @dataclass(frozen=True)
@@ -111,12 +111,12 @@ class Run:
     @property
     def focus(self) -> NDArray[np.float64]:
         """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles
-        to the viewing camera. The angles are measured at the centre of the bounds."""
+        to the viewing camera. Angles between cameras are measured at the centre of the bounds."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
     def has_segments(self) -> bool:
-        """Whether the models are in the segments of the run, and not in the run itself."""
+        """Whether the segments of the run contain the models, and not the run itself."""
         return self.config.train.segments.frames is not None
 
     @property
@@ -280,8 +280,7 @@ def load_models(run: Run) -> TrainedRun:
 def read_run_plates(
     capture: Capture, training: Sequence[int], folder: Path, log: Log = lambda line: None
 ) -> tuple[PlateView, ...]:
-    """The clean plates of the training views. If the run folder ``folder`` contains plates, they replace the plates of
-    the capture."""
+    """The clean plates of the training views. Plates in the run folder ``folder`` replace the plates of the capture."""
     made = folder / BACKGROUND / PLATES
     return read_plates(capture, training, log, made=made if made.exists() else None)
 

@@ -25,12 +25,12 @@ VALIDATION = "validation"
 SOURCE = "source"
 """Folder with the copy of a capture that was given as a URL."""
 LIVE = "live"
-"""Folder with the state of a training and the last request to it, see :mod:`fourd.training.live`."""
+"""Folder with the state of a training and the last request to the training, see :mod:`fourd.training.live`."""
 SEGMENTS = "segments"
 """Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
 PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)
-"""Folders that are written before training. These folders may exist before ``config.yaml``, the file that marks a
-folder as a run."""
+"""Folders that are written before training. They may exist before ``config.yaml``, the file that marks a folder as a
+run."""
 
 
 def checkpoint_files(folder: Path) -> list[Path]:

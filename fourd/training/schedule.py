@@ -65,10 +65,10 @@ class StepSampler:
 
     def sample(self, step: int) -> StepSample:
         """The sample that this rank takes at a step. With W ranks, W successive steps are taken at once, one by each
-        rank, and ``step`` is the first of them.
+        rank, and ``step`` is the first of the W steps.
 
-        In F * V successive steps of a rank that start at a multiple of F * V, every view of every frame is sampled
-        exactly once. F is the number of frames that the rank owns, and V is the number of training views.
+        Let F be the number of frames that the rank owns, and V the number of training views. In F * V successive steps
+        of a rank that start at a multiple of F * V, every view of every frame is sampled exactly once.
         """
         views, group = len(self._training), self._group
         count = len(self._frames) * views

@@ -81,7 +81,7 @@ class Stepper:
                 makes W steps.
 
         Raises:
-            UserError: a loss term is not finite. Models and points are unchanged if this error is raised.
+            UserError: a loss term is not finite. Models and points are then unchanged.
         """
         target = self.scene.target(sample)
         evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)
@@ -141,7 +141,7 @@ class Stepper:
         for group in self.optimizer.param_groups:
             group["lr"] = group["base"] * rate_factor * self.group.rate_factor
         self.optimizer.step()
-        # If gradients were kept until the next step, they would fragment the heap.
+        # Gradients are deleted here, because keeping them until the next step would fragment the heap.
         self.optimizer.zero_grad(set_to_none=True)
         for each in evaluated:
             gradients = {

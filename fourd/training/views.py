@@ -19,9 +19,8 @@ from fourd.training.memory import array_outside_heap
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
-"""The sides of crops are rounded up to a multiple of this number of pixels. Because of the rounding, crops have few
-different sizes. Convolutions are therefore set up only once for each crop size, and a new crop fits into the memory
-that an older crop has freed.
+"""Number of pixels to whose multiples the sides of crops are rounded up, so that crops have few different sizes.
+Convolutions are set up only once for each crop size, and a new crop fits into the memory that an older crop has freed.
 """
 EMPTY_CROP_PX = 16
 """Side of the crop for an empty matte, in pixels."""

@@ -106,7 +106,8 @@ def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[n
     tree = cKDTree(points.xyz)
     away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
     away, index = np.asarray(away).reshape(len(xyz), -1), np.asarray(index).reshape(len(xyz), -1)
-    # Distances relative to the nearest point are used, because the weights would otherwise be 0 far from the surface.
+    # Weights depend on distances relative to the nearest point, because weights of absolute distances would be 0 far
+    # from the surface.
     weight = np.exp(-(away**2 - away[:, :1] ** 2) / (2 * (SMOOTHING_CELLS * side) ** 2)) * points.weights[index]
     height = ((points.xyz[index] - xyz[:, None]) * points.normals[index]).sum(axis=2)
     return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
@@ -117,7 +118,7 @@ def close_holes(
 ) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Close the holes of an oriented mesh: each edge of a hole forms a triangle with the mean of the hole's vertices.
 
-    A surface has holes where it crosses the border of the grid.
+    Holes occur where a surface crosses the border of the grid.
     """
     faces = np.asarray(triangles, np.int64)
     edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -129,8 +130,8 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # At each vertex of a hole, equal numbers of open edges start and end. Therefore, the starts of the open edges are
-    # the hole's vertices.
+    # The starts of the open edges are all vertices of the hole, because equal numbers of open edges start and end at
+    # each of its vertices.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

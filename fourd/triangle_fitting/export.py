@@ -32,7 +32,7 @@ def write_mesh(path: Path, mesh: ColouredMesh, up: Array) -> None:
     Args:
         path: the file. Its suffix, .glb or .ply, determines the format.
         mesh: the mesh, with at least one triangle.
-        up: (3,) up direction of the scene in world coordinates. The direction must not be zero. In GLB files, this
+        up: (3,) up direction of the scene in world coordinates. The direction must not be zero. In GLB files, the up
             direction becomes +y.
     """
     normals = vertex_normals(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles).long()).numpy()

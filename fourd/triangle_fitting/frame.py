@@ -107,7 +107,8 @@ class _FrameFit:
         self._surface: SurfaceFit | None = None
 
     def run(self) -> Iterator[int]:
-        """Fit until the budget is spent. Yields the spent budget in percent each time that this number grows."""
+        """Fit until the budget is spent. Yields the spent budget in whole percent each time that the percentage
+        grows."""
         percent, is_scored = 0, False
         while (share := self.budget.share) < 1:
             if not is_scored and share >= self._settings.soft_share:

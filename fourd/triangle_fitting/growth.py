@@ -11,12 +11,13 @@ from fourd.cameras import Camera
 from fourd.triangle_fitting.soup import Soup
 
 MIN_WEIGHT = 0.022
-"""Triangles are removed if their largest compositing weight since the last round of pruning is below this value."""
+"""Minimum of a triangle's largest compositing weight since the last round of pruning. Triangles below this minimum are
+removed."""
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
-"""Triangles are split in four if their longest edge exceeds this number of pixels in a training view. Otherwise, they
-are duplicated."""
+"""Maximum length in pixels of the longest edge of a triangle that is duplicated. Triangles that are longer in a
+training view are split in four."""
 CLONE_OFFSET = 0.2
 """Standard deviation of the offset of a duplicate in the plane of its triangle, as a share of the triangle's edges."""
 
@@ -43,7 +44,7 @@ def prune_and_grow(
         return
     wanted = min(int(GROWTH * len(kept)), most) - len(kept)
     is_large = longest_edges_px(soup.corners.value[kept], cameras) > SPLIT_PX
-    # Splitting adds three triangles, and duplication adds one triangle.
+    # Splitting a triangle adds three triangles, and duplication adds one triangle.
     order = torch.multinomial(priority[kept] + 1e-12, len(kept), generator=generator) if wanted > 0 else kept[:0]
     added = torch.cumsum(torch.where(is_large[order], 3, 1), 0)
     chosen = order[added <= wanted]
@@ -51,8 +52,8 @@ def prune_and_grow(
     grown[chosen] = True
     split, cloned = kept[grown & is_large], kept[grown & ~is_large]
     corners, colours, logits = soup.corners.value, soup.colours.value, soup.logits.value
-    # If a triangle with opacity o is duplicated, both triangles get the opacity o' = 1 - sqrt(1 - o). Together, they
-    # are as opaque as the original triangle.
+    # If a triangle with opacity o is duplicated, both triangles get the opacity o' = 1 - sqrt(1 - o). The two triangles
+    # together are as opaque as the original triangle.
     halved = torch.logit(1 - (1 - opacity[cloned]).sqrt(), eps=1e-6)
     logits.data[cloned] = halved
     parts = torch.cat([_in_four(corners[split]), corners[cloned] + _offsets(corners[cloned], generator)])

@@ -20,7 +20,7 @@ class Neighbours:
 
     Attributes:
         first: (P,) int64 triangle indices.
-        second: (P,) int64 indices of a neighbour of each of these triangles.
+        second: (P,) int64 index of a neighbour of each triangle in ``first``.
     """
 
     first: Tensor
@@ -48,12 +48,12 @@ def unit_normals(corners: Tensor) -> Tensor:
 
 
 def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> tuple[Tensor, Tensor]:
-    """Disagreement of neighbouring triangles (T, 3, 3).
+    """Measure how much neighbouring triangles (T, 3, 3) deviate from a common plane.
 
     Returns:
         the mean Huber loss of the distances between neighbours' centres and the planes of triangles, in units of the
-        spacing. Also the mean of 1 - cosine of the angle between the normals of neighbours. Both values are 0 if there
-        are no neighbours.
+        spacing. The second value is the mean of 1 - cosine of the angle between the normals of neighbours. Both values
+        are 0 if there are no neighbours.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)
     if len(neighbours.first) == 0:

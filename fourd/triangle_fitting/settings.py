@@ -12,21 +12,20 @@ class TriangleSettings:
 
     Attributes:
         triangles: maximum number of soft triangles, at least 16. The fit starts with half of this number.
-        cells: number of cubes along the longest side of the subject, at least 8. This number determines the resolution
-            of connected meshes.
-        connect: whether the hardened triangles are connected to a closed mesh. Otherwise, they remain separate.
+        cells: number of cubes along the longest side of the subject, at least 8, which determines the resolution of
+            connected meshes.
+        connect: whether the opaque triangles are connected to a closed mesh. Otherwise, they remain separate.
         max_steps: maximum number of steps; None means no limit.
         max_seconds: maximum number of seconds of fitting; None means no limit. At least one limit must be set.
         interval: steps between two rounds of pruning and growth, at least 1.
-        soft_share: share of the budget, in [0, 1], during which triangles remain soft. After this share, the triangles
-            gradually become opaque.
+        soft_share: share of the budget, in [0, 1], after which the soft triangles gradually become opaque.
         hard_share: share of the budget, at least ``soft_share``, after which triangles are opaque.
         plane: weight of the loss on the distances of triangles from the planes of their neighbours.
         normal: weight of the loss on the angles between neighbouring triangles.
         laplacian: weight of the squared Laplacian of connected meshes, with lengths in units of a cube's side.
         crease: weight of the normal-consistency loss of connected meshes.
-        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point in
-            their mattes.
+        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that
+            see it.
         least_views: a share in (0, 1]. At least this share of all views must see a hull point.
         seed: seed of all random numbers: the order of the views, the initial triangles and the growth.
     """

@@ -28,7 +28,7 @@ class Soup:
         colours: (T, 3) RGB, where 0 is black and 1 is white.
         logits: (T,) logits of the opacity between its lower limit and 1.
         spacing: initial distance between neighbouring triangles in world units. The learning rate of positions is
-            proportional to this distance.
+            proportional to the spacing.
     """
 
     def __init__(self, corners: Tensor, colours: Tensor, spacing: float) -> None:

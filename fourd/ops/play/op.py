@@ -20,7 +20,7 @@ from fourd.ops.stylize.parameters import Surface
 MIN_TRANSMITTANCE = 1e-3
 """Compositing of a pixel ends when the pixel's transmittance falls below this value.
 
-The remaining points could change the colour by at most a quarter of an 8-bit step, so they are not visible.
+The points that are not composited could change the colour by at most a quarter of an 8-bit step.
 """
 
 
@@ -117,9 +117,9 @@ class PointPlayer:
         Args:
             normals: (N, 2) uint8 octahedral normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
             persistence: weight of the previous picture, at least 0 and below 1. Before the call, ``out`` contains the
-                depths and normals of the previous picture. The previous values are used only at pixels where both
-                pictures show the same surface. At such a pixel, the inverse depths differ by at most 2%, and the
-                normals by at most 37 degrees. Use 0 for the first picture from a camera.
+                depths and normals of the previous picture. The previous values are used only at pixels where the
+                inverse depths of both pictures differ by at most 2%, and the normals by at most 37 degrees. Use 0 for
+                the first picture from a camera.
             out: the surface to draw into, whose size is that of ``camera``.
 
         The other arguments and the errors are those of :meth:`draw`.

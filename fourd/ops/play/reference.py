@@ -13,9 +13,9 @@ from fourd.ops.shade.shading import Shading
 
 MAX_FLOAT32 = np.finfo(np.float32).max
 RADIUS_MARGIN = 1 + 1e-6
-"""The kernels enlarge the disc of a point by this factor before they search for the pixels that the disc covers.
+"""Factor by which the kernels enlarge the disc of a point before they search for the pixels that the disc covers.
 
-Without this factor, rounding errors could omit a covered pixel.
+The factor prevents rounding errors from omitting a covered pixel.
 """
 
 
@@ -63,7 +63,7 @@ def sort_points_reference(
 ) -> NDArray[np.uint32]:
     """Compute the result of :meth:`fourd.ops.play.op.PointSorter.sort` with a stable sort of float32 depths.
 
-    The function computes the same float32 operations in the same order as ``csrc/points/maths.h``.
+    The float32 operations and their order are those of ``csrc/points/maths.h``.
     """
     k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
     radius_float, density_float = radius.astype(np.float32), density.astype(np.float32)

@@ -15,7 +15,7 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CHUNK = 1 << 23
-"""Maximum product of the number of pixels and the number of points per chunk. This maximum limits memory to about 100
+"""Maximum product of the number of pixels and the number of points per chunk. The maximum limits memory to about 100
 MB."""
 
 
@@ -132,9 +132,9 @@ def _composite(
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
-    # Depths are averaged relative to the nearest depth, which is a constant in autograd. The subtraction of the nearest
-    # depth changes neither the mean nor its gradient. In pixels with one layer, the subtraction avoids a rounding error
-    # that division by a small weight would amplify.
+    # Depths are averaged relative to the nearest depth, which is a constant in autograd and changes neither the mean
+    # nor its gradient. In pixels with one layer, subtracting the nearest depth avoids a rounding error that division by
+    # a small weight would amplify.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

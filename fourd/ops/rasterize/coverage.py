@@ -1,7 +1,7 @@
 """Coverage of the reference rasterizer: clipping, rounding to 1/256 pixel and exact edge functions.
 
 ``csrc/rasterize/maths.h`` and ``csrc/rasterize/clipping.h`` have the same functions for the kernels. All functions of
-this module compute the same numbers as the kernels. None of the functions is differentiable.
+this module compute the same numbers as the kernels and are not differentiable.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ SUBPIXELS = 256
 _MAX_EXTENT_PX = 2**17
 
 Corner = tuple[float, float, float]
-"""x, y and w."""
+"""Coordinates x, y and w of a vertex."""
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class Pieces:
     Attributes:
         corners: (P, 3, 2) int64 x and y of the vertices, in units of 1/256 pixel.
         triangle: (P,) int64 triangle of each piece, in ascending order.
-        reference: (P, 2) int64 column and row of the pixel at which the linear functions of the triangle have their
-            origin.
+        reference: (P, 2) int64 column and row of the reference pixel, which is the origin of the triangle's linear
+            functions.
     """
 
     corners: Tensor
@@ -96,7 +96,8 @@ def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list
 
 
 def _guard(side: int) -> int:
-    """Return the ratio, a power of two, of the guard band to the image of ``side`` pixels.
+    """Return the size of the guard band as a multiple of the image's size of ``side`` pixels. The multiple is a power
+    of two.
 
     The guard band ends within 2^16 pixels of the image's centre.
     """

@@ -1,4 +1,4 @@
-"""The rasterizer in plain torch: slow, but simple. Its results are differentiable through autograd."""
+"""The rasterizer in plain torch: slow, but simple. The results are differentiable through autograd."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ class Planes:
     """Linear functions over the image, one row for each triangle.
 
     Attributes:
-        b: (T, 3, 3) weight / w of each vertex, times the largest |w| of the vertices: the value at the reference pixel,
-            and the slopes per pixel along x and y.
+        b: (T, 3, 3) for each vertex, the linear function weight / w, times the largest |w| of the vertices. Its three
+            numbers are the value at the reference pixel, and the slopes per pixel along x and y.
         depth: (T, 3) z/w: the value at the reference pixel, and the slopes per pixel along x and y.
-        low, high: (T,) range of z/w of the vertices, which limits z/w.
+        low, high: (T,) smallest and largest z/w of the vertices, to which z/w is clamped.
         reference: (T, 2) column and row of the reference pixel.
         is_valid: (T,) whether the triangle is not degenerate.
     """
@@ -95,7 +95,7 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
     """Compute the linear functions of triangles in float64, and round them to the dtype of ``pos``.
 
     Let M be the matrix with the columns (x, y, w) of the vertices, and f a pixel centre in normalised device
-    coordinates. Then b = M^-1 (f_x, f_y, 1) has the elements b_k = weight of vertex k / w (Olano and Greer 1997).
+    coordinates. Then element k of b = M^-1 (f_x, f_y, 1) is the weight of vertex k divided by w (Olano and Greer 1997).
 
     Args:
         pos: (V, 4) clip coordinates.
@@ -148,7 +148,8 @@ def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tupl
 
 
 def _is_behind(depth: Tensor, triangle: int, previous: Tensor) -> Tensor:
-    """Return where a triangle comes after the triangle of the previous layer, by depth and then by index.
+    """Return a mask of the pixels at which a triangle comes after the triangle of the previous layer, by depth and then
+    by index.
 
     No triangle comes after the background.
     """

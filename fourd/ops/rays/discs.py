@@ -13,7 +13,7 @@ MAX_LAYERS = 64
 
 
 class DiscTree:
-    """A tree of boxes over N discs. It does not change, and several threads may use it.
+    """An immutable tree of boxes over N discs. Several threads may use one tree.
 
     Attributes:
         nodes, blocks: records of the tree as rows of float32, views of the structs in csrc/rays/discs.h.
@@ -30,8 +30,8 @@ class DiscTree:
         Args:
             xyz: (N, 3) float32 centres in world units.
             radius: (N,) float32 radii in world units.
-            density: (N,) float32 alpha at the centre; values above 1 count as 1. A disc is never hit if a number is not
-                finite, or if radius or density is not positive.
+            density: (N,) float32 alpha at the centre; values above 1 count as 1. A disc is never hit if one of its
+                numbers is not finite, or if its radius or density is not positive.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
 
         Raises:
@@ -67,8 +67,8 @@ class DiscTree:
             colours: (N, 3) float32 colours of the discs.
             origins, directions: (R, 3) float32. A point on a ray is ``origin + t * direction``. A ray with a direction
                 of zero, or with a number that is not finite, hits nothing.
-            facing: (3,) float32 normal of all discs, for example the viewing direction of a pinhole camera. With None,
-                each disc faces the ray.
+            facing: (3,) float32 normal of all discs, for example the viewing direction of a pinhole camera. If
+                ``facing`` is None, each disc faces the ray.
             t_min, t_max: hits have t in [t_min, t_max]. ``t_max`` is one number, or an array (R,) float32 with one
                 number for each ray.
             layers: number K, from 1 to 64.

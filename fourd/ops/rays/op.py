@@ -39,7 +39,7 @@ def refit_tree(xyz: Tensor, tri: Tensor, nodes: Tensor, blocks: Tensor, threads:
 
 
 def tree_cost(nodes: Tensor, blocks: Tensor) -> float:
-    """Return the expected number of boxes that a random ray through the root's box hits."""
+    """Return the expected number of boxes that are hit by a random ray that hits the root's box."""
     return load_native().rays_cost(as_array(nodes.cpu()), as_array(blocks.cpu()))
 
 
@@ -112,7 +112,7 @@ def trace_rays_backward(
     to_v: Tensor,
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of xyz, origins and directions from those of t, u and v (R, K)."""
+    """Compute the gradients of xyz, origins and directions from the gradients of t, u and v (R, K)."""
     gradients = torch.empty_like(xyz), torch.empty_like(origins), torch.empty_like(directions)
     tensors = (xyz, tri, origins, directions, t, u, v, triangle, to_t, to_u, to_v)
     if uses_gpu_kernels(origins):
@@ -154,7 +154,7 @@ def _setup(ctx: Any, inputs: tuple[Any, ...], output: RayHits) -> None:
 def _backward(ctx: Any, *grads: Tensor | None) -> tuple[Tensor | None, ...]:
     xyz, tri, origins, directions, t, u, v, triangle = ctx.saved_tensors
     needs_xyz, needs_origins, needs_directions = (ctx.needs_input_grad[k] for k in (3, 5, 6))
-    # The order of the results is that of the arguments of trace_rays; only three of them have a gradient.
+    # There is one result for each argument of trace_rays, and only three arguments have a gradient.
     none = [None] * 13
     if all(grad is None for grad in grads[:3]) or not (needs_xyz or needs_origins or needs_directions):
         return tuple(none)

@@ -1,8 +1,7 @@
 """Ray tracing in plain torch, by testing every ray against every triangle: slow, but simple.
 
-In float32, the reference computes the same numbers by the same operations as ``csrc/rays/maths.h``. The reference
-therefore finds the same hits in the same order. In float64, the t, u and v of the reference are differentiable by
-autograd.
+In float32, the reference uses the same operations as ``csrc/rays/maths.h``, so it finds the same hits in the same
+order. In float64, the t, u and v of the reference are differentiable by autograd.
 """
 
 from __future__ import annotations

@@ -42,9 +42,9 @@ def sh_basis(directions: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _normalize(blend_weights: NDArray[np.float32], view_weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Weights (N, V): each row of blend weights (N, V), times the view weights (V,), scaled to a sum of 1.
+    """Weights (N, V): blend weights (N, V) times view weights (V,), with each row scaled to a sum of 1.
 
-    A row of zeros becomes the view weights, scaled to a sum of 1.
+    A row of zeros is replaced by the view weights, scaled to a sum of 1.
     """
     weights = blend_weights * view_weights
     total = weights.sum(axis=1, keepdims=True)

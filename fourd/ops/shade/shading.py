@@ -13,8 +13,8 @@ class Shading:
     """The viewpoint, the source views and the constants of the colour model.
 
     Attributes:
-        views: (N',) int32 indices of the source views to blend. The array is empty if the colour is spherical harmonics
-            only.
+        views: (N',) int32 indices of the source views to blend. The array is empty if colours come only from spherical
+            harmonics.
         view_weights: (N',) float32 factors in [0, 1] on the views' blend weights. At least one factor is above 0.
             C-contiguous.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.

@@ -18,7 +18,7 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
     See :func:`fourd.ops.similarity.reference.structural_similarity_reference` for the definition.
 
     Float32 images on the CPU use a kernel if the target requires no gradient. The kernel computes value and gradient
-    together. The value and the gradient are bit-identical for any number of threads. Other inputs use the reference.
+    together, and both are bit-identical for any number of threads. Other inputs use the reference.
 
     Returns:
         The similarity as a scalar, differentiable in both images.
@@ -36,8 +36,8 @@ def structural_similarity(prediction: Tensor, target: Tensor) -> Tensor:
 
 @torch.library.custom_op("fourd::similarity", mutates_args=(), device_types="cpu")
 def _similarity(prediction: Tensor, target: Tensor, with_gradient: bool) -> tuple[Tensor, Tensor]:
-    """Return the similarity and its gradient (H, W, C) in the prediction. If ``with_gradient`` is false, the gradient
-    is an empty tensor.
+    """Return the similarity and its gradient (H, W, C) with respect to the prediction. If ``with_gradient`` is false,
+    the gradient is an empty tensor.
     """
     gradient = _empty_gradient(prediction, with_gradient)
     threads = thread_count(0, torch.get_num_threads())

@@ -22,7 +22,7 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         prediction, target: floating-point images (..., H, W, C) of equal shape; H and W are at least 11 pixels.
 
     Returns:
-        The similarity as a scalar, which is 1 for equal images. Differentiable in both images.
+        The similarity as a scalar, which is 1 for equal images. The similarity is differentiable in both images.
 
     Raises:
         ValueError: for different shapes, integer images, or an image smaller than the window.
@@ -35,8 +35,8 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         )
     x, y = _to_planes(prediction), _to_planes(target)
     planes = x.shape[1]
-    # In a loss, the target needs no gradient. The two window means of the target are computed in a separate call, so
-    # that the backward pass skips this call.
+    # In a loss, the target needs no gradient. The two window means of the target are computed in a separate call, which
+    # the backward pass then skips.
     mean_x, square_x, product = _blur(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
     mean_y, square_y = _blur(torch.cat([y, y * y], dim=1)).split(planes, dim=1)
     covariance = product - mean_x * mean_y

@@ -59,11 +59,11 @@ def _render(
 
 
 def _coverage(corners: Tensor, pixels: Tensor, softness: Softness, sharpness: float) -> tuple[Tensor, Tensor]:
-    """Return the log-odds of the coverage D, and the camera depth, of T triangles at P pixels, (P, T) each."""
+    """Return two arrays (P, T) for T triangles at P pixels: the log-odds of the coverage D, and the camera depth."""
     u, v, z = corners.unbind(-1)
     _, _, length, area = edges_of(u, v)
     centre_x, centre_y = (u[:, 0] + u[:, 1] + u[:, 2]) / 3, (v[:, 0] + v[:, 1] + v[:, 2]) / 3
-    # The centroid is only an origin that keeps rounding errors small, so it is a constant in autograd.
+    # The centroid is a constant in autograd, because it is only an origin that keeps rounding errors small.
     centre_x, centre_y = centre_x.detach(), centre_y.detach()
     u, v = u - centre_x[:, None], v - centre_y[:, None]
     to_x, to_y = u - (pixels[:, :1] - centre_x)[..., None], v - (pixels[:, 1:] - centre_y)[..., None]

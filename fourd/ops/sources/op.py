@@ -34,18 +34,19 @@ def sample_sources(
             ``images``. Features in torch's channels_last format are not copied.
         images: (V, 3, H, W) colours in [0, 1]. Not differentiable.
         mattes: (V, H, W) opacity in [0, 1], 1 where the object covers the pixel. Not differentiable.
-        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. With ``depth``
-            None, occlusion is not tested. Not differentiable.
+        depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. If ``depth``
+            is None, occlusion is not tested. Not differentiable.
         cameras: concatenated results of :func:`fourd.ops.points.validation.pack_camera` for all views.
         softness: (N,) decay lengths of the points in world units, above 0. A point's occlusion factor is 1 up to two
-            decay lengths behind the surface. At greater depths, the factor decays exponentially. Not differentiable.
+            decay lengths behind the surface. Beyond two decay lengths, the factor decays exponentially. Not
+            differentiable.
 
     Returns:
         The pair (channels, visibility). The channels (V, C + 3, N) are the features followed by RGB, differentiable in
         ``xyz`` and ``features``. The visibility weights (V, N) are in [0, 1] and not differentiable. A visibility
-        weight is the squared matte times the occlusion factor. Points behind the camera have weight 0. Pixels on the
-        silhouette contain background colour, so their visibility weight must be lower than their coverage. The matte is
-        therefore squared.
+        weight is the squared matte times the occlusion factor. Points behind the camera have weight 0. The matte is
+        squared because pixels on the silhouette contain background colour, so their visibility weight must be lower
+        than their coverage.
 
     Raises:
         ValueError: if shapes do not match.

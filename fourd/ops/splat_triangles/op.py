@@ -16,7 +16,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 from fourd.ops.splat_triangles import cuda as gpu
 
 GEOMETRY_CHANNELS = 4
-"""With geometry, the last channels of the features are the normal (3) and the camera depth of each triangle."""
+"""Number of channels of the normal (3) and the camera depth (1), which are the last channels of the features if
+geometry is rendered."""
 
 Render = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 

@@ -24,8 +24,8 @@ CHUNK = 1 << 21
 
 
 class Projected(NamedTuple):
-    """M triangles projected to the image: the incentre (x, y), the slopes (M, 3) of the three scaled edge distances,
-    and the value of the window (M,) at which alpha is 1/255."""
+    """M triangles projected to the image. Each has the incentre (x, y), the slopes (M, 3) of the three scaled edge
+    distances, and the value of the window (M,) at which alpha is 1/255."""
 
     x: Tensor
     y: Tensor
@@ -114,7 +114,7 @@ def _project(corners: Tensor, opacity: Tensor, sigma: Tensor) -> Projected:
     centre_x = u[:, 0] + (length[:, 1] * x[:, 2] - length[:, 2] * x[:, 1]) / perimeter
     centre_y = v[:, 0] + (length[:, 1] * y[:, 2] - length[:, 2] * y[:, 1]) / perimeter
     scale = perimeter[:, None] / (area[:, None] * length)
-    # The window at which alpha is exactly 1/255, computed in float64.
+    # Value of the window at which alpha is exactly 1/255, computed in float64.
     power = torch.exp2(-torch.log2(opacity.detach().double() * 255) / sigma.detach().double())
     smallest = power.clamp(min=SMALLEST_WINDOW).to(opacity)
     return Projected(centre_x, centre_y, -y * scale, x * scale, smallest, opacity, sigma)
@@ -132,7 +132,7 @@ def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: i
     dx = pixels[:, :1] - projected.x
     dy = pixels[:, 1:] - projected.y
     a = [1 + projected.slope_x[:, k] * dx + projected.slope_y[:, k] * dy for k in range(3)]
-    # torch.where gives the whole gradient to the first of several equal values. torch.minimum would divide the gradient
+    # torch.where gives the whole gradient to the first of several equal values, whereas torch.minimum would divide it
     # between them.
     rest = torch.where(a[1] <= a[2], a[1], a[2])
     window = torch.where(a[0] <= rest, a[0], rest)

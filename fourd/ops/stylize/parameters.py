@@ -4,7 +4,7 @@ A pixel has the albedo F (colour / alpha), the coverage s, the unit normal N and
 vector towards the camera, and L is the unit vector towards the light. The stylizer computes these quantities:
 
 - The closed surface. Points leave gaps through which a farther surface is visible. A pixel in a gap of up to five
-  pixels lies between two surfaces that are nearer than its own surface. The pixel gets the farther one of these two
+  pixels lies between two surfaces that are nearer than its own surface. The gap's pixel gets the farther one of the two
   surfaces.
 - The tone t = (1 + N.L) / 2 and the detail d. The detail is N.V, clamp(o + p z) or clamp(\\|o + p z\\|).
 - The colour C = S(t, d) (a + b F) + c F, where S is the shade table. Toon styles have a = 0, b = 1.5 and c = 0. X-Toon
@@ -16,8 +16,9 @@ vector towards the camera, and L is the unit vector towards the light. The styli
   (Saito and Takahashi 1990). If the state of the previous picture is given, lines fade in where the surface is at rest:
   a line that becomes stronger gets the strength e + p (e_before - e). The surface is at rest where the sum of the
   inverse depths at the filter's nine taps differs by at most 3% between the two pictures.
-- Lines near holes. The back of a surface is visible only through holes in the points. Depths around holes are
-  irregular, so a line is removed if a tap shows the back of a surface, unless another tap shows no surface.
+- Lines near holes. The back of a surface is visible only through holes in the points. Because depths around holes are
+  irregular, a line is removed if a tap of the filter shows the back of a surface. The line stays if another tap shows
+  no surface.
 - Specks. A line is not drawn if it ends close to the pixel. A line is drawn only if it continues on the sides of
   squares around the pixel, with at least the strength LEAST_STRENGTH. The sides of the squares are 2, 4, 8, ..., 2 r
   pixels long (``speck_reach``). Specks stay in the state for the next picture.
@@ -42,12 +43,12 @@ TONES = 256
 MAX_ROWS = 64
 """Maximum number of rows of a shade table."""
 GAP = 3
-"""A pixel in a gap is filled if surfaces on both sides are at most this number of pixels away."""
+"""Maximum distance in pixels from a filled pixel in a gap to the surfaces on both sides."""
 MAX_THICKNESS = 8
 """Maximum number of pixels between the taps of a line filter."""
 
 SAME_TAPS = 0.03
-"""A surface is at rest if the relative difference of its summed taps between two pictures is at most this value."""
+"""Maximum relative difference, between two pictures, of the sum of a line filter's taps on a surface at rest."""
 
 BACK_WEIGHT = 0.1
 """Weight in a visible surface of points whose normals face away from the camera. Other points have the weight 1."""
@@ -57,14 +58,14 @@ of the pixel increases from 0 to 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:
-    """Half of the side in pixels of the largest square around a pixel to which its line must reach. Other lines are
-    specks. The result is the largest power of 2 that is at most 4 (``thickness`` + 1).
+    """Half of the side in pixels of the largest square around a pixel to which the pixel's line must reach. Shorter
+    lines are specks. The result is the largest power of 2 that is at most 4 (``thickness`` + 1).
     """
     return 1 << (4 * (thickness + 1)).bit_length() - 1
 
 
 LEAST_STRENGTH = 32
-"""Least strength, of 255, of a line that continues other lines."""
+"""Least strength, from 0 to 255, of a line that continues other lines."""
 
 
 Detail = Literal["facing", "depth", "focus"]
@@ -80,8 +81,8 @@ class Surface:
 
     Attributes:
         albedo: (H, W, 4) uint8: three colours multiplied by alpha, then alpha.
-        inverse_depth: (H, W) float32: coverage divided by mean camera depth, in 1 / world units. In the mean, points
-            whose normals face away from the camera have a small weight (``front_weight`` in
+        inverse_depth: (H, W) float32: coverage divided by mean camera depth, in 1 / world units. In the mean depth,
+            points whose normals face away from the camera have a small weight (``front_weight`` in
             fourd/ops/stylize/reference.py). The coverage is clamp(3 alpha - 0.5, 0, 1). The inverse depth is 0 where
             there is no surface.
         normal: (H, W, 4) uint8: the three bytes 127 n + 128, then 255 * coverage. n is the unit normal in the camera's
@@ -133,14 +134,15 @@ class Numbers:
         table_alone, table_times_albedo, albedo_alone: a, b and c of the colour.
         detail_offset, detail_per_depth: o and p of the detail, p in 1 / world units.
         angle_threshold, angle_softness, angle_strength, angle_colour: the colour is mixed with angle_colour where N.V
-            is below angle_threshold. The mix changes over angle_softness on both sides of the threshold.
-        depth_threshold: minimum relative jump of the inverse depth at a line. Above 0.
-        normal_threshold: minimum change of the cosine at a line. Above 0.
+            is below angle_threshold. The share of angle_colour changes gradually within angle_softness on both sides of
+            the threshold.
+        depth_threshold: minimum relative jump of the inverse depth at a line, above 0.
+        normal_threshold: minimum change of the cosine between normals at a line, above 0.
         line_opacity, line_colour: opacity and colour of the strongest line.
-        hysteresis: share by which the thresholds are reduced where the previous picture has a line. At least 0,
-            below 1.
-        persistence: weight p of the previous strength of a line that becomes stronger, where the surface is at rest.
-            At least 0, below 1.
+        hysteresis: share, at least 0 and below 1, by which the thresholds are reduced where the previous picture has a
+            line.
+        persistence: weight p, at least 0 and below 1, of the previous strength of a line that becomes stronger where
+            the surface is at rest.
         hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. The first layer starts where the light is
             below hatch_levels[0]. hatch_width is the largest share of ink in a layer. With hatch_width 0, there is no
             hatching.

@@ -78,9 +78,9 @@ def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Num
 
 
 def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """Remove lines (H, W) that end close to the pixel. A line stays if a line of at least LEAST_STRENGTH is on each of
-    the squares around the pixel whose sides are 2, 4, 8, ..., 2 ``reach`` pixels long. There are no lines outside the
-    picture.
+    """Remove lines (H, W) that end close to the pixel. The squares around the pixel have sides of 2, 4, 8, ..., 2
+    ``reach`` pixels. A line stays if each square has a line of at least LEAST_STRENGTH on its sides. There are no lines
+    outside the picture.
 
     A group of connected lines that does not reach the largest square is a speck. The smaller squares remove specks next
     to other specks.
@@ -104,7 +104,8 @@ def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]
 
 def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
     """Weight of a point in the depth and the normal of a visible surface, for the cosine between its normal and the
-    direction to the camera. The backs of surfaces count only where no other points are visible."""
+    direction to the camera. Because of the weight, the backs of surfaces have an effect only where no other points are
+    visible."""
     return BACK_WEIGHT + (1 - BACK_WEIGHT) * np.clip(0.5 + 5 * cosine, 0, 1)
 
 
@@ -177,7 +178,7 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
     most = np.maximum(np.max([taps[at][0] for at in ((0, 0), *arms)], axis=0), 1e-20)
     bends = [np.abs(taps[a][0] + taps[b][0] - 2 * depth) for a, b in ((arms[0], arms[3]), (arms[1], arms[2]))]
     for axis, bend in enumerate(bends):
-        # A tap outside the image repeats the border, which would look like a bend of the surface.
+        # Taps outside the image are excluded: they repeat the border, which would look like a bend of the surface.
         bend.swapaxes(0, axis)[: parameters.thickness] = 0
         bend.swapaxes(0, axis)[max(bend.shape[axis] - parameters.thickness, 0) :] = 0
     flat = 1 - _ramp((bends[0] + bends[1]) / (2 * most), numbers.depth_threshold * scale)
@@ -187,8 +188,8 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
 
 
 def _kept_lines(surface: Surface, parameters: StyleParameters) -> Image:
-    """Share of the strength that lines keep: 0 where a tap shows the back of a surface, unless another tap shows no
-    surface."""
+    """Factor of the strength of lines. The factor is 0 where a tap shows the back of a surface, unless another tap
+    shows no surface."""
     coverage, shift = surface.coverage, _Shift(parameters.thickness)
     normal, rays = surface.unit_normal * coverage[..., None], _rays(surface.size, parameters.numbers)
     square = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1)]

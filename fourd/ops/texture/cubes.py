@@ -37,7 +37,7 @@ def face_of(direction: Tensor) -> Tensor:
 def project(direction: Tensor, face: Tensor) -> Tensor:
     """Return the positions (..., 2) in [0, 1] where the rays in directions (..., 3) meet their faces.
 
-    Differentiable.
+    The positions are differentiable in the directions.
     """
     axes = face_axes(direction)[face]
     a, b, m = (axes @ direction[..., None])[..., 0].unbind(-1)
@@ -48,18 +48,19 @@ def pad_cube(level: Tensor) -> Tensor:
     """Extend each face (items, 6, N, N, C) by one texel on each side, from the neighbouring faces: (items, 6, N + 2, N
     + 2, C).
 
-    A cube has no texel beyond a corner of a face. The mean of the three texels that meet at the corner replaces it.
+    Beyond a corner of a face, a cube has no texel. The mean of the three texels that meet at the corner is used
+    instead.
     """
     size = level.shape[2]
     centres = (2 * torch.arange(-1, size + 1, dtype=torch.float64) + 1) / size - 1
     b, a = torch.meshgrid(centres, centres, indexing="ij")
     axes = face_axes(centres)
     s_axis, t_axis, normal = (axes[:, k, None, None, :] for k in range(3))
-    # Beyond an edge of the face, the surface of the cube continues at a right angle, along the negative normal.
+    # Beyond an edge of a face, the surface of the cube continues at a right angle, opposite to the face's normal.
     beyond = (a.abs().clamp(min=1) - 1) + (b.abs().clamp(min=1) - 1)
     plane = a.clamp(-1, 1)[..., None] * s_axis + b.clamp(-1, 1)[..., None] * t_axis
     position = plane + (1 - beyond)[..., None] * normal
-    # The shift resolves ties between faces in favour of the neighbouring face.
+    # Positions are shifted slightly, so that a tie between two faces is resolved in favour of the neighbouring face.
     position = position + 1e-9 * (a.sign() * (a.abs() > 1))[..., None] * s_axis
     position = position + 1e-9 * (b.sign() * (b.abs() > 1))[..., None] * t_axis
     face = face_of(position)

@@ -22,8 +22,8 @@ def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
     """Compute levels 1 to ``level_count`` - 1 of a float32 texture (B, H, W, C) or (B, 6, H, H, C).
 
     A texel is the mean of 2 x 2 texels of the finer level, or of 2 texels if an axis has only one texel. Sides above 1
-    must be even in all levels but the last. Not differentiable: :func:`sample_texture` adds the gradients of these
-    levels to the gradient of ``tex``.
+    must be even in all levels but the last. This function is not differentiable, because :func:`sample_texture` adds
+    the gradients of the levels to the gradient of ``tex``.
     """
     mips = _empty_mips(tex, level_count)
     if uses_gpu_kernels(tex):
@@ -57,8 +57,8 @@ def sample_texture(
 
     Args:
         mips: levels 1 and up.
-        is_chain: whether ``mips`` are the results of :func:`build_mips`. If so, their gradients are added to the
-            gradient of ``tex``. Otherwise, ``mips`` have separate gradients.
+        is_chain: whether ``mips`` are the results of :func:`build_mips`. The gradients of such levels are added to the
+            gradient of ``tex``. Other ``mips`` have separate gradients.
     """
     out = _empty_picture(tex, uv)
     modes = (filter_mode, boundary_mode)

@@ -11,7 +11,7 @@ from torch.nn import functional
 from fourd.ops.texture.cubes import face_axes, face_of, pad_cube, project
 
 MIN_SQUARE = 1e-36
-"""A footprint whose squared length in texels is smaller than this number counts as a point."""
+"""Squared length in texels below which a footprint is treated as a point."""
 
 
 def build_mips_reference(tex: Tensor, level_count: int) -> list[Tensor]:
@@ -44,7 +44,7 @@ def sample_texture_reference(
     is_used = uv.isfinite().all(-1, keepdim=True)
     if is_cube:
         is_used = is_used & (uv != 0).any(-1, keepdim=True)
-    # Invalid positions are replaced before any arithmetic, because they would make gradients NaN.
+    # Invalid positions are replaced before any arithmetic, because gradients would otherwise be NaN.
     position = torch.where(is_used, uv, torch.ones_like(uv))
     face = face_of(position) if is_cube else torch.zeros(uv.shape[:-1], dtype=torch.long, device=uv.device)
     st = project(position, face) if is_cube else position

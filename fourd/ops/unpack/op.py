@@ -71,7 +71,7 @@ def unpack_views(
 
     Args:
         contents: for each view, N weight codes, then the colour levels of M points as three planes: green, red - green
-            and blue - green, modulo 256. The M points are those whose code is not 0, or all points.
+            and blue - green, modulo 256. M points have levels: the points whose code is not 0, or all points.
         mean: (N, 3) colours to which ``colour_step`` times the signed levels are added. With a step of 1, sums are
             modulo 256. With a step above 1, sums are clamped to [0, 255]. Points without levels have the mean colour.
         weights: (256,) blend weight of each code.

@@ -58,11 +58,11 @@ class Bvh:
 
     @property
     def cost(self) -> float:
-        """Expected number of boxes that a random ray through the box of the whole mesh hits."""
+        """Expected number of boxes that are hit by a random ray that hits the box of the whole mesh."""
         return tree_cost(self.nodes, self.blocks)
 
     def refit(self, xyz: Tensor, *, threads: int = 0) -> Bvh:
-        """Return a tree with the same structure for moved vertices. Hits stay exact, but tracing becomes slower if
+        """Return a tree with the same structure for moved vertices. Hits are still exact, but tracing becomes slower if
         triangles that were close to each other move apart.
 
         Args:

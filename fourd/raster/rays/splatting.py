@@ -50,15 +50,15 @@ def splat_along_rays(
     """Composite soft triangles front to back along rays, as UTrice does (Li et al. 2025), with the window of triangle
     splatting (Held et al. 2025).
 
-    Let a_k be the barycentric weight of vertex k at the hit, times the perimeter of the triangle, divided by the length
-    of the edge that is opposite to vertex k. The window is min(a_0, a_1, a_2)^sigma: 1 at the incentre and 0 at the
-    edges. The alpha of a triangle is min(0.99, opacity * window). Triangles with an alpha of at least 1/255 are
+    Let a_k = b_k P / l_k, where b_k is the barycentric weight of vertex k at the hit, P the perimeter of the triangle,
+    and l_k the length of the edge opposite to vertex k. The window is min(a_0, a_1, a_2)^sigma: 1 at the incentre and 0
+    at the edges. The alpha of a triangle is min(0.99, opacity * window). Triangles with an alpha of at least 1/255 are
     composited in the order of (t, index), until the transmittance is at most 1e-4.
 
-    Without ``camera``, edge lengths and barycentric weights are computed in space. With ``camera``, they are computed
-    in the image of this camera. Rays through the pixel centres of this camera then give the image of
-    :func:`fourd.raster.triangles.splat_triangles`, except that triangles are sorted by t instead of by the depths of
-    their centres.
+    Without ``camera``, edge lengths and barycentric weights are computed in space. With ``camera``, edge lengths and
+    barycentric weights are computed in the image of the camera. Rays through the camera's pixel centres then give the
+    image of :func:`fourd.raster.triangles.splat_triangles`, except that triangles are sorted by t instead of by the
+    depths of their centres.
 
     Args:
         bvh: tree over the triangles.
@@ -112,7 +112,7 @@ class _Window:
     def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
         """Return min_k a_k (M,) for triangles (M,) and barycentric weights (M, 3) in space."""
         if self.depths is not None:
-            # A perspective projection multiplies weights by depths.
+            # Under perspective projection, barycentric weights are multiplied by the depths of the vertices.
             scaled = weights * self.depths[triangle]
             weights = scaled / scaled.sum(1, keepdim=True)
         return (weights * self.scale[triangle]).amin(1)
@@ -181,7 +181,8 @@ class _State:
         triangle = hits.triangle[ray, layer].long()
         colour = weights[ray, layer, None] * soup.features[triangle]
         self.colour = self.colour.index_add(0, active[ray], colour)
-        # ``products`` also contains hits behind the last composited triangle, so the weights are subtracted instead.
+        # The transmittance is computed by subtracting the weights, because ``products`` also contains hits behind the
+        # last composited triangle.
         remaining = transmittance - weights.sum(1)
         self.transmittance = self.transmittance.index_put((active,), remaining)
         self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)

@@ -67,13 +67,13 @@ def trace(
         bvh: tree over the triangles.
         xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. This tensor receives the gradient.
         origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
-        directions: (R, 3) float32, of any length. The point at t is origin + t direction. A ray hits nothing unless the
-            largest absolute coordinate of its direction is between 1e-18 and 1e18.
+        directions: (R, 3) float32, of any length. The point at t is origin + t direction. The largest absolute
+            coordinate of a direction must be between 1e-18 and 1e18. Other rays hit nothing.
         t_min, t_max: limits of t for all rays, or (R,) limits for each ray. Hits have t in [t_min, t_max]. A ray with
             t_min > t_max hits nothing.
         layers: number K of hits for each ray, from 1 to 1024.
-        after: t (R,) and triangle (R,) of a hit of each ray. Only hits after this hit are found. With ``hits.last()``
-            of the previous call, a call returns the next hits. Hits of equal t are neither lost nor repeated.
+        after: t (R,) and triangle (R,) of a hit of each ray. Only later hits are found. If ``after`` is ``hits.last()``
+            of the previous call, the call returns the next hits, and hits of equal t are neither lost nor repeated.
         backend: "auto" for the kernels of the tensors' device, or "reference" for plain torch (float32 or float64,
             slow).
         threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or
@@ -122,8 +122,8 @@ def visibility(bvh: Bvh, points: Tensor, targets: Tensor, *, margin: float = 1e-
         bvh: tree over the triangles.
         points: (N, 3) float32 in world units.
         targets: (M, 3) float32 in world units, for example the centres of cameras.
-        margin: share of the distance from a point to a target, from 0 to below 0.5. Intersections that are closer than
-            this to either end are ignored, so that a surface does not occlude its own points.
+        margin: share of the distance from a point to a target, from 0 to below 0.5. Intersections closer than the
+            margin to the point or to the target are ignored, so that a surface does not occlude its own points.
         threads: as in :func:`trace`.
 
     Raises:

@@ -22,7 +22,7 @@ class Topology:
     Attributes:
         opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle. The column contains
             the third vertex of the neighbouring triangle at this edge. -1 marks an edge that belongs to only one
-            triangle, or to more than two triangles. Such an edge is always a silhouette.
+            triangle, or to more than two triangles. An edge with -1 is always a silhouette.
     """
 
     opposite: Tensor
@@ -58,14 +58,13 @@ def antialias(
     rendering", section 3.5).
 
     Each pixel is compared with its right and its lower neighbour. Let p and q be two neighbouring pixels that show
-    different triangles. Let p be the pixel whose triangle has the smaller z/w. A silhouette edge of this triangle may
-    cross the segment from the centre of p to the centre of q. In this case, let t be the distance of the crossing from
-    the centre of p, in pixels. If t < 0.5, the colour of p changes by (0.5 - t) (q - p), where p and q stand for the
-    colours. Otherwise, the colour of q changes by (t - 0.5) (p - q). Edges whose angle to the segment is below 45
-    degrees are ignored.
+    different triangles, where p shows the triangle with the smaller z/w. If a silhouette edge of this triangle crosses
+    the segment between the centres of p and q, let t be the distance in pixels from the centre of p to the crossing. If
+    t < 0.5, the colour of p changes by (0.5 - t) (q - p), where p and q denote the colours. If t >= 0.5, the colour of
+    q changes by (t - 0.5) (p - q). Edges whose angle to the segment is below 45 degrees are ignored.
 
-    An edge is a silhouette edge in three cases: it belongs to only one triangle, it belongs to more than two triangles,
-    or its two triangles lie on the same side of the edge in the image.
+    An edge is a silhouette edge if it belongs to only one triangle or to more than two triangles, or if its two
+    triangles lie on the same side of the edge in the image.
 
     The result is differentiable in ``color`` and, through t, in x, y and w of ``pos``. On the CPU, results and
     gradients are bit-identical for any number of threads. On a GPU, the last bits of the gradient of ``pos`` can differ
@@ -73,12 +72,12 @@ def antialias(
 
     Args:
         color: (B, H, W, C) image to antialias. The values are not checked.
-        rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. Pixels whose encoded triangle index is T + 1
-            or more count as background.
-        pos: (B, V, 4) vertices in clip space, or (V, 4) if all images share the vertices ("range mode"). Edges whose
-            values are not finite are not blended.
-        tri: (T, 3) int32 vertex indices. On a GPU, triangles with indices out of range are not blended. On the CPU,
-            such an index is an error.
+        rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. A pixel whose encoded triangle index is T +
+            1 or more is treated as background.
+        pos: (B, V, 4) vertices in clip space, or (V, 4) if all images share the vertices ("range mode"). Pixels are not
+            blended across an edge if a value of the edge is not finite.
+        tri: (T, 3) int32 vertex indices. On a GPU, triangles with indices out of range are ignored. On the CPU, an
+            index out of range is an error.
         topology: result of :func:`antialias_construct_topology` for ``tri``. If None, each call finds the neighbours of
             the triangles again.
         pos_gradient_boost: number by which the gradient of ``pos`` is multiplied.

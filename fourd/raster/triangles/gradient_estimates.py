@@ -19,26 +19,25 @@ def estimate_gradient(
     samples: int = 1,
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """Estimate the gradient of a loss with respect to the parameters of primitives, only from images (Deliot et al.
+    """Estimate the gradient of a loss with respect to the parameters of primitives from rendered images (Deliot et al.
     2024, "Transforming a non-differentiable rasterizer into a differentiable one with stochastic gradient estimation").
 
-    For each sample, two images are rendered, with the parameters params + epsilon s and params - epsilon s. The number
-    s is +1 or -1, and is chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel in these two
-    images. The pixel adds (L_+ - L_-) s / (2 epsilon) to the gradients of all primitives that are visible at the pixel
-    in at least one of the two images. The expected value of this estimate is approximately the gradient of the loss,
-    smoothed over a distance of epsilon. The noise of the estimate is inversely proportional to the square root of
-    ``samples``.
+    For each sample, two images are rendered, with the parameters params + epsilon s and params - epsilon s. The sign s,
+    +1 or -1, is chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel in the two images. If a
+    primitive is visible at the pixel in at least one of the two images, (L_+ - L_-) s / (2 epsilon) is added to the
+    gradient of the primitive. The expected value of this estimate is approximately the gradient of the loss, smoothed
+    over a distance of epsilon. The noise of the estimate is inversely proportional to the square root of ``samples``.
 
     Args:
         render: function that maps parameters to an image. The function need not be differentiable, and is called twice
             per sample.
         loss: function that maps an image to one loss per pixel, (H, W) or any other shape. The estimated gradient is
-            the gradient of the sum of these losses.
+            that of the sum of the losses of all pixels.
         params: (N, ...) parameters of N primitives, floating point.
         ids: function that maps parameters to the integer indices of the primitives that each pixel shows. The result
             has the shape of the losses, or one more axis if a pixel shows several primitives. Negative values mean that
-            the pixel shows no primitive. The function is called directly after ``render`` with the same parameters. The
-            function can therefore return indices that ``render`` has computed.
+            the pixel shows no primitive. The function ``ids`` is called directly after ``render`` with the same
+            parameters, so it can return indices that ``render`` has computed.
         epsilon: size of the perturbation, greater than 0: a number, or a tensor that broadcasts to ``params``.
         samples: number of pairs of images that are rendered, at least 1.
         generator: random generator on the device of ``params``. If None, torch's default generator is used.
@@ -65,8 +64,7 @@ def estimate_gradient(
 
 def _sum_by_primitive(differences: Tensor, seen: Tensor, count: int) -> Tensor:
     """For each primitive, sum the loss differences (P,) of the pixels that show the primitive. ``seen`` (P, K) are the
-    indices of the primitives that each pixel shows. If a pixel lists a primitive several times, the pixel is counted
-    once."""
+    indices of the primitives that each pixel shows. A pixel that lists a primitive several times is counted once."""
     seen = seen.sort(1).values
     repeated = torch.zeros_like(seen, dtype=torch.bool)
     repeated[:, 1:] = seen[:, 1:] == seen[:, :-1]

@@ -17,9 +17,9 @@ class DepthPeeler:
     """Rasterizes the layers of a mesh one after the other, from front to back.
 
     At each pixel, the triangles are ordered by z/w. Triangles with equal z/w are ordered by index. Layer k shows the
-    triangle at position k of this order, starting with k = 0. Therefore, two triangles with equal depth, such as
-    coincident triangles, are in consecutive layers. If a pixel shows no triangle in one layer, it shows no triangle in
-    all later layers.
+    triangle at position k of this order, starting with k = 0. Two triangles with equal depth, such as coincident
+    triangles, are therefore in consecutive layers. If a pixel shows no triangle in one layer, it shows no triangle in
+    any later layer.
 
     Usage::
 

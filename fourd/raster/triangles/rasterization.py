@@ -26,14 +26,14 @@ def rasterize(
 
     The semantics are those of nvdiffrast (Laine et al. 2020, Modular Primitives for High-Performance Differentiable
     Rendering). A vertex with clip coordinates (x, y, z, w) is at the image position (x/w, y/w). The centre of the pixel
-    in row i and column j is at ((2 j + 1) / W - 1, (2 i + 1) / H - 1). Row 0 is therefore at the side y = -1 of the
-    image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w. If several
-    triangles have this z/w, the pixel shows the one with the smallest index. Back faces are also visible.
+    in row i and column j is at ((2 j + 1) / W - 1, (2 i + 1) / H - 1). Row 0 is therefore at the border y = -1 of the
+    image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w, and among
+    triangles of equal z/w the one with the smallest index. Back faces are also visible.
 
-    The positions of vertices are rounded to 1/256 pixel. The coverage is therefore exact: if a pixel centre lies on the
-    common edge of two triangles, exactly one of them covers the pixel. If a vertex of a triangle is behind the camera
-    (w <= 0), the part of the triangle in front of the camera is drawn. Triangles with a vertex that is NaN or infinite
-    are culled.
+    The positions of vertices are rounded to 1/256 pixel, which makes the coverage test exact: if a pixel centre lies on
+    the common edge of two triangles, exactly one of them covers the pixel. If a vertex of a triangle is behind the
+    camera (w <= 0), the part of the triangle in front of the camera is drawn. Triangles with a vertex that is NaN or
+    infinite are culled.
 
     Args:
         pos: float32 clip coordinates: (B, V, 4), one mesh per image, or (V, 4) with ``ranges``.
@@ -57,8 +57,8 @@ def rasterize(
         the value 0.
 
         u, v and ``rast_db`` are differentiable in ``pos``. Second derivatives are not supported. z/w and the index have
-        no gradient. Where clamping changes u or v, the gradient of this pixel is 0. On a GPU, the last bits of the
-        gradient can differ between calls.
+        no gradient. In pixels where clamping changes u or v, the gradient is 0. On a GPU, the last bits of the gradient
+        can differ between calls.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The error message names the argument and the expected value.
@@ -82,8 +82,8 @@ def check_mesh(pos: object, tri: object, ranges: Tensor | None) -> tuple[Tensor,
     """
     shape: tuple[int | str, ...] = ("V", 4) if ranges is not None else ("B", "V", 4)
     positions = check_tensor("pos", pos, shape, dtypes=(torch.float32, torch.float64))
-    # On a GPU, the kernel skips triangles with a wrong index. The index is not checked here, because the check would
-    # have to wait for the GPU.
+    # On a GPU, indices are not checked here, because the check would have to wait for the GPU. The kernel skips
+    # triangles with a wrong index.
     on_cpu = positions.device.type == "cpu"
     triangles = check_triangles(tri, positions.shape[-2], ("pos", positions), check_values=on_cpu)
     if ranges is None:

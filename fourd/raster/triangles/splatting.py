@@ -17,8 +17,8 @@ from fourd.ops.splat_triangles.reference import splat_triangles_reference
 
 MAX_CHANNELS = 32
 LARGEST_COORDINATE = 1e9
-"""Coordinates with an absolute value above this limit count as 0 in normals and depths, because the squares of such
-coordinates could overflow."""
+"""Maximum absolute value of coordinates in normals and depths. Larger coordinates are treated as 0, because their
+squares could overflow."""
 
 
 @dataclass(frozen=True)
@@ -60,16 +60,17 @@ def splat_triangles(
     """Composite soft triangles front to back (triangle splatting, Held et al. 2025).
 
     Let phi(p) be the largest of the three signed distances, in pixels, between the pixel p and the edges of a projected
-    triangle. phi is negative inside the triangle. Let s be the incentre of the triangle. The window function I(p) =
-    max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The alpha of the triangle is min(0.99,
+    triangle. The distances are negative inside the triangle. Let s be the incentre of the triangle. The window function
+    I(p) = max(phi(p) / phi(s), 0)^sigma is 1 at the incentre and 0 at the edges. The alpha of the triangle is min(0.99,
     opacity * I(p)).
 
     At each pixel, the triangles with an alpha of at least 1/255 are composited in ascending order of the camera depths
     of their centres. Triangles with equal depth are composited in the order of their indices. Compositing of a pixel
     stops when the pixel's transmittance is at most 1e-4.
 
-    The results are differentiable in xyz, features, opacity and sigma. For the gradient, the selection and the order of
-    triangles are treated as constant. On the CPU, results and gradients are bit-identical for any number of threads.
+    The results are differentiable in xyz, features, opacity and sigma. In the backward pass, the selection and the
+    order of triangles are treated as constant. On the CPU, results and gradients are bit-identical for any number of
+    threads.
 
     Args:
         xyz: (V, 3) vertices in world units.
@@ -84,7 +85,7 @@ def splat_triangles(
         near: camera depth of the near plane, in world units. Triangles with a vertex nearer than this depth are culled.
             Triangles are also culled if they are thinner than 1e-4 pixels, if their opacity is below 1/255, if their
             sigma is not positive, or if one of their values is not finite. Culled triangles have zero gradients.
-        geometry: whether to render depths and normals. Without them, rendering takes about 40% less time.
+        geometry: whether to render depths and normals. Without depths and normals, rendering takes about 40% less time.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.
         threads: number of CPU threads. 0 means the environment variable FOURD_THREADS, or torch.get_num_threads().
@@ -115,7 +116,8 @@ def _split(composited: Tensor, alpha: Tensor, weight: Tensor, geometry: bool) ->
 
 def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     """Return the unit normals towards the camera and the camera depths of the triangles' centres, (T, 4)."""
-    # Values that are not finite, and products that overflow, would give NaN gradients to culled triangles.
+    # Coordinates that are too large or not finite are replaced, because they would give NaN gradients to culled
+    # triangles.
     xyz = torch.where(xyz.abs() < LARGEST_COORDINATE, xyz, 0)
     a, b, c = (xyz.index_select(0, tri[:, corner]) for corner in range(3))
     normal = torch.linalg.cross(b - a, c - a)
@@ -123,8 +125,8 @@ def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
     eye = torch.as_tensor(camera.centre).to(xyz)
     facing = ((eye - centre) * normal).sum(dim=1, keepdim=True).detach()
     square = (normal * normal).sum(dim=1, keepdim=True)
-    # Degenerate triangles get a normal of about 0. The lower limit of the length keeps the gradients of these triangles
-    # finite.
+    # Degenerate triangles get a normal of about 0. The lower limit of the length keeps the gradients of degenerate
+    # triangles finite.
     normal = torch.where(facing < 0, -normal, normal) * torch.where(square > 1e-24, square, 1).rsqrt()
     forward = torch.as_tensor(camera.forward.copy()).to(xyz)
     depth = centre @ forward + float(camera.translation[2])

@@ -69,19 +69,18 @@ def texture(
         uv_da: (B, H', W', 4) derivatives of the coordinates with respect to the pixel position in the image: du/dX,
             du/dY, dv/dX, dv/dY. For a cube map, (B, H', W', 6): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY. Pixels whose
             derivatives are NaN use level 0.
-        mip_level_bias: (B, H', W') numbers that are added to the mip level. If uv_da is None, these numbers are the mip
-            level.
+        mip_level_bias: (B, H', W') numbers that are added to the mip level. If uv_da is None, mip_level_bias itself is
+            the mip level.
         mip: None to build the levels in this call, a :class:`Mip` that was built from tex, or a list of tensors with
-            the levels 1, 2 and so on. The side lengths of a level are half of those of the previous level, rounded
-            down, and at least 1.
+            the levels 1, 2 and so on. The side lengths of a level are half the side lengths of the previous level,
+            rounded down, and at least 1.
         filter_mode: "nearest" reads one texel of level 0, and the gradient of uv is 0. "linear" is bilinear in level
             0. "linear-mipmap-nearest" is bilinear in the nearest level, and the gradient of the level is zero.
             "linear-mipmap-linear" is trilinear. "auto" is "linear-mipmap-linear" if uv_da or mip_level_bias is given,
             and "linear" otherwise.
         boundary_mode: how coordinates outside [0, 1] are handled: "wrap" repeats the texture, "clamp" repeats the
             texels at its border, and "zero" gives 0. With "cube", tex is a cube map, which is continuous across edges.
-            Only three texels meet at a corner of the cube. The mean of these texels is used as the fourth texel, which
-            is missing there.
+            At a corner of the cube, only three texels meet, and their mean is used as the missing fourth texel.
         max_mip_level: index of the last level that is built and used. If None, all levels down to 1 x 1 are used.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.
@@ -112,7 +111,7 @@ def texture_construct_mip(
     ``tex``.
 
     A texel of a level is the mean of 2 x 2 texels of the previous level. If the previous level has a side of one texel,
-    the new texel is the mean of 2 texels. If tex changes, build the levels again.
+    a texel is the mean of 2 texels. If tex changes, build the levels again.
 
     Args:
         tex: (B, H, W, C) float32, or (B, 6, N, N, C) with cube_mode. In every level except the last, a side longer than
@@ -158,8 +157,8 @@ def _checked_filter(
 def _levels(
     tex: Tensor, mip: Mip | Sequence[Tensor] | None, max_mip_level: int | None, backend: Backend, threads: int
 ) -> list[Tensor]:
-    """Return the mip levels that the caller has given, or build them. If levels are built for the kernels, they have no
-    gradient, because the operator adds the gradients of these levels to the gradient of tex."""
+    """Return the mip levels that the caller has given, or build them. Levels that are built for the kernels have no
+    gradient, because the operator adds the gradients of the levels to the gradient of tex."""
     is_reference = select_backend(backend, "tex", tex) == "reference"
     if mip is None:
         level_count = checks.count_levels(tex, max_mip_level)

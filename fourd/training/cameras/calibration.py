@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 COLOURS = "colours.json"
 POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
-"""If the focal length is multiplied by a factor z, OpenCV's i-th distortion coefficient is multiplied by z to
-the power POWERS[i]."""
+"""Exponents for the scaling of distortion: if the focal length is multiplied by z, OpenCV's i-th distortion coefficient
+is multiplied by z to the power POWERS[i]."""
 
 
 def with_start_cameras(capture: Capture, folder: Path) -> Capture:
@@ -91,8 +91,8 @@ def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[n
     """OpenCV's distortion coefficients for a focal length that is scaled by ``zoom``. The returned coefficients
     displace each pixel by the same amount as the given coefficients at the original focal length.
 
-    The coefficients of sensor tilt are not scaled. For lenses with sensor tilt, the result is therefore exact only if
-    ``zoom`` is 1.
+    The coefficients of sensor tilt are not scaled. For lenses with sensor tilt, the returned coefficients are therefore
+    exact only if ``zoom`` is 1.
     """
     powers = np.array([*POWERS, 0, 0])[: len(distortion)]
     return distortion * zoom**powers

@@ -1,9 +1,9 @@
 """Corrections of the cameras, which are learnt during training.
 
-The renderers treat cameras as constants: they compute no gradient with respect to the camera parameters. Therefore, a
-camera correction gets its gradient through the positions of the rendered points. Each position is written as a function
-of the correction that does not change the value of the position. The derivative of this function is the motion of the
-point relative to the camera when the correction changes.
+The renderers treat cameras as constants: they compute no gradient with respect to the camera parameters. A camera
+correction instead gets its gradient through the positions of the rendered points. Each position is replaced by a
+function of the correction whose value is the position itself. The derivative of the function is the motion of the point
+relative to the camera when the correction changes.
 """
 
 from __future__ import annotations
@@ -98,8 +98,8 @@ class Refinement(nn.Module):
 
     def attach_camera_gradient(self, clouds: Sequence[RenderablePoints], index: int) -> list[RenderablePoints]:
         """Make the positions of the points differentiable functions of the correction of camera ``index``, without
-        changing their values. Through the points, the gradient of a rendered image then reaches the camera's
-        correction."""
+        changing their values. The gradient of a rendered image then reaches the camera's correction through the
+        points."""
         if not self.config.cameras:
             return list(clouds)
         return [self._attach(cloud, index) for cloud in clouds]

@@ -19,7 +19,7 @@ from fourd.errors import UserError
 
 BACKEND = "gloo"
 JOIN_SECONDS = 120.0
-"""Maximum time in seconds until the address of rank 0 answers."""
+"""Maximum time in seconds to wait for an answer from the address of rank 0."""
 MAX_REASON = 200
 """Maximum number of characters of torch's message in an error message."""
 WAIT = timedelta(days=7)
@@ -27,7 +27,7 @@ WAIT = timedelta(days=7)
 ranks if one of them fails."""
 
 RATE_EXPONENT = 0.5
-"""Exponent of the number of ranks in the learning rates of dense parameters."""
+"""With W ranks, the learning rates of dense parameters are multiplied by W to the power of this exponent."""
 
 
 @dataclass(frozen=True)
@@ -35,13 +35,13 @@ class ProcessGroup:
     """The ranks that train one model together. A process that torchrun did not start is a group of one rank, which
     communicates nothing.
 
-    Each rank takes one step at a time, with a view of one of its own frames. All ranks have the same dense parameters,
-    which are the networks, the planes and the corrections of cameras: their gradients are averaged over the ranks
-    before each update. The points of a frame are stored and updated only by the rank that owns the frame, so points
-    and their gradients are never sent.
+    Each rank takes one step at a time, with a view of one of its own frames. All ranks have the same dense parameters
+    (networks, planes and corrections of cameras), because their gradients are averaged over the ranks before each
+    update. The points of a frame are stored and updated only by the rank that owns the frame, so points and their
+    gradients are never sent.
 
-    torch's DistributedDataParallel averages gradients in the backward pass of one module that is called once per step.
-    A step calls several methods of the model, and some parameters have a gradient only in some steps. The gradients are
+    torch's DistributedDataParallel is not used, because it requires one module that is called once per step. A training
+    step calls several methods of the model, and some parameters have a gradient only in some steps. The gradients are
     therefore averaged after the backward pass, in one message.
 
     Attributes:
@@ -62,19 +62,20 @@ class ProcessGroup:
         return range(self.rank, frames, self.size)
 
     def first_ranks_frame(self, frame: int) -> int:
-        """The last frame up to ``frame`` that rank 0 owns."""
+        """The last frame with an index of at most ``frame`` that rank 0 owns."""
         return frame - frame % self.size
 
     @property
     def rate_factor(self) -> float:
-        """Factor on the learning rates of dense parameters. With W ranks, these parameters have only one update for W
+        """Factor on the learning rates of dense parameters. With W ranks, dense parameters have only one update for W
         views."""
         return self.size**RATE_EXPONENT
 
     @torch.no_grad()
     def average_gradients(self, parameters: Iterable[Tensor]) -> None:
-        """Replace each gradient by its mean over all ranks. A missing gradient counts as zero. A parameter without
-        gradient on any rank keeps none, so that its optimizer state does not change.
+        """Replace each gradient by its mean over all ranks. If only some ranks have a gradient of a parameter, the
+        missing gradients are treated as zero. If no rank has a gradient of a parameter, the parameter gets none, so
+        that its optimizer state does not change.
 
         All ranks must pass the same parameters in the same order. The parameters have the same dtype.
         """
@@ -98,7 +99,7 @@ class ProcessGroup:
                 dist.broadcast(each.data, 0)
 
     def longest(self, seconds: float) -> float:
-        """The longest of the times of all ranks."""
+        """The maximum of ``seconds`` over all ranks."""
         return self._maximum(seconds)
 
     def any(self, is_true: bool) -> bool:
@@ -181,8 +182,8 @@ ALONE = ProcessGroup()
 def join_process_group() -> Iterator[ProcessGroup]:
     """Join the ranks that torchrun has started, for the duration of the ``with`` block.
 
-    torchrun describes the ranks in the environment variables RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. Without
-    these variables, the group has one rank.
+    torchrun describes the ranks in the environment variables RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. If the
+    variables are not set, the group has one rank.
 
     Raises:
         UserError: if the address of rank 0 does not answer. On ranks other than 0, the message of each UserError of the

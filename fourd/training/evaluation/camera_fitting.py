@@ -2,10 +2,10 @@
 evaluate scenes that were trained with camera refinement.
 
 Camera refinement changes the poses of the training cameras, and the scene moves with them. A held-out camera is not
-refined during training, so its pose does not fit the scene exactly. BARF (Lin et al., ICCV 2021, sec. 4.2) solves the
-same problem: it optimises each test camera against the frozen scene before computing metrics. This module uses direct
-image alignment with the rendered depth (Lucas and Kanade 1981), from blurred to sharp images. The image gradient is the
-mean of the gradients of the rendered and the true image (Benhimane and Malis, IROS 2004).
+refined during training, so its pose does not fit the scene exactly. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore
+optimises each test camera against the frozen scene before computing metrics. This module uses direct image alignment
+with the rendered depth (Lucas and Kanade 1981), from blurred to sharp images. The image gradient is the mean of the
+gradients of the rendered and the true image (Benhimane and Malis, IROS 2004).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ MAX_STEPS = 12
 INITIAL_DAMPING = 1e-3
 MAX_FRAMES = 3
 CONVERGED = 3e-5
-"""The optimization at a blur level ends when all six components of the step are smaller than this threshold. The three
+"""Convergence threshold: the optimization at a blur level ends when all six components of a step are smaller. The three
 rotation components are in radians. The three translation components are shares of the camera's distance from the
 scene's centre."""
 MIN_ALPHA = 0.02
@@ -111,8 +111,8 @@ class _Alignment:
     def optimize(self, camera: Camera, blur_px: float) -> Camera:
         """Optimise the camera with Levenberg-Marquardt on images blurred by ``blur_px``.
 
-        The points' colours are evaluated only once, for the initial ``camera``, because the camera moves little during
-        the optimization.
+        Because the camera moves little during the optimization, the points' colours are evaluated only once, for the
+        initial ``camera``.
         """
         for frame in self.selected:
             self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)
@@ -201,7 +201,7 @@ def _blur(picture: Floats, sigma_px: float) -> Floats:
 
 
 def _fit_colours(pairs: Sequence[_Pair]) -> Floats:
-    """Affine colour map (3, 4) from rendered to true images, by regularised least squares."""
+    """Affine colour map (3, 4) from rendered to true images, fitted by regularised least squares."""
     matrix, right, count = np.zeros((4, 4)), np.zeros((4, 3)), 0
     for pair in pairs:
         given = np.concatenate([pair.rgb, pair.alpha[..., None]], axis=-1).reshape(-1, 4).astype(np.float64)

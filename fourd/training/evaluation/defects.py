@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONTOUR_PX = 1.5
-"""Pixels up to this distance from the matte's contour belong to the class "contour"."""
+"""Maximum distance from the matte's contour of pixels in the class "contour"."""
 NEAR_PX = 4.0
-"""Pixels inside the matte that are farther than CONTOUR_PX, but at most this distance, from the contour belong to the
-class "near". Pixels farther inside belong to the class "inside"."""
+"""Maximum distance from the matte's contour of pixels in the class "near", which are inside the matte and farther than
+CONTOUR_PX from the contour. Pixels farther inside belong to the class "inside"."""
 WRONG_ALPHA = 0.3
-"""A rendered alpha is wrong if it differs from the matte by more than this value."""
+"""Difference between rendered alpha and matte above which the alpha is wrong."""
 SPECK_ERROR = 0.15
 """Minimum error of each pixel of a speck. The error is the largest absolute difference over the channels, for colours
 in [0, 1]."""
@@ -116,7 +116,8 @@ def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
 
 
 def jump_ratio(images: Sequence[Image]) -> float:
-    """Largest mean absolute difference between successive images, divided by the median of these differences.
+    """Largest mean absolute difference between successive images, divided by the median over all pairs of successive
+    images.
 
     If the camera moves slowly in equal steps and the image changes smoothly, the ratio is close to 1.
 

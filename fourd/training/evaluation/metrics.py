@@ -61,8 +61,8 @@ def mask_box(mask: NDArray[np.uint8] | NDArray[np.bool_], margin: int = 8) -> tu
     """The bounding box of the object in a matte, extended by ``margin`` pixels on each side and clipped to the image.
 
     Args:
-        mask: (H, W) matte, uint8 (255 on the object) or bool. Pixels above 127 belong to the object. With this
-            threshold, faint noise of a soft matte does not enlarge the box.
+        mask: (H, W) matte, uint8 (255 on the object) or bool. Pixels above 127 belong to the object. The threshold
+            prevents faint noise of a soft matte from enlarging the box.
         margin: margin around the object in pixels, 0 or more.
 
     Returns:

@@ -49,8 +49,8 @@ class ModelRenderer:
         Args:
             scene: the scene with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) point in world units. Angles between cameras are measured at this point. The source views come
-                from the cameras with the smallest angles to the viewing camera.
+            focus: (3,) point in world units. Angles between cameras are measured at this point. The source views are
+                those with the smallest angles to the viewing camera.
             pixel_filter: weight of a neighbouring pixel in the filter of rendered images.
         """
         self.scene = scene

@@ -71,7 +71,7 @@ def score_view(
 
 
 def summarize(pictures: Iterator[ViewScores] | list[ViewScores]) -> Evaluation:
-    """Means over images. The mean PSNR is the mean of the values in dB, as is usual in papers."""
+    """Means over images. The mean PSNR is the mean of the images' values in dB, as is usual in papers."""
     scored = list(pictures)
     boxes = [picture.box for picture in scored if picture.box is not None]
     return Evaluation(scored, _mean([picture.image for picture in scored]), _mean(boxes) if boxes else None)

@@ -52,10 +52,10 @@ class ControlReader:
     def read(self) -> ControlRequest | None:
         """The request to this training that was written since the last call, or None if there is none.
 
-        If the file has not changed, the call reads only its status, which takes some microseconds.
+        If the file has not changed, the call reads only the file's status, which takes some microseconds.
 
         Raises:
-            UserError: if the file has changed and is not a request. The next call ignores it.
+            UserError: if the file has changed and is not a valid request. The next call ignores the invalid file.
         """
         version = self._version()
         if version == self._seen:
@@ -73,7 +73,8 @@ class ControlReader:
         return request if request.session == self._session else None
 
     def _version(self) -> tuple[int, int, int] | None:
-        """Numbers that change when the file is replaced, or None if there is no file."""
+        """Values that identify a version of the file: they change when the file is replaced. None if there is no
+        file."""
         try:
             status = os.stat(self._path)
         except OSError:

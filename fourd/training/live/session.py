@@ -20,7 +20,7 @@ from fourd.training.live.state import MAX_REASON, Phase, TrainingState, training
 CONTROL_SECONDS = 0.5
 """Minimum time in seconds between two reads of the control file."""
 STATE_SECONDS = 1.0
-"""Minimum time in seconds between two writes of the state file, if only the numbers have changed."""
+"""Minimum time in seconds between two writes of the state file if the phase has not changed."""
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,10 @@ class NoSession:
 
 
 class LiveSession:
-    """A context manager that writes the state of a training and reads the requests to it.
+    """A context manager that writes the state of a training and reads the requests to the training.
 
-    Both are done between training steps. :meth:`show` and :meth:`look` return at once if less than the minimum time
-    has passed. If the state cannot be written, training continues without it.
+    The state is written and requests are read between training steps. :meth:`show` and :meth:`look` return at once if
+    less than the minimum time has passed. If the state cannot be written, training continues without writing it.
 
     Attributes:
         wanted: the last request that was not yet answered, or None.
@@ -78,7 +78,7 @@ class LiveSession:
     def __enter__(self) -> LiveSession:
         with suppress(OSError):
             self._stack.enter_context(training_lock(self._run))
-        # Requests that were written before this moment belong to earlier trainings.
+        # Requests that were written before this session starts belong to earlier trainings.
         self._requests = ControlReader(self._run, self._session)
         return self
 
@@ -101,7 +101,7 @@ class LiveSession:
         self.wanted = None
 
     def show(self, progress: StepCount, phase: Phase = "training") -> None:
-        """Write the state. If the phase has changed, it is written at once, otherwise at most once per second."""
+        """Write the state: at once if the phase has changed, otherwise at most once per second."""
         self._progress = progress
         now = time.monotonic()
         if phase == self._phase and now < self._next_write:

@@ -28,8 +28,8 @@ MAX_STATE_BYTES = 1 << 14
 MAX_REASON = 500
 """Maximum number of characters of the reason in a state."""
 SILENT_SECONDS = 60.0
-"""A training on another machine, or on a system without locks, counts as ended if its state is older than this many
-seconds."""
+"""Age of a state, in seconds, above which a training on another machine, or on a system without locks, is assumed to
+have ended."""
 
 Phase = Literal["training", "paused", "finished", "stopped", "failed"]
 
@@ -41,7 +41,7 @@ class TrainingState:
     Attributes:
         session: identifies one call of the training loop. A resumed run has another session.
         host: name of the machine that trains.
-        phase: what the training does, or how it ended.
+        phase: the current activity of the training, or how the training ended.
         step: number of completed steps.
         seconds: training time in seconds, without pauses.
         spent: spent share of the budget, in [0, 1].
@@ -66,8 +66,8 @@ class TrainingState:
 def write_state(run: Path, state: TrainingState) -> None:
     """Replace the state file of a run.
 
-    The file is replaced in one step. It is not synced to the disk, because syncing can take longer than a training
-    step, and the state is not needed after a power failure.
+    The file is replaced atomically but not synced to the disk, because syncing can take longer than a training step,
+    and the state is not needed after a power failure.
     """
     path = run / LIVE / STATE_NAME
     temporary = path.with_name(f"{UNFINISHED}{STATE_NAME}")
@@ -98,7 +98,7 @@ def training_lock(run: Path) -> Iterator[None]:
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        # A process that tests the lock holds it exclusively for some microseconds. This call waits for that process.
+        # The call waits, because a process that tests the lock holds it exclusively for some microseconds.
         with suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_SH)
         yield

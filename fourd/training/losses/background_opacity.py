@@ -17,15 +17,14 @@ from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""Maximum number of points that are composited at each pixel. This maximum is larger than the number of points that
-overlap at a pixel, even on a floor viewed at a grazing angle. With too few layers, the transmittance after the last
-layer would not be 0, and the gradient would enlarge the discs. As a result, the number of overlapping discs would
-increase further."""
+"""Maximum number of points that are composited at each pixel. The maximum exceeds the number of points that overlap at
+a pixel, even on a floor viewed at a grazing angle. With too few layers, the transmittance after the last layer would
+not be 0, and the gradient would enlarge the discs until even more discs overlap."""
 MAX_LATERAL_OFFSET = 0.15
 """Maximum distance of a viewpoint from the line between two cameras, as a share of the line's length."""
 RNG_STREAM = 4
-"""Number of the random stream of this loss. The loss draws its random numbers from ``default_rng([seed, RNG_STREAM,
-step])``. No other random stream of a run has this number."""
+"""Number of the random stream of this loss, which is unique in a run. The loss draws its random numbers from
+``default_rng([seed, RNG_STREAM, step])``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,8 +49,8 @@ class BackgroundOpacityTerm:
 
 
 def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int, rng: np.random.Generator) -> Camera:
-    """Move ``camera`` to a random point near the line to another camera. This other camera is chosen at random from
-    ``others``. The image of the moved camera is cropped to at most ``side_px`` x ``side_px`` pixels."""
+    """Move ``camera`` to a random point near the line to another camera, which is chosen at random from ``others``. The
+    image of the moved camera is cropped to at most ``side_px`` x ``side_px`` pixels."""
     line = others[int(rng.integers(len(others)))].centre - camera.centre
     offset = rng.normal(size=3)
     offset *= MAX_LATERAL_OFFSET * np.linalg.norm(line) * rng.random() / np.linalg.norm(offset)

@@ -30,13 +30,13 @@ GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512
 # images that are normalised by these values.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-# An image with a side below 16 pixels has size 0 after four pooling layers.
+# Smaller images would have size 0 after four pooling layers.
 MIN_SIDE_PX = 16
 SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"
 FIX = "pass VGG-16 weights with --lpips-weights"
 
-# Names of the weights in files of torchvision, or in files of a whole network saved with the lpips package.
+# Pattern for the names of weights in files of torchvision, or in files of a whole network saved with the lpips package.
 _FEATURE_KEY = re.compile(r"(?:features|net\.slice[1-5])\.(\d+)\.(weight|bias)")
 _HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
 
@@ -119,7 +119,8 @@ def load_lpips(path: Path | None) -> LPIPS | None:
             ``*lpips*``. The files contain VGG-16 under torchvision's names (``features.0.weight``), the linear heads
             under the names of the lpips package (``lin0.model.1.weight``), or both. If VGG-16 is missing, it is read
             from torch.hub's ``checkpoints/vgg16-397923af.pth``. If the heads are missing, they are read from the
-            installed package lpips or torchmetrics. If ``path`` is None, only these default locations are used.
+            installed package lpips or torchmetrics. If ``path`` is None, only the default locations of VGG-16 and of
+            the heads are used.
 
     Returns:
         The network on the CPU, or None if ``path`` is None and a part of the weights is missing.
@@ -211,8 +212,8 @@ def _read(file: Path) -> dict[str, Tensor]:
             raise UserError(f"{file}: expected layers of VGG-16, got the unknown layer '{key}'; {FIX}")
         if shape != shapes[name]:
             raise UserError(f"{file}: '{key}': expected shape {shapes[name]}, got {shape}; {FIX}")
-        # Without the copy, the tensor would keep the file's other tensors in memory, such as the 470 MB of VGG-16's
-        # classifier.
+        # The tensor is copied, because it would otherwise keep the file's other tensors in memory, such as the 470 MB
+        # of VGG-16's classifier.
         found[name] = value.detach().to(torch.float32, copy=True)
     if not found:
         raise UserError(

@@ -11,8 +11,7 @@ from fourd.training.background import StaticBackground
 from fourd.training.losses.term import RenderedStep
 
 STRIDE = 8
-"""The shadow term is evaluated on every STRIDE-th background point, including points that are not visible in the target
-view."""
+"""The shadow term uses every STRIDE-th background point, including points that are not visible in the target view."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""The interface of a loss term, and the record of a rendered step, on which loss terms are evaluated."""
+"""The interface of a loss term, and the record of a rendered step from which loss terms are computed."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class RenderedStep:
         sample: the frame and views of the step.
         prediction: (H, W, 3) rendered image on the step's background colour.
         truth: (H, W, 3) true image on the step's background colour.
-        coverage: (H, W) rendered alpha of the foreground. If the target is a plate, this is the rendered alpha of the
-            background.
+        coverage: (H, W) rendered alpha of the foreground. If the target is a plate, ``coverage`` is the rendered alpha
+            of the background.
         matte: (H, W) true alpha of the foreground, or None if the target is a plate.
         displacement: (M, 3) learnt displacement of the visible points in world units, or None without a residual field.
     """

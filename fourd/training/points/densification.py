@@ -16,7 +16,7 @@ from fourd.training.points.spacing import point_spacings
 
 NEIGHBOURS = 3
 """Number of nearest neighbours of a parent point from which the parent's partner is chosen at random. A split adds a
-new point midway between parent and partner. With near neighbours, the new point is close to the surface."""
+new point midway between parent and partner. A midpoint between near neighbours is close to the surface."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,8 @@ def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: 
     ``gradient`` (M, 3) is the gradient with respect to positions.
 
     The magnitude is the norm of a point's gradient times the point's spacing. To first order, the magnitude is the
-    largest change of the loss when the point moves by one spacing. The magnitude does not depend on the unit of length,
-    so that the magnitudes of near and far points can be compared. Kerbl et al. 2023, sec. 5.2, instead split points
+    largest change of the loss when the point moves by one spacing. Magnitudes of near and far points can be compared,
+    because the magnitude does not depend on the unit of length. In contrast, Kerbl et al. 2023, sec. 5.2, split points
     with large view-space gradients.
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]

@@ -40,8 +40,8 @@ class FramePoints:
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of steps in which these points were trained.
         initial_count: scalar, number of points before training.
-        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. The planes are None
-            before the first fit, and after points were added or removed.
+        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. The value is None before
+            the first fit, and after points were added or removed.
     """
 
     spacing: Tensor
@@ -144,7 +144,8 @@ class FramePoints:
         )
 
     def copy_outside_heap(self) -> FramePoints:
-        """Copy all tensors to memory outside the heap. This method is for points that stay in memory for many steps."""
+        """Copy all tensors to memory outside the heap. Use this method for points that stay in memory for many
+        steps."""
         return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
 
     @property

@@ -48,7 +48,7 @@ class FrameStore:
         return len(self._cache)
 
     def get(self, frame: int) -> FramePoints:
-        """The points of a frame. In-place changes of the points are kept only if they are made before the next call of
+        """The points of a frame. Changes of the points in place are kept only if they are made before the next call of
         this method."""
         if frame not in self._cache:
             self._cache[frame] = self._load(frame).copy_outside_heap()
@@ -62,8 +62,8 @@ class FrameStore:
         self._saved = folder
 
     def close(self) -> None:
-        """Remove the scratch folder. Without this call, the folder is removed when this object is deleted. If Ctrl-C is
-        pressed during such a deletion, Python ignores it.
+        """Remove the scratch folder. If this method is not called, the folder is removed when the object is deleted.
+        Python ignores a Ctrl-C during the deletion of an object.
         """
         self._scratch.close()
 

@@ -16,7 +16,7 @@ if sys.platform != "win32":
     import fcntl
 
 LOCK_SUFFIX = ".lock"
-"""The file NAME.lock is locked as long as the process that uses the folder NAME is running."""
+"""Suffix of lock files: NAME.lock is locked as long as the process that uses the folder NAME is running."""
 
 
 class Scratch:
@@ -49,8 +49,8 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
             stream = path.open("xb")
         except FileNotFoundError:
             continue  # Another process has removed ``parent``, which was empty.
-        # Other processes remove lock files that are not locked, because such files look like those of processes that
-        # have ended. Therefore, another process may have removed the new lock file before this process locked it.
+        # Other processes treat lock files that are not locked as leftovers of processes that have ended, and remove
+        # them. Another process may therefore have removed the new lock file before this process locked it.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()
@@ -60,7 +60,7 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     if sys.platform == "win32":
         lock.close()  # on Windows, open files cannot be removed
-    if folder.exists():  # the next scratch folder removes this folder, because its lock file remains
+    if folder.exists():  # this folder is removed when the next scratch folder is made, because its lock file remains
         lock.close()
         return
     with contextlib.suppress(OSError):
@@ -71,7 +71,7 @@ def _remove(folder: Path, lock: BinaryIO) -> None:
 
 
 def _remove_leftovers(parent: Path) -> None:
-    """Remove the scratch folders of processes that have ended. The lock file of such a process is not locked."""
+    """Remove the scratch folders of processes that have ended. The lock files of ended processes are not locked."""
     for path in parent.glob(f"*{LOCK_SUFFIX}"):
         with contextlib.suppress(OSError), path.open("rb+") as stream:
             if _try_lock(stream):

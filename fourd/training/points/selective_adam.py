@@ -14,8 +14,8 @@ BETAS = (0.9, 0.99)
 EPSILON = 1e-15
 EPSILONS = {"rgb": 1e-6}
 """Epsilon of Adam for parameters whose epsilon differs from EPSILON, with the parameter's name as key. The stored
-colours ("rgb") of most background points hardly affect the image. The gradients of these colours are mostly noise. With
-epsilon EPSILON, these colours would follow a random walk."""
+colours ("rgb") of most background points hardly affect the image, so their gradients are mostly noise. With the small
+epsilon EPSILON, the colours would follow a random walk."""
 
 
 @dataclass

@@ -18,8 +18,8 @@ def revert_moves_out_of_silhouettes(
 ) -> None:
     """Move each point that left the silhouette in a view back to its position before the move.
 
-    A point that was already outside the silhouette before the move is not moved back. A view does not constrain points
-    outside its image.
+    A point that was already outside the silhouette before the move is not moved back. Points outside a view's image are
+    not constrained by the view.
 
     Args:
         points: the cloud. Positions are changed in place.

@@ -28,10 +28,11 @@ from fourd.training.schedule import StepSample
 from fourd.training.views import View, ViewStore
 
 RNG_STREAM = 3
-"""Number of the random stream of densification. Densification draws its random numbers from ``default_rng([seed,
-RNG_STREAM, frame, age])``. No other random stream of a run has this number."""
+"""Number of the random stream of densification, which is unique in a run. Densification draws its random numbers from
+``default_rng([seed, RNG_STREAM, frame, age])``."""
 BACKGROUND_SEED = 2**31
-"""Number that replaces the frame index in the seed of the background's densification. No frame has this index."""
+"""Number that replaces the frame index in the seed of the background's densification, and that differs from all frame
+indices."""
 
 
 class FullScene:
@@ -170,8 +171,8 @@ def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> t
     sides are clipped to the size of the image.
 
     ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
-    the image is shifted into the image. Because of this shift, windows at the corners of the image are frequent. If
-    windows were placed uniformly inside the image instead, almost no window would contain a corner of the image.
+    the image is shifted into the image. The shift makes windows at the corners of the image frequent. If windows were
+    placed uniformly inside the image, almost no window would contain a corner of the image.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

@@ -37,8 +37,8 @@ class Target:
         known: (H, W) mask in [0, 1]: 1 where ``rgb`` is known, 0 where it is unknown. In an object scene, the mask is
             the matte. For a frame of a full scene, the mask is 1 everywhere. For a plate, the mask is 1 where the plate
             shows the background.
-        fills_picture: whether the whole image belongs to the scene. If true, pixels that are not known are excluded
-            from the loss. If false, pixels that are not known get the step's background colour.
+        fills_picture: whether the whole image belongs to the scene. If true, unknown pixels are excluded from the loss.
+            If false, unknown pixels get the step's background colour.
     """
 
     camera: Camera
@@ -123,8 +123,8 @@ class TrainingScene(Protocol):
         the training budget."""
 
     def clear_caches(self) -> None:
-        """Drop cached data. A resumed run starts without cached data. An uninterrupted run must therefore also drop its
-        cached data at each checkpoint, so that both runs give the same result."""
+        """Drop cached data. A resumed run starts without cached data, so an uninterrupted run must also drop its cached
+        data at each checkpoint to give the same result."""
 
     def evaluate_frame(
         self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews

@@ -37,7 +37,7 @@ class SegmentFrame:
     is_first: bool
 
     def kept(self, count: int) -> NDArray[np.int64]:
-        """Indices of those of the segment's ``count`` points that belong to the frame."""
+        """Indices of the points that the segment contributes to the frame, out of the segment's ``count`` points."""
         return kept_points(count, self.share, is_first=self.is_first)
 
 
@@ -104,7 +104,8 @@ class SegmentedRun:
         for index in closed:
             self._open.pop(index).close()
         if closed:
-            # A segment contains reference cycles, so its memory would stay until Python's next full collection.
+            # Garbage is collected explicitly: a segment contains reference cycles, so its memory would otherwise stay
+            # until Python's next full collection.
             gc.collect()
 
 

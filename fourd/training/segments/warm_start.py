@@ -30,7 +30,7 @@ def write_warm_start(run: Run, previous: Path) -> None:
     an untrained segment.
 
     A row of a time plane belongs to one frame. In the frames that both segments share, the rows are copied. The rows of
-    later frames are copies of the previous segment's last row.
+    frames after the previous segment are copies of the previous segment's last row.
 
     Args:
         run: the segment, which has no checkpoint.
