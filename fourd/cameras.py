@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Factor in :func:`fading_weights`. If no other camera's angle is at least the largest angle of the chosen cameras, the
-limit angle is the largest angle times this factor.
+"""Factor for the limit angle of :func:`fading_weights`. If no other camera has an angle as large as the largest angle
+of the chosen cameras, the limit angle is this largest angle times the factor.
 """
 
 
@@ -186,9 +186,9 @@ def fading_weights(
 
     A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b, where b is the limit angle.
     Let A be the largest angle of the chosen cameras. The limit angle b is the smallest angle of a camera that is not
-    chosen and whose angle is at least A. At the moment at which another camera replaces a chosen camera, both have the
-    view weight 0, so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4).
-    Angles are measured at the point ``focus``. If all view weights would be 0, all view weights are 1.
+    chosen and whose angle is at least A. When another camera replaces a chosen camera, both have the view weight 0, so
+    the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are
+    measured at the point ``focus``. If all view weights would be 0, all view weights are 1.
 
     Args:
         camera: the viewing camera.
@@ -210,9 +210,9 @@ def fading_weights(
 def nearest_views(camera: Camera, sources: Sequence[Camera], count: int, focus: Array) -> list[int]:
     """Return the indices of the ``count`` source cameras nearest to ``camera`` by angle, nearest first.
 
-    The angle of a source camera is the angle at the world point ``focus`` (3,) between the rays to the centre of
-    ``camera`` and to the centre of the source camera. The selection by angle follows 4K4D (sec. 3.2). Cameras with
-    equal angles are ordered by index.
+    The angle of a source camera is measured at the world point ``focus`` (3,), between the rays to the centres of
+    ``camera`` and of the source camera. The selection by angle follows 4K4D (sec. 3.2). Cameras with equal angles are
+    ordered by index.
     """
     direction = _normalize(camera.centre - focus)
     cosines = np.array([float(_normalize(source.centre - focus) @ direction) for source in sources])

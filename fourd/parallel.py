@@ -41,8 +41,8 @@ def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], worke
     """Yield the result of ``work`` for each job as soon as it is ready.
 
     With one worker or one job, ``work`` runs in this process, without a pool. The pool's processes are terminated when
-    the caller stops the iteration or a job fails. They also exit when their parent process is killed. Because a job can
-    be terminated at any time, jobs must write files atomically.
+    the caller stops the iteration or a job fails. The processes of the pool also exit when their parent process is
+    killed. Because a job can be terminated at any time, jobs must write files atomically.
     """
     if workers == 1 or len(jobs) == 1:
         for job in jobs:
@@ -68,7 +68,7 @@ def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], worke
 
 
 _results: SimpleQueue[Any]
-"""Queue of results. It exists only in the processes of the pool."""
+"""Queue of results, which exists only in the processes of the pool."""
 
 
 def _initialize(results: SimpleQueue[Any]) -> None:

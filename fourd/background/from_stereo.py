@@ -34,7 +34,7 @@ def seed_from_stereo(
 
     COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The depth map
     of each plate is initialised from the triangulated features and from dominant planes that are fitted to these
-    features. Then PatchMatch optimises the depth map. A depth is kept if another plate confirms it and no plate
+    features. PatchMatch optimises the initialised depth map. A depth is kept if another plate confirms it and no plate
     contradicts it. The same input and seed give the same points.
 
     Args:

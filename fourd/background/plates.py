@@ -127,8 +127,7 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
 
 
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
-    """The cameras ``names``, with the names as keys. These cameras have lens distortion and the full size of the
-    frames."""
+    """The cameras ``names``, with the names as keys, with lens distortion and with the full size of the frames."""
     calibrations = read_calibration(capture.path)
     with open_capture(capture.path, views=names, frames="0:1", mattes=False) as whole:
         return {

@@ -28,8 +28,7 @@ NEAR_GAP_DEG = 15.0
 """Maximum angle in degrees between an unknown cell and the nearest known cell at which every unknown cell gets a point.
 Of the unknown cells beyond this angle, only one in sixteen gets a point."""
 OCCLUSION_RATIO = 0.9
-"""A shell point occludes a known point if the shell point's depth is less than this share of the known point's
-depth."""
+"""Ratio of a shell point's depth to a known point's depth below which the shell point occludes the known point."""
 DEPTH_CELL_PX = 6.0
 
 
@@ -65,7 +64,7 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
 
 
 def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
-    """Share in [0, 1] of the directions around ``centre`` that have points. Small gaps count as covered."""
+    """Share in [0, 1] of the directions around ``centre`` that have points. Small gaps are treated as covered."""
     sphere = direction_grid(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))
     known = np.zeros(sphere.rows * sphere.columns, bool)

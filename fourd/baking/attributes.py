@@ -30,8 +30,8 @@ class Attribute:
     """One array of a frame, as stored in the file.
 
     Attributes:
-        name: name of the corresponding field of BakedFrame. The same name is used for the array's file inside the ZIP
-            and for the array's key in the manifest.
+        name: name of the corresponding field of BakedFrame. The array's file inside the ZIP and the array's key in the
+            manifest have the same name.
         dtype: little-endian NumPy dtype.
         shape: size of each dimension of the array. "points" stands for the number of points and "views" for the number
             of source views.

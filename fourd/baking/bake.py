@@ -62,7 +62,7 @@ def bake_run(
     two segments, the scene fades from the first segment to the second.
 
     Args:
-        layers: maximum number of points that are composited per pixel. This number is stored in the scene.
+        layers: maximum number of points that are composited per pixel. The scene stores ``layers``.
         fps: playback rate, frames per second. If None, the rate at which the run's frames were recorded is used, or 30
             if this rate is not known.
 

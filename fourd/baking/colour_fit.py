@@ -96,7 +96,7 @@ class ColourFit:
 def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
     """Return the cameras for which the colours of a scene are evaluated.
 
-    These cameras are the cameras of the source views, and cameras halfway between neighbouring source views. For a
+    The result contains the cameras of the source views, and cameras halfway between neighbouring source views. For a
     scene without source views, all cameras of the scene are returned. For a scene without cameras, cameras on a sphere
     around the scene are returned.
     """

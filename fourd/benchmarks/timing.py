@@ -57,8 +57,8 @@ class Clock:
         units, times = [], []
         for _ in range(runs):
             units.append(_time_ms(lambda: self._square @ self._square))
-            # This run is not timed, because the OpenMP threads of the matrix product still spin and would slow down a
-            # timed run.
+            # An additional run of the work is not timed: the OpenMP threads of the matrix product still spin during
+            # this run and would distort its time.
             work()
             times.append(_time_ms(work) / repeats)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]

@@ -81,8 +81,7 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
         track: progress callback.
 
     Raises:
-        UserError: if an input is invalid, or the views of the board do not determine the rig. In this case, nothing is
-            written.
+        UserError: if an input is invalid, or the views of the board do not determine the rig. No file is then written.
     """
     check_out(out)
     if not source.is_dir():

@@ -147,7 +147,7 @@ def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerIm
 def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage]) -> tuple[int, int, bool] | None:
     """Columns, rows and legacy pattern that agree with the positions of the markers in the images.
 
-    If the values of ``board`` agree, they are returned. Returns None if no values agree with most of the markers. Not
+    The values of ``board`` are returned if they agree. Returns None if no values agree with most of the markers. Not
     all markers must agree, because some markers are false detections.
     """
     total = sum(len(each.ids) for each in images)

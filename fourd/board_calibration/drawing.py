@@ -60,7 +60,7 @@ def draw_rig(
         cameras: cameras in metres.
         board: the board.
         boards: poses from board to world.
-        floor: whether the world's z axis points up. Otherwise, the world has the axes of the first camera, and y points
+        floor: whether the world's z axis points up. If false, the world has the axes of the first camera, and y points
             down.
     """
     width, height = board.size_m

@@ -116,7 +116,7 @@ class RigFit:
 
     def rms(self, camera: int, held_out: bool) -> float | None:
         """Root mean square error of a camera in pixels, on held-out frames or on the other frames. The result is None
-        if there are no such frames."""
+        if the camera has no error for the requested frames."""
         rows = (self.corners.camera == camera) & (self.held_out[self.corners.board] == held_out)
         return float(np.sqrt(np.mean(self.errors[rows] ** 2))) if rows.any() else None
 

@@ -44,7 +44,7 @@ class Prior:
         focal: standard deviation of the logarithm of the focal length. With 0, all focal lengths are fixed.
         pixel: standard deviation of the position of a feature in pixels. The measured standard deviation is a third of
             a pixel. The default is larger than the measured value, because the errors of features on the same surface
-            are correlated. With a value below the default, the adjustment would fit the correlated errors and deform
+            are correlated. A value below the default would make the adjustment fit the correlated errors and deform
             rings of cameras.
         principal_px: standard deviation of the principal point in pixels. With 0, all principal points are fixed.
     """

@@ -43,11 +43,11 @@ def match_cameras(
 ) -> dict[Pair, Matches]:
     """Match pairs of cameras over all given frames.
 
-    Features are matched first. Camera pairs with fewer than 20 feature matches count as unmatched. Wide baselines can
-    leave a camera with fewer than two matched pairs. If the world is in metres with z up, all pairs of a camera with
-    fewer than two matched pairs are also matched on the ground. Ground patches are searched at z = 0 in a 5 m square
-    centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm below and above are
-    searched too. A pair with both feature matches and ground matches keeps the larger set.
+    Features are matched first. Camera pairs with fewer than 20 feature matches are treated as unmatched. Wide baselines
+    can leave a camera with fewer than two matched pairs. If the world is in metres with z up, all pairs of a camera
+    with fewer than two matched pairs are also matched on the ground. Ground patches are searched at z = 0 in a 5 m
+    square centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm below and above
+    are searched too. A pair with both feature matches and ground matches keeps the larger set.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.

@@ -27,7 +27,7 @@ MIN_LEAD = 0.12
 MIN_DROP = 0.03
 """Minimum decrease of the correlation 3 pixels from its peak in all directions.
 
-The minimum rejects patches on a straight edge, because their correlation hardly decreases along the edge.
+The minimum rejects patches on a straight edge, because their correlation stays high along the edge.
 """
 MIN_CONTRAST = 6.0
 

@@ -1,7 +1,7 @@
 """Detection of principal points that are mirrored about the image centre.
 
 Programs that rotate a calibration by 90 degrees can mirror the principal point. A rotation by 90 degrees swaps the
-image's axes and reverses one of them. If a program swaps the principal point's coordinates but reverses neither, the
+image's axes and reverses one axis. If a program swaps the principal point's coordinates but reverses neither, the
 principal point is mirrored along one axis. Focal lengths and poses are still correct. The error of the principal point
 is twice its distance from the image centre along the mirrored axis, often 10 pixels or more.
 """

@@ -292,9 +292,8 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek ended after the requested frame, for one of two reasons: the frame is stored after a keyframe
-            # that is displayed later, or the container seeks beyond the requested time. Decode from the start of the
-            # video instead.
+            # The seek ended after the requested frame: the frame is stored after a keyframe that is displayed later, or
+            # the container seeks beyond the requested time. Decode from the start of the video instead.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:

@@ -134,9 +134,9 @@ def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
     """Lookup tables of an HDR transfer function and of sRGB.
 
     Returns:
-        Three tables. The first has the linear light for each signal value, in units of the reference white (for HLG:
-        scene light in [0, 1]). The second has the 8-bit sRGB value for each square root of linear light. The third, for
-        HLG, has the OOTF's factor from scene light to display light for each luminance.
+        Three tables. The first table has the linear light for each signal value, in units of the reference white (for
+        HLG: scene light in [0, 1]). The second table has the 8-bit sRGB value for each square root of linear light. The
+        third table, for HLG, has the OOTF's factor from scene light to display light for each luminance.
     """
     steps = np.linspace(0, 1, LEVELS)
     if transfer == HLG:

@@ -53,7 +53,7 @@ def carve_frame(
 
     Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
     so small that more cells intersect the surface than points are requested. The centres of the finest cells are moved
-    onto the surface with an error of at most a tenth of a cell's side. Then points are removed evenly until the
+    onto the surface with an error of at most a tenth of a cell's side. Finally, points are removed evenly until the
     requested number remains.
 
     Args:

@@ -75,8 +75,8 @@ def match_calibrations(
     """Turn and reduce calibrations like the frames of their videos.
 
     Frames and calibrations have an orientation: landscape or portrait. With "auto", a calibration belongs to the stored
-    frames if the stored frames have the orientation of the calibration and the turned frames do not. Otherwise, the
-    calibration belongs to the turned frames, which OpenCV and video players show.
+    frames if the stored frames have the orientation of the calibration and the turned frames do not. In all other
+    cases, "auto" assumes that the calibration belongs to the turned frames, which OpenCV and video players show.
 
     Args:
         cameras: the source's cameras.

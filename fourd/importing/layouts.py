@@ -27,7 +27,7 @@ CALIBRATION_SUFFIXES = (
 )
 PICKLES = (".pickle", ".pkl", ".npy")
 FRAME_STORES = ("images", "masks", "mask", "rgbs")
-"""Folders with images and mattes. Such folders are not searched, because they contain many files and no calibration."""
+"""Folders with images and mattes, which are not searched, because they contain many files and no calibration."""
 MAX_LISTED = 8
 
 
@@ -236,7 +236,7 @@ def _recognise(path: Path, formats: Sequence[CalibrationFormat]) -> CalibrationF
 
 def _is_suspect(path: Path) -> bool:
     if path.name == EXTRINSICS_NAME:
-        # If there is also an intri.yml, the message about intri.yml mentions this file too.
+        # An extri.yml beside an intri.yml is not listed, because the message about intri.yml also mentions extri.yml.
         return not (path.parent / INTRINSICS_NAME).is_file()
     return CALIBRATION_NAME.search(path.name) is not None
 

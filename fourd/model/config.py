@@ -72,9 +72,9 @@ class ModelConfig:
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
     fade_views: bool = True
-    """Multiply the blend weights of each source view by 1 - a / b. In 1 - a / b, a is the angle between the source view
-    and the viewing camera, and b is the angle between the nearest view that is not selected and the viewing camera. The
-    factor makes images change smoothly along a camera path."""
+    """Multiply the blend weights of each source view by 1 - a / b. The angle a is between the viewing camera and the
+    source view. The angle b is between the viewing camera and the nearest view that is not selected. The factor makes
+    images change smoothly along a camera path."""
     image_features: int = 8
     """Number of channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2

@@ -185,8 +185,8 @@ class PointModel(nn.Module):
                 as bytes.
             train_encoder: whether the image encoder gets a gradient. Without a gradient of the encoder, a training step
                 takes a third less time.
-            is_training: whether the colours are those of a training step. Otherwise, the SH coefficients are those of
-                an exported scene; see :meth:`harmonics`.
+            is_training: whether the colours are those of a training step. If false, the SH coefficients are those of an
+                exported scene; see :meth:`harmonics`.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:

@@ -54,7 +54,7 @@ class Reply:
 
 
 class ParserProcess:
-    """A child process that parses untrusted files. It starts with the first call, and again after a crash.
+    """A child process that parses untrusted files. The process starts with the first call, and again after a crash.
 
     Use the object as a context manager, or call :meth:`close`. The child process also ends when the object is deleted
     or this process ends. The object is not thread-safe.
@@ -84,7 +84,7 @@ class ParserProcess:
         """Call ``function`` of the child process with a file and further arguments.
 
         Args:
-            function: the function as "module:name". It returns a JSON value, or a JSON value and bytes.
+            function: the function as "module:name". The function returns a JSON value, or a JSON value and bytes.
             path: the file or folder that the function reads.
             arguments: further arguments, which must be JSON values.
 

@@ -1,4 +1,5 @@
-"""The child process of :class:`fourd.processes.isolation.ParserProcess`. It answers requests until its input ends."""
+"""The child process of :class:`fourd.processes.isolation.ParserProcess`. The process answers requests until its input
+ends."""
 
 from __future__ import annotations
 

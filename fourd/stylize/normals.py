@@ -101,8 +101,8 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
 
 
 def encode_octahedral(normals: NDArray[np.floating]) -> NDArray[np.uint8]:
-    """Encode unit normals (N, 3) as (N, 2) uint8: each normal is projected to a point (x, y) of an unfolded octahedron,
-    which is stored as the bytes 127 x + 128 and 127 y + 128 (Cigolle et al. 2014). The angle between a normal and the
+    """Encode unit normals (N, 3) as (N, 2) uint8 (Cigolle et al. 2014). Each normal is projected to a point (x, y) of
+    an unfolded octahedron, which is stored as the bytes 127 x + 128 and 127 y + 128. The angle between a normal and the
     decoded normal is at most 1 degree."""
     length = np.abs(normals).sum(1, keepdims=True)
     plane = normals[:, :2] / np.maximum(length, 1e-12)

@@ -69,8 +69,8 @@ class DetailAxis:
 
     Attributes:
         by: the quantity that determines the detail. With "depth", the detail is 0 at ``near`` and 1 at ``far``. With
-            "focus", it is 0 at the depth ``focus`` and 1 at the distance ``far - near`` from ``focus``. With "facing",
-            it is N.V to the power ``power``, which is 0 at silhouettes.
+            "focus", the detail is 0 at the depth ``focus`` and 1 at the distance ``far - near`` from ``focus``. With
+            "facing", the detail is N.V to the power ``power``, which is 0 at silhouettes.
         near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
         power: exponent of N.V.
         fade: share of ``fade_colour`` in the colours where the detail is 1, or at silhouettes if ``by`` is facing. With

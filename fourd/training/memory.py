@@ -2,9 +2,8 @@
 glibc is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
 
 Images differ in size, so freed blocks do not always fit the next allocation, and the heap's address space grows for
-hours during training. However, a page of the heap occupies physical memory only if the page was written since the last
-trim. Data that is kept for many steps is stored outside the heap, in separate pages, because it would fragment the
-heap.
+hours during training. Only pages of the heap that were written since the last trim occupy physical memory. Data that is
+kept for many steps is stored outside the heap, in separate pages, because it would fragment the heap.
 """
 
 from __future__ import annotations

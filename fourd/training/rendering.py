@@ -77,7 +77,8 @@ def composite_samples(
     """Render all clouds together, with ``samples`` x ``samples`` evenly spaced samples in each pixel.
 
     Returns:
-        features (H, W, 4) as in :func:`composite`, and alpha (H, W). Both are means over the samples of each pixel.
+        features (H, W, 4) as in :func:`composite`, and alpha (H, W). Features and alpha are means over the samples of
+        each pixel.
     """
     render = composite(clouds, viewer if samples == 1 else viewer.rescale(samples), layers)
     if samples == 1:

@@ -29,8 +29,8 @@ LIVE = "live"
 SEGMENTS = "segments"
 """Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
 PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)
-"""Folders that are written before training. They may exist before ``config.yaml``, the file that marks a folder as a
-run."""
+"""Folders that are written before training, and that may exist before ``config.yaml``, the file that marks a folder as
+a run."""
 
 
 def checkpoint_files(folder: Path) -> list[Path]:

@@ -26,8 +26,8 @@ CLONE_OFFSET = 0.2
 def prune_and_grow(
     soup: Soup, weights: Tensor, priority: Tensor, cameras: Sequence[Camera], most: int, generator: torch.Generator
 ) -> None:
-    """Remove triangles that contribute nothing. Then add triangles until there are GROWTH times as many triangles as
-    after the removal, but at most ``most``.
+    """Remove triangles that contribute nothing. Afterwards, triangles are added until there are GROWTH times as many
+    triangles as after the removal, but at most ``most``.
 
     Args:
         soup: the triangles, which are changed in place.

@@ -52,8 +52,8 @@ def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> 
 
     Returns:
         the mean Huber loss of the distances between neighbours' centres and the planes of triangles, in units of the
-        spacing. The second value is the mean of 1 - cosine of the angle between the normals of neighbours. Both values
-        are 0 if there are no neighbours.
+        spacing. The second value is the mean of 1 - cosine of the angle between the normals of neighbours. Without
+        neighbours, both losses are 0.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)
     if len(neighbours.first) == 0:

@@ -43,7 +43,7 @@ def render_opaque(
         rgb: (V, 3) colours of the vertices. Within a triangle, the colour is interpolated linearly.
         tri: (M, 3) int32 vertex indices.
         camera: pinhole camera.
-        topology: the neighbours of the triangles. If None, they are computed.
+        topology: the neighbours of the triangles. If None, the neighbours are computed.
         samples: number of samples per pixel along each axis.
 
     Returns:

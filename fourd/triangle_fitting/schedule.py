@@ -1,10 +1,10 @@
 """The budget of a fit, and the schedule by which soft triangles become opaque.
 
-In the soft phase, the exponent sigma of the window function is 1.16, and opacities are not limited. Then sigma
-decreases geometrically to 1e-4. At the same time, a lower limit of the opacity rises from 0.1 to 0.9999, so that the
-triangles become opaque up to their edges. The initial value of sigma is from Held et al. 2025. The ranges of sigma and
-of the lower limit of the opacity are those of the method with opaque triangles in the same paper. In fourd, sigma and
-the lower limit are functions of the spent budget.
+In the soft phase, the exponent sigma of the window function is 1.16, and opacities are not limited. After the soft
+phase, sigma decreases geometrically to 1e-4. At the same time, a lower limit of the opacity rises from 0.1 to 0.9999,
+so that the triangles become opaque up to their edges. The initial value of sigma is from Held et al. 2025. The ranges
+of sigma and of the lower limit of the opacity are those of the method with opaque triangles in the same paper. In
+fourd, sigma and the lower limit are functions of the spent budget.
 """
 
 from __future__ import annotations

@@ -11,10 +11,10 @@ class TriangleSettings:
     """Settings of the fit of the triangles of one frame.
 
     Attributes:
-        triangles: maximum number of soft triangles, at least 16. The fit starts with half of this number.
+        triangles: maximum number of soft triangles, at least 16. The fit starts with half as many.
         cells: number of cubes along the longest side of the subject, at least 8, which determines the resolution of
             connected meshes.
-        connect: whether the opaque triangles are connected to a closed mesh. Otherwise, they remain separate.
+        connect: whether the opaque triangles are connected to a closed mesh. If false, the triangles remain separate.
         max_steps: maximum number of steps; None means no limit.
         max_seconds: maximum number of seconds of fitting; None means no limit. At least one limit must be set.
         interval: steps between two rounds of pruning and growth, at least 1.

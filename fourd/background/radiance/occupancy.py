@@ -25,9 +25,9 @@ pixel."""
 class OccupancyGrid:
     """Densities on a grid over contracted space. Dense cells get more samples than empty cells.
 
-    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. This class instead computes a
-    histogram of volume rendering weights along each ray from the grid's densities. A fixed number of samples is drawn
-    from this histogram.
+    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. In contrast, this class
+    computes a histogram of volume rendering weights along each ray from the grid's densities, and draws a fixed number
+    of samples from the histogram.
     """
 
     def __init__(self, contraction: Contraction, cells: int) -> None:

@@ -21,7 +21,7 @@ from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
 """Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. If the cell's plane is
-seen almost edge-on, the ratio can fall below this minimum. Then the depth of the pixel is not used."""
+seen almost edge-on, the ratio can fall below this minimum, and the depth of the pixel is not used."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,7 +76,7 @@ def to_normalized(distance: Tensor) -> Tensor:
 def resample_edges(edges: Tensor, weights: Tensor, count: int, jitter: Tensor | None) -> Tensor:
     """Sample interval edges (R, count + 1) from histograms, such that all intervals have about the same weight.
 
-    This is stratified inverse transform sampling.
+    The method is stratified inverse transform sampling.
 
     Args:
         edges: (C + 1,) ascending edges of the histogram's bins.

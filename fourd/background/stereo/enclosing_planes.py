@@ -21,8 +21,7 @@ MIN_INLIERS = 0.05
 MAX_BEHIND = 0.01
 """Maximum share of all points that lie behind a plane."""
 TOLERANCE = 0.02
-"""A point counts as lying on a plane if its distance from the plane is at most this share of its distance from the mean
-camera centre."""
+"""Maximum distance of a plane's points from the plane, as a share of their distance from the mean camera centre."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,9 +23,9 @@ EDGE_TOLERANCE = 0.05
 """Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth
 edge if the errors at the neighbours on both sides exceed this maximum."""
 MAX_PARTS = 2
-"""Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
-points on steep surfaces. However, points on a floor would then hide the lower half of the points behind them. If points
-of the floor hide others, the texture of the floor appears half a point too high in the image."""
+"""Maximum number of parts into which a square is divided along each axis. With more parts, all gaps between points on
+steep surfaces would be closed, but each point of a floor would hide the lower half of the points behind it. The texture
+of the floor would then appear half a point too high in the image."""
 
 
 @dataclass(frozen=True, eq=False)

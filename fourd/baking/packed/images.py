@@ -4,10 +4,9 @@ The image of a source view shows how the colours of points in this view differ f
 point's colour in the view is its mean colour plus the difference at the projection of the point.
 
 An image is stored as a header and a key frame of VP9 (profile 0, 8 bits, 4:2:0). The texels form a grid over the
-camera's picture: texel (i, j) covers the square from (i, j) / s to (i + 1, j + 1) / s in pixels, where s is the
-``image_scale`` of the encoding. The image contains the part of the grid that its points need. In the planes of an
-image, the value 128 encodes the difference 0. The conversion to red, green and blue is that of JFIF (BT.601, full
-range).
+camera's picture. With the ``image_scale`` s of the encoding, texel (i, j) covers the square from (i, j) / s to (i + 1,
+j + 1) / s in pixels. The image contains the part of the grid that its points need. In the planes of an image, the value
+128 encodes the difference 0. The conversion to red, green and blue is that of JFIF (BT.601, full range).
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def compress(content: bytes, compression: Compression = "zstd") -> bytes:
 
 
 def stored(content: bytes) -> bytes:
-    """Compress a member's content fast, with little reduction in size. This function is used for checks in memory."""
+    """Compress a member's content fast, with little reduction in size. Checks in memory use this function."""
     return zstandard.ZstdCompressor(level=-5, write_content_size=True).compress(content)
 
 

@@ -41,8 +41,8 @@ the gaps between points."""
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02
-"""Number that is added to the sum of the points' weights in each texel. This regularisation keeps texels with a small
-sum near the difference 0."""
+"""Regularisation that is added to the sum of the points' weights in each texel, and that keeps texels with a small sum
+near the difference 0."""
 _FROM_YCC = np.array([[1, 0, RED_FROM_CR], [1, GREEN_FROM_CB, GREEN_FROM_CR], [1, BLUE_FROM_CB, 0]], np.float64)
 _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 """Matrix from red, green and blue to Y, Cb and Cr."""

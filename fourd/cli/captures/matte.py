@@ -87,7 +87,7 @@ class Arguments:
     seed: int = 0
     """Random seed."""
     plates: bool = True
-    """Also make clean plates: images of the background without the subject."""
+    """In addition to mattes, make clean plates: images of the background without the subject."""
 
 
 def run(arguments: Arguments) -> None:

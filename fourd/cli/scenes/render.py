@@ -38,7 +38,7 @@ class Arguments:
     writes a video instead of images."""
 
     source: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|MESH")]]
-    """Run folder, .4dv file, mesh (.glb or .ply), or folder with a mesh for each frame. Also the URL of a .4dv file."""
+    """Run folder, .4dv file or its URL, mesh (.glb or .ply), or folder with a mesh for each frame."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for PNG files, or an .mp4 file."""
     views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None

@@ -98,8 +98,8 @@ def _append_frame(document: dict[str, Any], file: GlbFile, offset: int, index: i
 def _append_keyframes(document: dict[str, Any], count: int, fps: float, offset: int) -> bytes:
     """Append the animation to the document, and return the animation's keyframes, which are stored at ``offset``.
 
-    Frame i is shown from i / fps to (i + 1) / fps. Because the last keyframe of each node is at the end of the
-    animation, all nodes have the same duration, and the animation loops at the end of the last frame.
+    Frame i is shown from i / fps to (i + 1) / fps. The last keyframe of each node is at the end of the animation, so
+    that all nodes have the same duration and the animation loops after the last frame.
     """
     keys = b""
     samplers, channels = [], []

@@ -1,7 +1,7 @@
 """GLB files (binary glTF 2.0): writing of textured meshes, and reading of the files that this module writes.
 
-The vertices in a file are in world coordinates. glTF requires metres, right-handed axes and the up axis +y. Therefore,
-the root node rotates the world such that the scene's up direction becomes +y. Textures are embedded JPEG images. The
+The vertices in a file are in world coordinates. glTF requires metres, right-handed axes and the up axis +y. The root
+node therefore rotates the world such that the scene's up direction becomes +y. Textures are embedded JPEG images. The
 material is unlit (KHR_materials_unlit), because the images already contain the scene's light.
 """
 

@@ -43,7 +43,8 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
     neighbours.
 
     Minimising the uniform Laplacian (Desbrun et al. 1999) moves vertices along the normal, which smooths the surface.
-    It also moves vertices in the tangent plane, which makes triangles regular. Vertices without neighbours are ignored.
+    The loss also moves vertices in the tangent plane, which makes triangles regular. Vertices without neighbours are
+    ignored.
 
     Args:
         xyz: (N, 3) vertices, differentiable.

@@ -57,8 +57,8 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
 
     Args:
         xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.
-        sdf: (V,) signed distances of the same dtype, more than 0 inside, differentiable. The distance 0 counts as
-            outside. Only the signs and the ratios of the distances matter.
+        sdf: (V,) signed distances of the same dtype, more than 0 inside, differentiable. A vertex with the distance 0
+            is outside. Only the signs and the ratios of the distances matter.
         tetrahedra: (T, 4) int64 vertex indices with positive determinants, as in
             :class:`fourd.mesh.surface.grid.TetrahedralGrid`.
 

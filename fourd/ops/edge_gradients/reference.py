@@ -96,9 +96,9 @@ def _dot(one: Tensor, two: Tensor) -> Tensor:
 def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
     """Return whether the triangles of each pair intersect between the pixel centres.
 
-    Both triangles must contain both pixel centres, and the nearer triangle must change between the centres. As for
-    silhouettes, intersection lines whose angle to the segment between the centres is below 45 degrees are ignored.
-    Triangles that share an edge are not tested, because they intersect only along the edge.
+    The triangles of a pair intersect if both contain both pixel centres, and if the nearer triangle changes between the
+    centres. As for silhouettes, intersection lines whose angle to the segment between the centres is below 45 degrees
+    are ignored. Triangles that share an edge are not tested, because they intersect only along the edge.
     """
     corners = tri.long()
     own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]

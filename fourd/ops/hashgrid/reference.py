@@ -37,6 +37,6 @@ def _entry_index(sample: Tensor, resolution: int, entries: int) -> Tensor:
     side = resolution + 1
     if side**3 <= entries:
         return x + y * side + z * side**2
-    # ``entries`` is a power of two of at most 2^24, so the mask ``entries - 1`` keeps at most the 24 lowest bits, which
-    # are the same in a 64-bit product as in a 32-bit product.
+    # ``entries`` is a power of two of at most 2^24, so the mask ``entries - 1`` keeps at most the 24 lowest bits. The
+    # lowest 24 bits of a 64-bit product and of a 32-bit product are equal.
     return (x * PRIMES[0] ^ y * PRIMES[1] ^ z * PRIMES[2]) & (entries - 1)

@@ -16,7 +16,7 @@ def directional_terms(x: Any, y: Any, z: Any) -> list[Any]:
     """Evaluate spherical harmonics 1 to 15 at unit vectors (x, y, z).
 
     Args:
-        x, y, z: NumPy arrays or torch tensors of equal shape. This function does not normalize the vectors.
+        x, y, z: NumPy arrays or torch tensors of equal shape. The vectors must have unit length.
 
     Returns:
         15 arrays with the shape of ``x``. The spherical harmonics 0 (:data:`SH_CONSTANT`) to 15 are an orthonormal

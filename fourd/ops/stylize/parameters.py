@@ -53,8 +53,8 @@ SAME_TAPS = 0.03
 BACK_WEIGHT = 0.1
 """Weight in a visible surface of points whose normals face away from the camera. Other points have the weight 1."""
 FRONT_SLOPE = 8.0
-"""The strength of a line decreases from its full value to 0 while the largest dot product of a tap's normal and the ray
-of the pixel increases from 0 to 1 / FRONT_SLOPE."""
+"""Slope of the fade of lines near the backs of surfaces. Let m be the largest dot product of a tap's normal and the
+pixel's ray. A line has full strength at m = 0 and strength 0 at m = 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:

@@ -65,7 +65,8 @@ def trace(
 
     Args:
         bvh: tree over the triangles.
-        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. This tensor receives the gradient.
+        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. The gradient of the positions goes to
+            ``xyz``.
         origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
         directions: (R, 3) float32, of any length. The point at t is origin + t direction. The largest absolute
             coordinate of a direction must be between 1e-18 and 1e18. Other rays hit nothing.

@@ -23,10 +23,10 @@ def estimate_gradient(
     2024, "Transforming a non-differentiable rasterizer into a differentiable one with stochastic gradient estimation").
 
     For each sample, two images are rendered, with the parameters params + epsilon s and params - epsilon s. The sign s,
-    +1 or -1, is chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel in the two images. If a
-    primitive is visible at the pixel in at least one of the two images, (L_+ - L_-) s / (2 epsilon) is added to the
-    gradient of the primitive. The expected value of this estimate is approximately the gradient of the loss, smoothed
-    over a distance of epsilon. The noise of the estimate is inversely proportional to the square root of ``samples``.
+    +1 or -1, is chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel in the two images. The
+    pixel adds (L_+ - L_-) s / (2 epsilon) to the gradients of the primitives that are visible at the pixel in at least
+    one of the two images. The expected value of this estimate is approximately the gradient of the loss, smoothed over
+    a distance of epsilon. The noise of the estimate is inversely proportional to the square root of ``samples``.
 
     Args:
         render: function that maps parameters to an image. The function need not be differentiable, and is called twice

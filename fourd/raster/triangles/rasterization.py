@@ -30,10 +30,10 @@ def rasterize(
     image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w, and among
     triangles of equal z/w the one with the smallest index. Back faces are also visible.
 
-    The positions of vertices are rounded to 1/256 pixel, which makes the coverage test exact: if a pixel centre lies on
-    the common edge of two triangles, exactly one of them covers the pixel. If a vertex of a triangle is behind the
-    camera (w <= 0), the part of the triangle in front of the camera is drawn. Triangles with a vertex that is NaN or
-    infinite are culled.
+    Because the positions of vertices are rounded to 1/256 pixel, the coverage test is exact. If a pixel centre lies on
+    the common edge of two triangles, exactly one of the two triangles covers the pixel. If a vertex of a triangle is
+    behind the camera (w <= 0), the part of the triangle in front of the camera is drawn. Triangles with a vertex that
+    is NaN or infinite are culled.
 
     Args:
         pos: float32 clip coordinates: (B, V, 4), one mesh per image, or (V, 4) with ``ranges``.

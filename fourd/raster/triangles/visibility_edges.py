@@ -24,13 +24,14 @@ def edge_gradients(
     """Return ``color`` unchanged. In the backward pass, the gradient due to the motion of visibility edges is added to
     the gradient of ``pos``.
 
-    This function is an alternative to ``antialias`` that does not change the image. The method follows Pidhorskyi et
-    al. 2024, "Rasterized edge gradients". A visibility edge separates two neighbouring pixels that show different
-    triangles. Let c_1 and c_2 be the colours of the two pixels. If the edge moves by dt pixels from the first pixel
-    towards the second, one of the two pixels changes by dt (c_1 - c_2). Because it is not known which of the two pixels
-    changes, the gradient is the mean of the gradients of both cases. A visibility edge is one of two kinds: a
-    silhouette edge of the nearer triangle, as in :func:`fourd.raster.triangles.antialias`, or the line along which two
-    triangles intersect. Edges whose angle to the segment between the pixel centres is below 45 degrees are ignored.
+    Unlike ``antialias``, this function gives gradients at visibility edges without changing the image. The method
+    follows Pidhorskyi et al. 2024, "Rasterized edge gradients". A visibility edge separates two neighbouring pixels
+    that show different triangles. Let c_1 and c_2 be the colours of the two pixels. If the edge moves by dt pixels from
+    the first pixel towards the second, one of the two pixels changes by dt (c_1 - c_2). Because it is not known which
+    of the two pixels changes, the gradient is the mean of the gradients of both cases. A visibility edge is one of two
+    kinds: a silhouette edge of the nearer triangle, as in :func:`fourd.raster.triangles.antialias`, or the line along
+    which two triangles intersect. Edges whose angle to the segment between the pixel centres is below 45 degrees are
+    ignored.
 
     The result is differentiable in ``color``, with the gradient of the identity, and in x, y and w of ``pos``. At
     intersections, the result is also differentiable in z. The forward pass copies no data, and the edges are found in

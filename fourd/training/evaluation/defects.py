@@ -1,5 +1,5 @@
-"""Measures of visible defects that hardly change the PSNR: errors at contours, specks, jumps between viewpoints, and
-flicker."""
+"""Measures of visible defects that have little effect on the PSNR: errors at contours, specks, jumps between
+viewpoints, and flicker."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NEAR_PX = 4.0
 """Maximum distance from the matte's contour of pixels in the class "near", which are inside the matte and farther than
 CONTOUR_PX from the contour. Pixels farther inside belong to the class "inside"."""
 WRONG_ALPHA = 0.3
-"""Difference between rendered alpha and matte above which the alpha is wrong."""
+"""Minimum difference between rendered alpha and matte at which the alpha is classified as wrong."""
 SPECK_ERROR = 0.15
 """Minimum error of each pixel of a speck. The error is the largest absolute difference over the channels, for colours
 in [0, 1]."""

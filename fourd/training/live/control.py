@@ -1,4 +1,4 @@
-"""Requests to a training. They are in the file ``live/control.json`` of the run."""
+"""Requests to a training, which are in the file ``live/control.json`` of the run."""
 
 from __future__ import annotations
 

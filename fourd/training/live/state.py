@@ -1,5 +1,4 @@
-"""The state of a training. It consists of the file ``live/state.json`` of the run and of a lock on the folder
-``live/``."""
+"""The state of a training: the file ``live/state.json`` of the run, and a lock on the folder ``live/``."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ from fourd.limits import require_regular
 # pooling layer.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 # Mean and standard deviation of the colours of ImageNet images, scaled to [-1, 1]. The LPIPS heads were trained with
-# images that are normalised by these values.
+# images that are normalised by this mean and standard deviation.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
 # Smaller images would have size 0 after four pooling layers.
