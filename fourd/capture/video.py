@@ -236,7 +236,7 @@ def _probe(path: Path) -> VideoIndex:
 class VideoReader:
     """Reads frames of a video by number.
 
-    Reading frames in ascending order decodes each frame once. For other orders, the reader seeks to the last keyframe
+    Reading frames in ascending order decodes each frame once. In other orders, the reader seeks to the last keyframe
     before the requested frame, and decodes all frames from the keyframe on. Close the reader after use, or use it as a
     context manager. The reader is not thread-safe.
     """

@@ -71,11 +71,11 @@ class ParserProcess:
         self.close()
 
     def __reduce__(self) -> tuple[type[ParserProcess], tuple[()]]:
-        """Pickle the object without its child process. After unpickling, the next call starts another one."""
+        """Pickle the object without its child process. After unpickling, the next call starts another child process."""
         return ParserProcess, ()
 
     def close(self) -> None:
-        """End the child process. The next call starts another one."""
+        """End the child process. The next call starts another child process."""
         if self._stop is not None:
             self._stop()
         self._process = self._stop = None

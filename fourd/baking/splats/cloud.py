@@ -92,8 +92,8 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
     """Rotate a cloud about the origin by the matrix R = ``rotation``.
 
     Args:
-        rotation: (3, 3) matrix R. A point x moves to R x. Its colour from the direction R d is the earlier colour from
-            the direction d.
+        rotation: (3, 3) matrix R. A point x moves to R x. Seen from the direction R d, the moved point has the colour
+            that the point had from the direction d.
     """
     turned = _multiply(_quaternion(rotation), cloud.rotation)
     harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]

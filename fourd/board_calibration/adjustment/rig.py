@@ -73,7 +73,7 @@ class Poses:
         return Poses(self.rotation[index], self.translation[index])
 
     def after(self, first: Poses) -> Poses:
-        """The motions that apply the motions ``first``, and then the motions of this object."""
+        """Composed motions: ``first`` is applied before the motions of this object."""
         return Poses(
             self.rotation @ first.rotation,
             (self.rotation @ first.translation[..., None])[..., 0] + self.translation,
