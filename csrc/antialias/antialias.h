@@ -26,7 +26,8 @@ struct Settings {
 };
 
 // Writes the blended colours to `out`. A pixel forms a pair with its right neighbour, and a pair with its lower
-// neighbour. For every pixel, the function writes the crossings of these two pairs to `codes`, as a Code of maths.h.
+// neighbour. For every pixel, the function writes to `codes` which silhouette edges cross the pixel's two pairs, as a
+// Code of maths.h.
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
 
 // The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to `out`. The

@@ -3,7 +3,8 @@
 // Relative to the centre f of a pixel, a vertex (x, y, z, w) in clip space has the coordinates (a, b, w) with
 // a = x - f_x w and b = y - f_y w. The edge from vertex j to vertex k goes through the point f where
 // N = a_j b_k - b_j a_k is 0. N is a linear function of f, also where w <= 0. If f moves by t steps of length s along
-// the axis of a, N decreases by t D with D = s (w_j b_k - b_j w_k). The edge is therefore crossed at t = N / D.
+// the axis of a, N decreases by t D with D = s (w_j b_k - b_j w_k). The segment between the pixel centres therefore
+// crosses the edge at t = N / D.
 #pragma once
 
 #include <cstddef>
@@ -15,16 +16,17 @@
 
 namespace fourd::antialias {
 
-// The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to this number of pixels
+// The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to kTolerancePx pixels
 // away from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
-constexpr float kMaxSlope = 1.0e18f;  // In pixels per unit of clip space. Edges above this slope have no gradient.
+// In pixels per unit of clip space. Edges with a slope above kMaxSlope have no gradient.
+constexpr float kMaxSlope = 1.0e18f;
 
 struct Mesh {
     const float* positions;  // (instances, vertices, 4) in clip space.
     const int* triangles;    // (triangle_count, 3) vertex indices.
-    // (triangle_count, 3): element i belongs to the edge opposite to vertex i. The element is the third vertex of the
-    // neighbouring triangle across this edge. The value -1 marks an edge that is always a silhouette.
+    // (triangle_count, 3): element i of a triangle describes the edge opposite to vertex i. The element is the index of
+    // the neighbouring triangle's vertex that is not on this edge, or -1 if the edge is always a silhouette.
     const int* opposite;
     std::size_t vertices, triangle_count;
     bool instanced;  // Whether every image has its own positions. If false, all images share the same positions.
@@ -49,8 +51,8 @@ FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Ver
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
 }
 
-// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette if there is no
-// neighbouring triangle across the edge, or if this neighbour does not lie on the other side of the edge.
+// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette if it has no
+// neighbouring triangle, or if the neighbouring triangle does not lie on the other side of the edge in the image.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
@@ -76,9 +78,10 @@ struct Pair {
     int row, column, axis;
 };
 
-// The crossings of the two pairs of a pixel, as bits of a byte. Bits 0 to 2 describe the pair with the right neighbour.
-// Bits 0 and 1 are the number (1 to 3) of the edge that crosses the pair, or 0 without a crossing. Bit 2 is 1 if the
-// edge belongs to the neighbour's triangle. Bits 3 to 5 describe the pair with the lower neighbour in the same way.
+// Describes the edges that cross the two pairs of a pixel, as bits of a byte. Bits 0 to 2 describe the pair with the
+// right neighbour. Bits 0 and 1 are the number (1 to 3) of the edge that crosses the pair, or 0 if no edge crosses it.
+// Bit 2 is 1 if the edge belongs to the triangle of the right neighbour. Bits 3 to 5 describe the pair with the lower
+// neighbour in the same way.
 using Code = unsigned;
 constexpr int kBitsPerPair = 3;
 
@@ -90,11 +93,13 @@ FOURD_HD static inline Code code_of(int edge_number, bool neighbour, int axis) {
     return (static_cast<Code>(edge_number) | (neighbour ? 4u : 0u)) << (kBitsPerPair * axis);
 }
 
-// The origin and the axes for coordinates relative to the owner of a pair. The owner is the pixel whose triangle is
-// nearer. The axis `along` points to the other pixel of the pair, and the axis `across` is perpendicular to it.
+// The origin and the axes of the coordinates that describe a pair of pixels. The origin is the owner of the pair, which
+// is the pixel whose triangle is nearer. The axis `along` points to the other pixel of the pair, and the axis `across`
+// is perpendicular to it.
 struct Sight {
     float along, across;            // The centre of the owner in normalised device coordinates.
-    // Distances between pixel centres. step_along is negative if the owner is the second pixel.
+    // Distances between neighbouring pixel centres. step_along is negative if the owner is the second pixel of the
+    // pair.
     float step_along, step_across;
     int axis;
 
@@ -121,7 +126,7 @@ FOURD_HD static inline Seen see(const Sight& sight, const Vertex& v) {
 }
 
 // The line through p and q, as the linear function N (see above). `value` is N at the owner. fall_along and fall_across
-// are the decreases of N per step along and across.
+// are the decreases of N per step in the directions `along` and `across`.
 struct Line {
     float value, fall_along, fall_across;
 
@@ -134,9 +139,9 @@ struct Line {
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
 // Returns the number (1 to 3) of the silhouette edge where the segment from the owner to the other pixel leaves the
-// triangle. Returns 0 if there is no such edge. An edge counts only if its angle to the segment is at least 45 degrees,
-// measured in pixels, so that every piece of a silhouette is blended along one axis. `silhouettes` is the result of
-// silhouettes_of().
+// triangle. Returns 0 if there is no such edge. Edges whose angle to the segment, measured in pixels, is less than 45
+// degrees are ignored. Every piece of a silhouette is therefore blended along only one axis. `silhouettes` is the
+// result of silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {
     const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
@@ -161,7 +166,8 @@ FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vert
         edge = i + 1;
     }
     if (edge == 0 || (silhouettes >> (edge - 1) & 1u) == 0) return 0;
-    for (int i = 0; i < 3; ++i) {  // The crossing must lie on the edge, not on the line beyond a vertex.
+    // The line crosses the segment here, but the crossing point must also lie between the two ends of the edge.
+    for (int i = 0; i < 3; ++i) {
         if (i + 1 == edge) continue;
         const float slack = kTolerancePx * (magnitude(lines[i].fall_along) + magnitude(lines[i].fall_across));
         if (!(lines[i].value - nearest * lines[i].fall_along >= -slack)) return 0;
@@ -175,19 +181,19 @@ FOURD_HD static inline int triangle_at(const Mesh& mesh, const float* pixel) {
     return triangle >= 0 && static_cast<std::size_t>(triangle) < mesh.triangle_count ? triangle : kNoTriangle;
 }
 
-// Whether triangle `two` of the second pixel of a pair is nearer than triangle `one` of the first. At equal depths, the
-// smaller index is nearer.
+// Whether the second pixel's triangle `two` is nearer than the first pixel's triangle `one`. At equal depths, the
+// triangle with the smaller index counts as nearer.
 FOURD_HD static inline bool second_is_nearer(const float* first, int one, const float* second, int two) {
     if (one == kNoTriangle || two == kNoTriangle) return one == kNoTriangle;
     return second[2] < first[2] || (second[2] == first[2] && two < one);
 }
 
-// The crossing of a pair: the pixel that changes, the weight of the change, and the derivatives of the position of the
-// crossing.
+// A silhouette edge that crosses a pair: which pixel changes, by what weight, and the derivatives of the crossing's
+// position.
 struct Crossing {
     int vertex[2];        // Indices of the ends of the edge.
-    Vertex slope[2];      // Derivatives of the position of the crossing with respect to x, y and w of the ends.
-    float weight;         // In [0, 0.5]: the colour of the changed pixel changes by weight * (source - changed).
+    Vertex slope[2];      // Derivatives of the crossing's position with respect to x, y and w of each end of the edge.
+    float weight;         // In [0, 0.5]. Blending adds weight * (source - changed) to the colour `changed`.
     bool changes_owner;   // Whether the changed pixel is the owner. The source is the other pixel.
     bool differentiable;  // Whether all slopes are finite and at most kMaxSlope.
 };

@@ -1,4 +1,4 @@
-// The pairs of neighbouring pixels of an image, and the changes of their colours by blending.
+// Finds the pairs of neighbouring pixels that a silhouette edge crosses, and blends the colours of these pairs.
 #pragma once
 
 #include "antialias/antialias.h"
@@ -62,8 +62,8 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 
-// Whether the pair and the triangle of the owner exist. Both always exist for the codes that analyse() finds. The bindings
-// cannot check codes that a caller passes to the backward kernels.
+// Whether the pair and the triangle of its owner exist. In codes from analyse(), they always exist. A caller can pass
+// other codes to the backward kernels, and the bindings do not check codes.
 FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code code) {
     if (pair.axis == 0 ? pair.column + 1 >= view.width : pair.row + 1 >= view.height) return false;
     const std::size_t first = view.pixel(pair.row, pair.column);
@@ -75,7 +75,7 @@ FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code c
     return mesh.has(of[0]) && mesh.has(of[1]) && mesh.has(of[2]);
 }
 
-// A crossing, the pixel that it changes, and the pixel whose colour is blended in.
+// A crossing, the pixel whose colour changes, and the source pixel that is blended into it.
 struct Blend {
     Crossing crossing;
     std::size_t changed, source;

@@ -1,5 +1,5 @@
-// Types that the bindings of CUDA kernels share. The types are compiled both for the GPU and for the emulation of a GPU
-// on the CPU.
+// Types that the bindings of CUDA kernels share. These types are compiled for real GPUs, and also for the emulated GPU,
+// which runs on the CPU.
 #pragma once
 
 #include <nanobind/nanobind.h>

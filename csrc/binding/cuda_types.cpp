@@ -6,7 +6,9 @@ namespace nb = nanobind;
 namespace fourd::cuda {
 
 void bind_module(nb::module_& module) {
-    nb::set_leak_warnings(false);  // Entry estimators stay allocated until the process ends.
+    // Without this call, nanobind would report the entry estimators, which stay allocated until the process ends, as
+    // leaks.
+    nb::set_leak_warnings(false);
     nb::class_<device::EntryEstimator>(module, "EntryEstimator",
                                        "Predicts the number of entries of an image from earlier images.")
         .def(nb::init<>());

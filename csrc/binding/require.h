@@ -6,7 +6,7 @@
 
 namespace fourd {
 
-// Throws std::invalid_argument, a ValueError in Python, unless the condition holds.
+// Throws std::invalid_argument if the condition is false. In Python, the exception is a ValueError.
 inline void require(bool condition, const char* message) {
     if (!condition) throw std::invalid_argument(message);
 }

@@ -1,6 +1,6 @@
-// Computes, with a small MLP, the logits for blending source views. The formula of a logit is range * tanh((out .
-// relu(point + weight * sample) + bias) / range). The kernel never stores the hidden layer for all views and points at
-// once. Callers check shapes, and arrays are dense.
+// Computes the logits for blending source views with a small MLP. The formula of a logit is
+// range * tanh((out . relu(point + weight * sample) + bias) / range). The kernel never stores the hidden layer for all
+// views and points at once. Callers check shapes, and arrays are dense.
 #pragma once
 
 #include <cstddef>
@@ -41,7 +41,8 @@ struct Gradients {
 // Writes the logits to `logits` (views, count).
 void logits(const Mlp& mlp, const Inputs& inputs, float* logits);
 
-// logits is the output of the function logits(). gradient (views, count) is the gradient with respect to the logits.
+// `logits` (views, count) is the output of the function logits(). `gradient` (views, count) is the gradient of the loss
+// with respect to the logits.
 void logits_backward(const Mlp& mlp, const Inputs& inputs, const float* logits, const float* gradient,
                      const Gradients& out);
 

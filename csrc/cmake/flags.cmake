@@ -56,7 +56,8 @@ if(FOURD_SANITIZE)
   target_link_options(fourd_options INTERFACE ${sanitizers})
 endif()
 
-# Sets `out` to the instruction sets from the baseline up to `widest`. If `widest` is empty, `out` is the baseline alone.
+# Sets `out` to the list of instruction sets from the baseline up to `widest`. If `widest` is empty, the list contains
+# only the baseline.
 function(fourd_instruction_sets out widest)
   set(sets baseline)
   if(FOURD_X86 AND widest MATCHES "^avx(2|512)$")

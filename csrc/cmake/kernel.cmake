@@ -69,7 +69,8 @@ function(fourd_kernel name)
   endforeach()
 endfunction()
 
-# Writes the function bind_kernels of `namespace` (fourd or fourd::cuda). It calls the binding functions of all kernels.
+# Writes the function bind_kernels of `namespace` (fourd or fourd::cuda). The function calls the binding function of
+# each kernel.
 function(fourd_generate_bindings kind namespace out)
   get_property(names GLOBAL PROPERTY FOURD_${kind}_NAMES)
   get_property(files GLOBAL PROPERTY FOURD_${kind}_FILES)
@@ -85,7 +86,7 @@ function(fourd_generate_bindings kind namespace out)
   set(${out} ${files} ${generated} PARENT_SCOPE)
 endfunction()
 
-# Adds the CUDA sources to a target and compiles them for the CPU. Tests use this to emulate a GPU.
+# Adds the CUDA sources to a target and compiles them for the CPU. Tests use such a target to emulate a GPU.
 function(fourd_emulate target)
   get_property(sources GLOBAL PROPERTY FOURD_CUDA_SOURCES)
   target_sources(${target} PRIVATE ${FOURD_CSRC}/device/emulated.cpp)
@@ -93,7 +94,7 @@ function(fourd_emulate target)
     file(RELATIVE_PATH relative ${FOURD_CSRC} ${source})
     set(emulated ${CMAKE_CURRENT_BINARY_DIR}/emulated/${relative}.cpp)
     file(CONFIGURE OUTPUT ${emulated} CONTENT "#include \"${source}\"\n")
-    # As on a GPU, hit tests must give the reference's bits.
+    # Hit tests must give the same bits as the reference, so multiplications and additions are not fused.
     set_source_files_properties(${emulated} PROPERTIES COMPILE_OPTIONS "${FOURD_EXACT}")
     target_sources(${target} PRIVATE ${emulated})
   endforeach()
@@ -127,7 +128,7 @@ function(fourd_add_cuda_module target)
     CUDA_STANDARD 17 CUDA_STANDARD_REQUIRED ON CUDA_ARCHITECTURES "${CMAKE_CUDA_ARCHITECTURES}"
     POSITION_INDEPENDENT_CODE ON)
   target_include_directories(${target}_kernels PUBLIC ${FOURD_CSRC})
-  # Hit tests of the renderer must give the reference's bits, so multiplications and additions are not fused.
+  # Hit tests must give the same bits as the reference, so multiplications and additions are not fused.
   target_compile_options(${target}_kernels PRIVATE -fmad=false)
   if(NOT MSVC)
     target_compile_options(${target}_kernels PRIVATE -Xcompiler=-Wall,-Wextra)

@@ -1,5 +1,5 @@
-// An array that is not initialised. The kernels write every element of a Buffer before they read it. Setting a Buffer
-// to zero would take as long as sorting its elements.
+// An array that is not initialised. The kernels write every element of a Buffer before they read it. Buffers are not
+// set to zero, because this would take as long as sorting their elements.
 #pragma once
 
 #include <algorithm>
@@ -14,8 +14,9 @@
 
 namespace fourd {
 
-// Arrays start at a cache line, so that an element whose size divides a cache line never lies in two of them. Tiles read
-// elements of 32 bytes in scattered order. With the alignment of `new`, half of these reads would need two cache lines.
+// Arrays start at a cache line. An element whose size divides the size of a cache line therefore never lies in two
+// cache lines. Tiles read elements of 32 bytes in scattered order. With the 16-byte alignment of `new`, half of these
+// reads would need two cache lines.
 template <typename T>
 class Buffer {
     static_assert(std::is_trivially_copyable<T>::value, "elements stay uninitialised");

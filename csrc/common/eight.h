@@ -1,6 +1,6 @@
-// Vectors of eight floats for any instruction set. They are for loops that compilers do not vectorise automatically.
-// Functions take and return vectors by pointer, because the calling convention for vectors depends on the instruction
-// set.
+// Vectors of eight floats for any instruction set. The vectors are used in loops that compilers do not vectorise
+// automatically. Functions take and return vectors by pointer, because the calling convention for vectors depends on
+// the instruction set.
 #pragma once
 
 #include <cstddef>
@@ -22,14 +22,14 @@ FOURD_INLINE void store(const Eight* from, float* to) { std::memcpy(to, from, si
 FOURD_INLINE void load(const float* from, float* to) { *to = *from; }
 FOURD_INLINE void store(const float* from, float* to) { *to = *from; }
 
-// The type (Eight or float) that a pointer `tag` points to. `tag` is the second argument of the function that
-// for_eights calls.
+// The type (Eight or float) to which the pointer `tag` points. for_eights() passes `tag` to its loop body as the second
+// argument.
 template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
 // Calls body(i, tag) for i in [0, count). The index i increases in steps of 8, and in steps of 1 for the last elements.
-// `tag` is a null pointer. Its type determines the number of elements that the body processes, starting with i. A
-// pointer to Eight means 8 elements, and a pointer to float means 1 element.
+// `tag` is always null, and only its type matters. If `tag` is a pointer to Eight, the body processes the 8 elements
+// from i. If `tag` is a pointer to float, the body processes only element i.
 template <typename Body>
 FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;

@@ -1,4 +1,4 @@
-// Converts IEEE half-precision numbers, which are stored as 16-bit integers.
+// Converts between float32 and IEEE half-precision numbers, which are stored as 16-bit integers.
 #pragma once
 
 #include <cstdint>
@@ -34,7 +34,7 @@ FOURD_HD FOURD_INLINE std::uint16_t to_half(float value) {
     std::uint32_t magnitude = bits & 0x7fffffffu;
     magnitude = magnitude < 0x477fe000u ? magnitude : 0x477fe000u;  // 65504
     const std::uint32_t normal = (magnitude + 0xfffu + (magnitude >> 13 & 1u) - (112u << 23)) >> 13;
-    // The sum with 0.5 aligns the bits of a subnormal half with the lowest bits of a float, and rounds them.
+    // Adding 0.5 rounds a subnormal half, and moves its bits to the lowest bits of the float.
     float small;
     memcpy(&small, &magnitude, sizeof small);
     small += 0.5f;

@@ -1,7 +1,7 @@
 // Compiler-specific spellings of forced inlining, non-aliasing pointers, bit operations and prefetching.
 //
-// Dispatched files (common/dispatch.h) depend on forced inlining. If a function is not inlined, the linker could
-// replace it by a copy that is compiled for another instruction set.
+// Dispatched files (common/dispatch.h) depend on forced inlining. If a function is not inlined, the linker can replace
+// the function by a copy that was compiled for another instruction set.
 #pragma once
 
 #include <cstddef>
@@ -23,7 +23,7 @@
 #endif
 
 // Write this macro before a loop over the lanes of a vector. Without the macro, GCC unrolls the loop and then does not
-// vectorise it.
+// vectorise the result.
 #if defined(__GNUC__) && !defined(__clang__)
 #define FOURD_KEEP_LOOP _Pragma("GCC unroll 1")
 #else

@@ -36,8 +36,8 @@ Registers cpuid(std::uint32_t leaf) {
 #endif
 }
 
-// The mask of the vector registers that the operating system saves (XCR0). This function requires a processor with
-// XSAVE.
+// Returns the mask of the vector registers that the operating system saves (XCR0). This function requires a processor
+// with XSAVE.
 std::uint32_t saved_registers() {
 #if defined(_MSC_VER) && !defined(__clang__)
     return static_cast<std::uint32_t>(_xgetbv(0));

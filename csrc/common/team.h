@@ -1,5 +1,5 @@
-// A thread pool that exists for one kernel call. The pool keeps no state between calls, which makes it safe with forks,
-// exceptions and sanitizers. The pool does not need OpenMP.
+// A thread pool that exists for one kernel call. The pool keeps no state between calls, so forks, exceptions and
+// sanitizers cause no problems. The pool does not need OpenMP.
 #pragma once
 
 #include <algorithm>

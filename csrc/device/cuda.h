@@ -74,7 +74,7 @@ class Executor {
               "a sum");
     }
 
-    // Bytes of scratch memory that sort or exclusive_sum needs for count elements.
+    // Returns the number of bytes of scratch memory that sort or exclusive_sum needs for `count` elements.
     static std::size_t scratch_bytes(std::size_t count) {
         std::size_t sort = 0, sum = 0;
         const int number = static_cast<int>(count);

@@ -27,8 +27,8 @@ static_assert(sizeof(void*) == 2 * sizeof(unsigned), "expected a 64-bit machine"
 
 }  // namespace
 
-// 32 lanes as coroutines. The lanes are resumed one after another. A resumed lane runs until it returns or waits in a
-// call of a Lane function.
+// Runs the 32 lanes of a warp as coroutines, which are resumed one after another. A resumed lane runs until it returns
+// or waits in a call of a Lane function.
 class Warp {
   public:
     explicit Warp(const std::function<void(const Lane&)>& body)
@@ -49,7 +49,7 @@ class Warp {
         }
     }
 
-    // The lanes call this function. It waits for the other lanes and returns the combined value of all lanes.
+    // Each lane calls this function, which waits for the other lanes and returns the combined value of all lanes.
     double meet(int number, Call call, double value) {
         calls_[number] = call;
         values_[number] = value;
@@ -106,7 +106,8 @@ class Warp {
     std::array<ucontext_t, kWarpSize> lanes_{};
     ucontext_t scheduler_{};
     std::array<Call, kWarpSize> calls_{};
-    std::array<double, kWarpSize> values_{};  // A double represents floats, bools and 32-bit integers exactly.
+    // Of type double, because a double represents every float, bool and 32-bit integer exactly.
+    std::array<double, kWarpSize> values_{};
     double result_ = 0;
     int finished_ = 0;
     std::exception_ptr error_;

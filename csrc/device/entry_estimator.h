@@ -12,7 +12,7 @@ std::uint64_t* allocate_mapped_counter();
 void free_mapped_counter(std::uint64_t* number);
 
 // Predicts the number of entries of the next image. Each device has one estimator, which exists until the process ends.
-// An estimator never waits for the GPU: it uses the last number that the GPU has already written.
+// The prediction never waits for the GPU, because it uses the last number that the GPU has already written.
 class EntryEstimator {
   public:
     EntryEstimator() : needed_(allocate_mapped_counter()) { *needed_ = 0; }

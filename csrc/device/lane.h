@@ -13,8 +13,8 @@ constexpr int kWarpSize = 32;  // Number of threads that run in lockstep.
 
 #ifdef __CUDACC__
 
-// One thread of a warp. All threads of a warp must call the same functions of Lane, so they must leave loops and return
-// together.
+// One thread of a warp. All threads of a warp must call the same functions of Lane in the same order. All threads must
+// therefore leave a loop at the same iteration.
 class Lane {
   public:
     FOURD_DEVICE bool any(bool value) const { return __any_sync(kAll, value) != 0; }
@@ -70,7 +70,7 @@ FOURD_DEVICE static inline void atomic_add(float* target, float value) {
 #endif
 }
 
-// Adds 1 and returns the previous value.
+// Adds 1 atomically, and returns the previous value.
 FOURD_DEVICE static inline std::uint32_t atomic_increment(std::uint32_t* target) {
 #ifdef __CUDA_ARCH__
     return atomicAdd(target, 1u);
@@ -87,8 +87,8 @@ FOURD_DEVICE static inline void atomic_min(std::uint64_t* target, std::uint64_t 
 #endif
 }
 
-// target and value must not be negative. For floats that are not negative, the order of the bits is the order of the
-// values.
+// `target` and `value` must be at least 0. The order of such floats is the same as the order of their bits, read as
+// integers.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__
     atomicMax(reinterpret_cast<unsigned*>(target), __float_as_uint(value));

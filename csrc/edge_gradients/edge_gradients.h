@@ -1,14 +1,14 @@
-// Visibility edges move with the vertices. This file computes the part of the gradient with respect to vertex positions
-// that is due to this motion, for an image that is not antialiased. Callers check shapes. Indices of vertices and
-// triangles that are out of range are ignored.
+// Visibility edges move with the vertices. For an image without antialiasing, this file computes the part of the
+// gradient with respect to vertex positions that is due to the motion of these edges. Callers check shapes. Indices of
+// vertices and triangles that are out of range are ignored.
 #pragma once
 
 #include "antialias/antialias.h"
 
 namespace fourd::edge_gradients {
 
-// `gradient` is the gradient of the loss with respect to the colours. Writes the gradient with respect to all
-// Mesh::positions to `positions`.
+// `gradient` is the gradient of the loss with respect to the colours. Writes the gradient with respect to
+// Mesh::positions to `positions`, an array of the same shape.
 void edge_gradients(const antialias::Mesh& mesh, const antialias::Images& images, const antialias::Settings& settings,
                     const float* gradient, float* positions);
 

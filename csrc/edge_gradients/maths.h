@@ -1,10 +1,11 @@
 // The maths of edges at which two triangles intersect. The functions find the point where the intersection line crosses
-// the segment between the centres of two neighbouring pixels. They also compute the derivatives of this point with
-// respect to the vertices.
+// the segment between the centres of two neighbouring pixels. The functions also compute the derivatives of this point
+// with respect to the vertices.
 //
 // N_i are the linear functions of the edges (antialias/maths.h). z/w of a triangle at a pixel is the sum of b_i z_i
-// with b_i = N_i / V. V is the sum of N_i w_i, and does not depend on the pixel. z/w is therefore a linear function of
-// the pixel f: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by b_i (dz - p_a da
+// with b_i = N_i / V. The number V is the sum of N_i w_i, which is the same at all pixels. z/w is therefore a linear
+// function of the pixel f: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by b_i
+// (dz - p_a da
 // - p_b db - p_w dw). At the crossing, both triangles have the same D.
 #pragma once
 
@@ -18,7 +19,8 @@ using antialias::Mesh;
 using antialias::Sight;
 using antialias::Vertex;
 
-constexpr int kMaxVertices = 6;  // Maximum number of vertices that move a crossing: those of two triangles.
+// Maximum number of vertices that move a crossing, which are the vertices of two triangles.
+constexpr int kMaxVertices = 6;
 
 struct Position {
     float x, y, z, w;
@@ -37,7 +39,8 @@ FOURD_HD static inline bool is_valid(const Mesh& mesh, int triangle) {
     return mesh.has(of[0]) && mesh.has(of[1]) && mesh.has(of[2]);
 }
 
-// Whether two triangles share an edge. Such triangles intersect only along this edge, so no intersection is searched.
+// Whether two triangles share an edge. Two triangles with a common edge intersect only along that edge, so the kernel
+// does not search for an intersection.
 FOURD_HD static inline bool share_an_edge(const Mesh& mesh, int one, int two) {
     const int* p = mesh.triangles + 3 * static_cast<std::size_t>(one);
     const int* q = mesh.triangles + 3 * static_cast<std::size_t>(two);
@@ -89,8 +92,8 @@ struct Plane {
     }
 };
 
-// Whether the two triangles intersect between the pixel centres, and whether the owner's triangle is the nearer one at
-// the owner. As for silhouettes, intersection lines whose angle to the segment is below 45 degrees are ignored.
+// Whether the two triangles intersect between the pixel centres, and the owner's triangle is the nearer one at the
+// owner. As with silhouettes, an intersection line whose angle to the segment is below 45 degrees is ignored.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);

@@ -13,8 +13,8 @@ using antialias::Plan;
 using antialias::Rows;
 using antialias::View;
 
-// The codes are those of antialias/maths.h, with one additional value per pair: if the edge number is 0 and bit 2 is 1,
-// the triangles of the two pixels intersect.
+// The codes are those of antialias/maths.h, with one additional value per pair. In this value, the edge number is 0 and
+// bit 2 is 1, and the triangles of the two pixels intersect.
 FOURD_HD static inline Code intersection_code(int axis) { return antialias::code_of(0, true, axis); }
 FOURD_HD static inline bool is_intersection(Code code, int axis) {
     return antialias::edge_of(code, axis) == 0 && antialias::owner_is_neighbour(code, axis);
@@ -23,9 +23,9 @@ FOURD_HD static inline int vertices_of(Code code, int axis) {
     return is_intersection(code, axis) ? kMaxVertices : (antialias::edge_of(code, axis) != 0 ? 2 : 0);
 }
 
-// The derivative of the loss with respect to the distance of the edge from the pixel `owner`. If the distance increases
-// by dt, either the owner or the other pixel changes by dt (c_owner - c_other). The derivative is the mean over both
-// cases.
+// The derivative of the loss with respect to the distance of the edge from the pixel `owner`. If the edge moves by dt
+// away from the owner, the colour of the owner or of the other pixel changes by dt (c_owner - c_other). Either pixel
+// can be the one that changes, so the derivative is the mean over both cases.
 FOURD_HD static inline float change(const View& view, std::size_t owner, std::size_t other, const float* gradient) {
     const std::size_t one = owner * view.channels, two = other * view.channels;
     const float* colours = view.plan.images.colours;
@@ -36,7 +36,7 @@ FOURD_HD static inline float change(const View& view, std::size_t owner, std::si
     return 0.5f * sum;
 }
 
-// The code of a pair, or 0 if there is no edge or if the edge has no gradient.
+// Returns the code of a pair, or 0 if the pair has no visibility edge or the edge has no gradient.
 FOURD_HD static inline Code find_edge(const View& view, const Pair& pair, const float* gradient) {
     const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
     const Mesh& mesh = view.plan.mesh;
@@ -56,8 +56,8 @@ FOURD_HD static inline Code find_edge(const View& view, const Pair& pair, const 
     return found ? intersection_code(pair.axis) : 0;
 }
 
-// Calls add(vertex, x, y, z, w) for each vertex that moves the edge of a pair. (x, y, z, w) is the gradient with
-// respect to the position of the vertex. The code of the pair must not be 0.
+// Calls add(vertex, x, y, z, w) for each vertex that moves the edge of a pair. The arguments x, y, z and w are the
+// gradient with respect to the clip coordinates of the vertex. The code of the pair must not be 0.
 template <typename Add>
 FOURD_HD FOURD_INLINE void for_motion(const View& view, const Pair& pair, Code code, const float* gradient,
                                       const Add& add) {

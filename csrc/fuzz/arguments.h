@@ -1,4 +1,4 @@
-// Python objects from the input of a fuzzer, for the arguments of bound functions.
+// Makes Python objects from the input bytes of a fuzzer, as arguments for bound functions.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -17,9 +17,11 @@ namespace fourd::fuzz {
 
 namespace nb = nanobind;
 
-constexpr std::size_t kMaxElements = 1 << 16;  // Of one array, so that a call takes milliseconds.
+// Maximum number of elements of one array. The limit keeps the time of a call to milliseconds.
+constexpr std::size_t kMaxElements = 1 << 16;
 
-constexpr std::size_t kHatchSpacing = 28;  // Index in stylize::Numbers. It is at least 1, and the others may be less.
+// Index of hatch_spacing in stylize::Numbers. This number must be at least 1; other numbers may be smaller.
+constexpr std::size_t kHatchSpacing = 28;
 
 // Thrown if the sizes of a call are too large.
 struct TooLarge {};
@@ -31,7 +33,7 @@ inline nb::dlpack::dtype dtype_named(const std::string& name) {
     return {static_cast<std::uint8_t>(code), bits, 1};
 }
 
-// Makes the arguments of one call. `perturbed` is the number of the array of which one axis gets another size, or -1.
+// Makes the arguments of one call. `perturbed` is the number of an array that gets a wrong size along one axis, or -1.
 class ArgumentMaker {
   public:
     ArgumentMaker(Bytes& bytes, Sizes& sizes, const Rules& rules, int perturbed)
@@ -66,7 +68,7 @@ class ArgumentMaker {
         return out;
     }
 
-    // Camera matrices (K, R and T) are usually valid, because invalid ones show no point.
+    // Camera matrices (K, R and T) are usually valid, because no point is visible to an invalid camera.
     nb::object numbers(const Parameter& parameter, const Rule& rule) {
         const bool is_camera = parameter.name == "camera" || parameter.name == "cameras";
         const bool is_softness = parameter.name == "softness";
@@ -101,7 +103,7 @@ class ArgumentMaker {
         return filled(parameter, rule, shape, count);
     }
 
-    // The memory ends at the last element, so that AddressSanitizer sees accesses behind the array.
+    // The memory ends at the last element, so that AddressSanitizer detects accesses beyond the end of the array.
     nb::object filled(const Parameter& parameter, const Rule& rule, const std::vector<std::size_t>& shape,
                       std::size_t count) {
         const nb::dlpack::dtype type = dtype_named(parameter.dtype);

@@ -1,6 +1,6 @@
-// Calls the bound functions of fourd._native with arguments from a fuzzer's input (libFuzzer, `make fuzz-kernels`).
-// The functions are called through Python, so that the checks of the bindings are part of the test. A call must end with
-// a result, a ValueError, a TypeError or a MemoryError, without a report of a sanitizer.
+// Calls the bound functions of fourd._native with arguments from a fuzzer's input (libFuzzer, `make fuzz-kernels`). The
+// functions are called through Python, so that the checks of the bindings are part of the test. A call must return a
+// result or raise a ValueError, a TypeError or a MemoryError, and no sanitizer may report an error.
 #include <nanobind/nanobind.h>
 #include <nanobind/stl/string.h>
 
@@ -25,11 +25,13 @@ using namespace fourd::fuzz;
 
 constexpr int kMaxCalls = 3;
 #if __has_feature(thread_sanitizer)
-constexpr int kThreads = 3;  // Threads that call the same functions at once, each with its own arguments.
+constexpr int kThreads = 3;  // Number of threads that call the same functions at the same time, each with its own
+                             // arguments.
 #else
 constexpr int kThreads = 1;
 #endif
-constexpr unsigned kTries = 20000;  // At the start, for each function and each of its rules.
+constexpr unsigned kTries = 20000;  // Maximum number of calls with random arguments, for each rule of each function,
+                                    // when the program starts.
 
 struct Function {
     std::string name;
@@ -44,7 +46,7 @@ struct State {
     const Function* build_discs = nullptr;
 };
 
-State* state = nullptr;  // Never deleted, because Python ends before static objects do.
+State* state = nullptr;  // Never deleted, because the interpreter ends before the destructors of static objects run.
 
 std::vector<Rules> rules_of(const std::string& name) {
     std::vector<Rules> out;
@@ -71,14 +73,16 @@ void add_functions(const nb::object& owner, const std::string& prefix, bool is_c
     }
 }
 
-// Calls a function. The objects that it needs are made by other functions with the same sizes.
+// Calls a function. If an argument is the result of another function, that function is called first, with the same
+// sizes.
 nb::object call(const Function& function, const Rules& rules, Bytes& bytes, Sizes& sizes, int perturbed) {
     ArgumentMaker maker(bytes, sizes, rules, perturbed);
     nb::object tree;
     nb::list arguments;
     if (!function.owner.is_none()) arguments.append(function.owner());
     for (const Parameter& parameter : function.parameters) {
-        // The contents of trees are not checked, so only build_rays and build_discs make them.
+        // The bindings do not check the contents of trees. Valid trees are therefore built by build_rays and
+        // build_discs.
         const int part = parameter.name == "nodes" ? 0 : parameter.name == "blocks" ? 1 : -1;
         if (part >= 0) {
             const Function& build = function.name == "composite_discs" ? *state->build_discs : *state->build_rays;
@@ -100,7 +104,7 @@ bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
         return true;
     } catch (const TooLarge&) {
     } catch (nb::python_error& error) {
-        // A TypeError is correct for a list of four numbers where three are expected.
+        // Some calls must raise a TypeError, for example a call with a list of four numbers where three are expected.
         for (PyObject* expected : {PyExc_ValueError, PyExc_TypeError, PyExc_MemoryError}) {
             if (error.matches(expected)) return false;
         }
@@ -110,7 +114,7 @@ bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
     return false;
 }
 
-// Finds rules that no call fits any more, because the function has changed.
+// Finds outdated rules, with which every call fails because the function has changed.
 void check_rules() {
     for (const Function& function : state->functions) {
         for (const Rules& rules : function.rules) {

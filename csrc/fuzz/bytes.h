@@ -1,4 +1,4 @@
-// The input of a fuzzer, read as choices, sizes and values.
+// Reads choices, sizes and values from the input bytes of a fuzzer.
 #pragma once
 
 #include <cstddef>
@@ -18,13 +18,13 @@ class Bytes {
     unsigned pair() { return byte() + 256u * byte(); }
     bool one_in(unsigned count) { return byte() % count == count - 1; }
 
-    // A size that is usually small. All sizes up to 72 occur.
+    // Returns a size that is usually small. All sizes up to 72 can occur.
     std::size_t size() {
         const unsigned value = byte();
         return value % 4 == 3 ? value % 73 : value / 4 % 10;
     }
 
-    // Copies the next bytes, which are not consumed, over and over.
+    // Fills `out` with repeated copies of the remaining bytes, without consuming them.
     void repeat(std::uint8_t* out, std::size_t count) const {
         const std::size_t left = size_ > at_ ? size_ - at_ : 0;
         for (std::size_t i = 0; i < count; ++i) out[i] = left > 0 ? data_[at_ + i % left] : 0;
@@ -35,7 +35,8 @@ class Bytes {
     std::size_t size_, at_ = 0;
 };
 
-// A small generator (splitmix64) for values of arrays, so that few bytes of the input describe a large array.
+// A random number generator (splitmix64) for the values of arrays. With it, a few bytes of the input describe a large
+// array.
 class Values {
   public:
     explicit Values(std::uint64_t seed) : state_(seed) {}
@@ -48,7 +49,7 @@ class Values {
     }
     double uniform(double low, double high) { return low + (high - low) * static_cast<double>(bits() >> 11) * 0x1p-53; }
 
-    // An invalid or extreme number.
+    // Returns an invalid or extreme number.
     double hostile() {
         constexpr double kInfinity = std::numeric_limits<double>::infinity();
         constexpr double kNan = std::numeric_limits<double>::quiet_NaN();

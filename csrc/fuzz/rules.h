@@ -1,4 +1,4 @@
-// The rules of shapes.h, parsed and evaluated for one call.
+// Parses the rules of shapes.h, and evaluates the rules of one call.
 #pragma once
 
 #include <algorithm>
@@ -14,7 +14,7 @@ namespace fourd::fuzz {
 
 struct Rule {
     std::vector<std::string> axes;  // Expressions of the free axes. Empty if the axes are independent.
-    std::string length, limit;      // Expressions, or empty.
+    std::string length, limit;      // Expressions for the length of a list and for the limit of int32 values, or empty.
 };
 
 using Rules = std::map<std::string, Rule>;
@@ -32,7 +32,7 @@ inline Rules parse_rules(const std::string& text) {
     return out;
 }
 
-// The sizes of one call, by letter. A size is read from the input when it is used first.
+// The sizes of one call, by letter. A size is read from the fuzzer's input when the size is first used.
 class Sizes {
   public:
     explicit Sizes(Bytes& bytes) : bytes_(bytes) {}
@@ -43,7 +43,7 @@ class Sizes {
         return place->second;
     }
 
-    // `halvings` is the number of arrays before in the list.
+    // `halvings` is the number of arrays that precede this array in its list.
     std::size_t evaluate(const std::string& expression, std::size_t halvings) {
         std::size_t sum = 0, product = 1, number = 0;
         for (std::size_t i = 0; i < expression.size(); ++i) {

@@ -1,9 +1,11 @@
-// Valid sizes of the arguments of all bound functions. A fuzzer would find few of them by chance.
+// Rules for valid argument sizes of all bound functions. By chance, a fuzzer would find few valid combinations of
+// sizes.
 //
 // A rule NAME=A,B gives the sizes of the free axes of an array, or the value of a whole number. NAME*L gives the length
-// of a list, and NAME*L=A,B also the sizes of its arrays. NAME<N limits the values of an array of int32 to 0 to N - 1. A
-// capital letter is one size in the whole call. 2AB is a product, A+B a sum, and A> the size A halved once for each array
-// before in its list, and at least 1. Sizes without a rule are chosen independently.
+// L of a list. NAME*L=A,B gives the length, and the sizes of the arrays in the list. NAME<N limits the values of an
+// int32 array to the range from 0 to N - 1. A capital letter is the same size everywhere in one call. 2AB is a product,
+// and A+B is a sum. A> is the size A, halved once for each preceding array of the list, but at least 1. Sizes without a
+// rule are chosen independently.
 #pragma once
 
 namespace fourd::fuzz {

@@ -1,4 +1,4 @@
-// The parameters of a bound function, parsed from the signature that nanobind stores.
+// Parses the parameters of a bound function from the signature that nanobind stores.
 #pragma once
 
 #include <algorithm>
@@ -67,7 +67,7 @@ inline Parameter parse_parameter(const std::string& name, std::string type) {
     return out;
 }
 
-// Parses "def name(a: type, b: type) -> type". The parameter `self` has no type and is left out.
+// Parses "def name(a: type, b: type) -> type". The result does not contain the parameter `self`, which has no type.
 inline std::vector<Parameter> parse_signature(const std::string& signature) {
     const std::size_t begin = signature.find('(') + 1, end = signature.rfind(") ->");
     std::vector<Parameter> out;

@@ -14,7 +14,8 @@ constexpr int kMaxLevels = 32;
 // Number of corners per cell. Bits 0, 1 and 2 of the index of a corner select the upper side in x, y and z.
 constexpr int kCorners = 8;
 
-constexpr std::size_t kAlign = 16;  // Each level starts at a multiple of kAlign entries, the start of a cache line.
+// Each level starts at a multiple of kAlign entries, which is the start of a cache line.
+constexpr std::size_t kAlign = 16;
 
 // A level has (resolution + 1)^3 grid vertices on [0, 1]^3. The entries of the level start at index `first` of the
 // table. If there are enough entries, each vertex has its own entry. If there are fewer entries than vertices, a
@@ -33,7 +34,8 @@ FOURD_HD static FOURD_INLINE std::uint64_t samples_of(int resolution) {
     return side * side * side;
 }
 
-// Describes a level whose entries follow the first `before` entries of the table.
+// Describes a level. The earlier levels occupy the first `before` entries of the table, and padding may follow these
+// entries.
 FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, std::size_t before) {
     const std::size_t first = (before + kAlign - 1) / kAlign * kAlign;
     const std::uint32_t side = static_cast<std::uint32_t>(resolution) + 1, max_entries = 1u << log2_entries;
@@ -44,8 +46,8 @@ FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, st
     return {first, max_entries, {1u, 2654435761u, 805459861u}, resolution, true};
 }
 
-// The interpolation of a coordinate between two vertices. The vertex with index `low` has weight 1 - fraction, and the
-// next vertex has weight fraction.
+// The linear interpolation between the two grid vertices around a coordinate. The vertex with index `low` has weight
+// 1 - fraction, and the next vertex has weight fraction.
 struct Interpolation {
     std::uint32_t low;
     float fraction;
@@ -64,8 +66,8 @@ FOURD_HD static FOURD_INLINE Interpolation interpolate_axis(const Level& level, 
     return {static_cast<std::uint32_t>(low), position - static_cast<float>(low), inside ? size : 0.0f};
 }
 
-// The index of the entry of a vertex, relative to the first entry of the level. x, y and z are the indices of the
-// vertex, multiplied by stride.
+// Returns the index of a vertex's entry, relative to the first entry of the level. x, y and z are the vertex indices
+// along the axes, multiplied by `stride`.
 FOURD_HD static FOURD_INLINE std::uint32_t entry_of(const Level& level, std::uint32_t x, std::uint32_t y,
                                                     std::uint32_t z) {
     return level.hashed ? (x ^ y ^ z) & (level.entries - 1u) : x + y + z;
@@ -101,7 +103,7 @@ FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* co
                                              float* out) {
     const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),
                         z = interpolate_axis(level, coordinates[2]);
-    // For each edge along x: the difference of the values at the ends of the edge, and the interpolated value.
+    // For each edge along x, compute the difference of the values at its two ends, and the interpolated value.
     float rise[4], mean[4];
     for (int edge = 0; edge < 4; ++edge) {
         rise[edge] = value[2 * edge + 1] - value[2 * edge];

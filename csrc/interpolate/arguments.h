@@ -23,7 +23,8 @@ struct InterpolateArguments {
 
     interpolate::Query query;
 
-    // `diff` has indices of channels. For arrays on a GPU, only op.py checks that they are below the number of channels.
+    // `diff` has indices of channels, which must be below the number of channels. For arrays on a GPU, only op.py
+    // checks these indices.
     InterpolateArguments(const Attributes<const float>& attr, const Image<const float>& rast, const Triangles& tri,
                          const std::optional<Image<const float>>& rast_db, const Channels& diff, int threads,
                          Simd simd) {

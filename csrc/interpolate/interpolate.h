@@ -14,13 +14,15 @@ struct Query {
     const float* attr;         // (images or 1, vertices, channels).
     std::size_t vertices;
     std::size_t channels;
-    std::size_t image_stride;  // Offset between the attributes of successive images, in vertices; 0 if shared.
+    // Offset between the attributes of successive images, in vertices, or 0 if all images share the attributes.
+    std::size_t image_stride;
     const std::int32_t* tri;   // (triangles, 3).
     std::size_t triangles;
     const float* rast;         // (images, height, width, 4): u, v, an unused number, and the encoded triangle id.
     const float* rast_db;      // (images, height, width, 4); null if diff_count is 0.
     int images, height, width;
-    const std::int32_t* diff;  // (diff_count,): channels whose derivatives are computed, below `channels`.
+    // (diff_count,): indices, below `channels`, of the channels whose derivatives are computed.
+    const std::int32_t* diff;
     std::size_t diff_count;
     int threads;  // At least 1. The result is the same for any number of threads.
     Simd simd;    // An instruction set that this machine supports.
@@ -30,7 +32,8 @@ struct Query {
 };
 
 // Writes the attributes to `out` (images, height, width, channels), and their derivatives along x and y to `out_da`
-// (images, height, width, 2 diff_count). Pixels of the background, and of triangles out of range, are 0.
+// (images, height, width, 2 diff_count). At background pixels, and at pixels whose triangle does not exist, all outputs
+// are 0.
 void interpolate(const Query& query, float* out, float* out_da);
 
 // The gradients of the outputs, and the arrays that receive the gradients of the inputs.

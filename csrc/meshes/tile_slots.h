@@ -1,6 +1,6 @@
-// Numbers the triangles that are visible in a tile of an image, and sums per-triangle values over the tiles for each
-// vertex. The backward passes of several operators use this file. Sums have a fixed order, first over the pixels of a
-// tile, then over the tiles. The sums do not depend on the number of threads.
+// Numbers the triangles that are visible in a tile of an image. Also sums values of triangle corners over all tiles,
+// for each vertex. The backward passes of several operators use this file. Values are added in a fixed order, first
+// over the pixels of a tile, then over the tiles. The sums therefore do not depend on the number of threads.
 #pragma once
 
 #include <cstddef>
@@ -27,7 +27,8 @@ struct IdImage {
     int tiles() const { return columns() * ((height + kTile - 1) / kTile); }
 };
 
-// The visible triangles of one tile. A slot is the number of a triangle in the order of its first pixel.
+// The visible triangles of one tile. Triangles are numbered in the order of their first pixels, and this number is
+// called the slot.
 class TileSlots {
   public:
     void fill(const IdImage& image, int column, int row);
@@ -47,7 +48,7 @@ class TileSlots {
     std::int16_t buckets_[kBuckets];
 };
 
-// The values of one tile for each of its slots.
+// The values that one tile adds, for each of its slots.
 struct TileValues {
     std::vector<std::int32_t> triangles;
     Buffer<float> values;  // (slots, 3, channels): values of the three vertices.
@@ -60,8 +61,9 @@ struct VertexImage {
     bool is_shared;  // Whether all images add to the same vertices.
 };
 
-// Overwrites out (images or 1, vertices, channels) with the sums of the values over tiles. Tiles are numbered image by
-// image. tri (triangles, 3) has the vertices of the triangles. Vertices out of range are skipped.
+// Overwrites `out` (images or 1, vertices, channels) with the sums of the values over all tiles. Tiles are numbered
+// image by image. `tri` (triangles, 3) has the vertex indices of the triangles. Vertex indices out of range are
+// skipped.
 void sum_by_vertex(const std::vector<TileValues>& tiles, const std::int32_t* tri, const VertexImage& image, float* out,
                    Team& team);
 

@@ -1,6 +1,6 @@
-// The pixel filter: each pixel of an 8-bit image becomes a weighted mean of 3 x 3 pixels. Along rows and along columns,
-// the weights are `side`, 1 - 2 side and `side`. Pixels outside the image equal the nearest pixel of the image. Callers
-// check shapes, and arrays are dense and row-major.
+// The pixel filter: each pixel of an 8-bit image becomes a weighted mean of 3 x 3 pixels. The weights along an axis are
+// `side`, 1 - 2 side and `side`. Beyond the border of the image, the nearest pixel is repeated. Callers check shapes,
+// and arrays are dense and row-major.
 #pragma once
 
 #include <cstdint>

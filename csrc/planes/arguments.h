@@ -1,5 +1,5 @@
-// Converts the arguments of the K-Planes kernels for the CPU and a GPU, and checks their shapes, because a kernel would
-// read past the end of an array with a wrong shape. fourd/ops/planes/op.py checks their values.
+// Converts the arguments of the K-Planes kernels for the CPU and a GPU. fourd/ops/planes/op.py checks values. This file
+// checks shapes, because a kernel would read past the end of an array with a wrong shape.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -24,7 +24,7 @@ struct PlaneArguments {
     using Rows = Array<const float, 2>;
     using RowsOut = Array<float, 2>;
 
-    static constexpr std::size_t kLongestSide = 1 << 24;  // float32 represents indices below 2^24 exactly.
+    static constexpr std::size_t kLongestSide = 1 << 24;  // Indices below 2^24 are exact in float32.
 
     const std::vector<Values>& values;
     std::vector<planes::Plane> planes;

@@ -24,8 +24,8 @@ struct Query {
 // Writes to `out` (count, plane_count * features) the concatenated features of all planes.
 void sample(const Query& query, float* out);
 
-// gradient (count, plane_count * features) is the gradient with respect to the output of sample(). The function
-// overwrites grad_planes, which has one array per plane, with the shape of the values of the plane. The function also
+// `gradient` (count, plane_count * features) is the gradient of the loss with respect to the output of sample(). The
+// function overwrites the arrays grad_planes, one per plane, in the shape of the plane's values. The function also
 // overwrites grad_coordinates (count, 4) unless grad_coordinates is null.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates);
 

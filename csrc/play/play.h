@@ -22,12 +22,14 @@ struct Sizes {
     void convert(const Frame& frame, std::size_t begin, std::size_t end);
 };
 
-// The tiles without points of the last surface that was drawn. Such tiles do not need to be drawn again.
+// Remembers which tiles of the last drawn surface have no points. A tile that had no points in the last image, and
+// still has none, is not drawn again.
 class EmptyTiles {
   public:
     // Call this function before the tiles of a surface are drawn.
     void start(const points::Surface& surface, int width, int height, std::size_t tiles);
-    // Records whether a tile has no points. Returns true if the surface already shows that.
+    // Records whether a tile has no points. Returns true if the tile is empty and was also drawn empty in the last
+    // image.
     bool is_drawn(int tile, bool is_empty);
 
   private:
@@ -54,7 +56,8 @@ class Player {
     template <typename Work>
     points::Cloud prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                           Team& team, const Work& work);
-    // Splits the points [begin, end) into short ranges, and calls work(first, last) for each range with visible points.
+    // Splits the points [begin, end) into short ranges, and calls work(first, last) for each range that has a visible
+    // point.
     template <typename Work>
     void for_visible(std::size_t begin, std::size_t end, const Work& work) const;
 

@@ -74,7 +74,7 @@ void Player::draw_surface(const Frame& frame, const points::Settings& settings, 
     Team team(settings.threads);
     surface_features_.require(points::kSurfaceFeatures * frame.points.count);
     const points::Loops& loops = points::select_loops(settings.simd);
-    // Positions and colours of the points are still in the cache.
+    // join_normals() runs right after shading, while the positions and colours of the points are still in the cache.
     points::Cloud cloud = prepare(frame, settings, shading, team, [&](std::size_t first, std::size_t last) {
         loops.join_normals(settings.camera, frame.points.xyz, colour_.data(), frame.normals, first, last,
                            surface_features_.data());
@@ -90,7 +90,7 @@ void Player::draw_surface(const Frame& frame, const points::Settings& settings, 
     });
 }
 
-// The points of a frame are in spatial order, so invisible points form long spans, which the function skips.
+// The points of a frame are in spatial order, so invisible points form long spans. The function skips these spans.
 template <typename Work>
 void Player::for_visible(std::size_t begin, std::size_t end, const Work& work) const {
     constexpr std::size_t kRange = points::kJoinedPoints;

@@ -1,4 +1,4 @@
-// Weights of points by the side that faces the camera.
+// Reduces the weights of points whose surface faces away from the camera.
 #pragma once
 
 #include <cmath>
@@ -9,9 +9,10 @@
 
 namespace fourd::points {
 
-// The weight of a point in the depth and the normal of a visible surface, for the cosine between the point's normal and
-// the direction to the camera. Points on the far side of the subject are visible where the near side has gaps or was
-// not seen by any camera. Such points get a small weight, so that they count only where no other points are visible.
+// The weight of a point in the depth and normal of the visible surface. The argument is the cosine between the point's
+// normal and the direction to the camera. Points on the far side of the subject are visible where the near side has
+// gaps or was not seen by any camera. Points with a normal away from the camera get a small weight, so that they matter
+// only where no other points are visible.
 constexpr float kBackWeight = 0.1f;
 
 FOURD_INLINE float front_weight(float cosine) {

@@ -2,8 +2,8 @@
 // fourd/ops/points/reference.py computes the same float32 numbers in the same order, so that kernel and reference find
 // exactly the same hits.
 //
-// All functions are static, because they are compiled once per instruction set. The linker must not use a version that
-// needs AVX-512 in code for other processors.
+// All functions are static, because they are compiled once per instruction set. Otherwise, the linker could use an
+// AVX-512 version in code for processors without AVX-512.
 #pragma once
 
 #include <cmath>
@@ -39,15 +39,16 @@ FOURD_HD static inline TileRange tile_range_of(const Splat& splat) {
             static_cast<std::uint16_t>(splat.top / blocks), static_cast<std::uint16_t>(splat.bottom / blocks)};
 }
 
-// Sums over the pixels of a point. Let g be the gradient with respect to alpha at a pixel. The members dx, dy, square
-// and falloff are the sums of g dx, g dy, g distance^2 and g falloff. The member z is the sum of the gradients with
-// respect to the camera depth of the point.
+// Sums over the pixels of a point. Let g be the gradient of the loss with respect to the point's alpha at a pixel. The
+// members dx, dy, square and falloff are the sums over pixels of g dx, g dy, g distance^2 and g falloff. The member z
+// is the sum of the gradients with respect to the camera depth of the point.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
 
-// The range of pixels along one axis whose centres are within rho of `centre`, clipped to [0, size). The range is empty
-// if first > last. Clipping the bounds before rounding them needs no branches, so the code vectorises.
+// The range, along one axis, of the pixels whose centres are within rho of `centre`. The range is clipped to [0, size),
+// and is empty if first > last. The bounds are clipped before they are rounded, which needs no branches, so the code
+// vectorises.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
     // The hit test has a float32 rounding error of about 4e-7 of rho^2. A margin of 1e-6 ensures that the pixel range
     // contains all hits.
@@ -62,7 +63,7 @@ FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* 
     *last = to - (to > high ? 1 : 0);
 }
 
-// The coverage of a pixel by a point. The point hits the pixel if alpha is above 0.
+// How a point covers a pixel. The point hits the pixel if alpha is above 0.
 struct PixelCoverage {
     float dx, dy, square, falloff, alpha;
 };
@@ -74,7 +75,7 @@ FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x,
     return {dx, dy, square, falloff, splat.density * falloff};
 }
 
-// A point after projection. If visible is false, the other members have no defined values.
+// A point after projection. If `visible` is false, the other members are undefined.
 struct Projection {
     float u, v, inverse_square, density, z, rho;
     int left, right, top, bottom;
@@ -82,8 +83,8 @@ struct Projection {
 };
 
 // Projects a point. The point is culled if it is nearer than near_depth or outside the image. The point is also culled
-// if its radius or density is 0, or if any of its numbers is not finite. The comparisons are written so that they are
-// false for NaN.
+// if its radius or density is 0, or if any of its numbers is not finite. For NaN, all comparisons of the visibility
+// test are false, so the point is culled.
 FOURD_HD static inline Projection project(const Pinhole& camera, float near_depth, const float* xyz, float radius,
                                           float density) {
     const float max_float = 3.402823466e38f;
@@ -106,7 +107,7 @@ FOURD_HD static inline Projection project(const Pinhole& camera, float near_dept
     out.right = last_column / kBlock;
     out.top = first_row / kBlock;
     out.bottom = last_row / kBlock;
-    // The operator & is used instead of && to avoid branches.
+    // The conditions are joined by & and not by &&, which avoids branches.
     out.visible = (z >= near_depth) & (z <= max_float) & (radius > 0.0f) & (radius <= max_float) & (density > 0.0f) &
                   (density <= max_float) & (out.u >= -max_float) & (out.u <= max_float) & (out.v >= -max_float) &
                   (out.v <= max_float) & (out.inverse_square > 0.0f) & (out.inverse_square <= max_float) &

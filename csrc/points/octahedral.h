@@ -1,5 +1,5 @@
-// Unit vectors as points of an octahedron in two bytes (Cigolle et al. 2014, "A Survey of Efficient Representations for
-// Independent Unit Vectors").
+// Decodes unit vectors that are stored in two bytes with the octahedral mapping (Cigolle et al. 2014, "A Survey of
+// Efficient Representations for Independent Unit Vectors").
 #pragma once
 
 #include <cmath>

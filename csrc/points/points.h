@@ -22,7 +22,7 @@ struct Settings {
     Pinhole camera;
     float near_depth;         // Positive. Points with a camera depth below near_depth are culled.
     int layers;               // Number K of depth layers, at least 1.
-    float transmittance_min;  // Pixels are complete at or below this transmittance. A value of 0 gives exact images.
+    float transmittance_min;  // Pixels are complete at or below this transmittance. With the value 0, images are exact.
     int threads;              // At least 1. The result is the same for any number of threads.
     Simd simd;                // An instruction set that this machine supports.
 };
@@ -41,13 +41,13 @@ struct Canvas {
 
 // An 8-bit image with the visible surface of each pixel.
 struct Surface {
-    Canvas canvas;         // Draw with a black background for colours that are multiplied by alpha.
+    Canvas canvas;         // With a black background, the colours are the colours of the points multiplied by alpha.
     float* inverse_depth;  // (height, width): coverage / mean depth, with coverage = clamp(3 alpha - 1/2, 0, 1).
-    std::uint8_t* normal;  // (height, width, 4): unit normal n as bytes 127 n + 128, then 255 * coverage. Without
-                           // points, the normal is 0.
-    float persistence;     // From 0 to 1. If it is above 0, all arrays hold the previous image before the call, of the same
-                           // camera. At pixels that show the same surface in both images, this is the weight of the
-                           // previous depths and normals.
+    std::uint8_t* normal;  // (height, width, 4): unit normal n as bytes 127 n + 128, then 255 * coverage. At pixels
+                           // without points, the normal is 0.
+    float persistence;     // From 0 to 1. If `persistence` is above 0, all arrays must contain the previous image of
+                           // the same camera before the call. Where both images show the same surface, `persistence` is
+                           // the weight of the previous depth and normal.
 };
 
 struct ImageGradient {

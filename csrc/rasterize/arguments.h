@@ -24,7 +24,8 @@ struct RasterizeArguments {
 
     rasterize::Query query;
 
-    // If there are ranges, all images share one set of positions. Otherwise, pos has one set for each image of `rast`.
+    // With `ranges`, all images share the same vertex positions. Without `ranges`, `pos` has separate positions for
+    // each image of `rast`.
     RasterizeArguments(const Positions<const float>& pos, const Triangles& tri, const std::optional<Ranges>& ranges,
                        std::size_t images, std::size_t height, std::size_t width, int threads, Simd simd) {
         require(height >= 1 && height <= rasterize::kLongestSide && width >= 1 && width <= rasterize::kLongestSide,

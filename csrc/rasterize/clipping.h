@@ -1,5 +1,6 @@
-// Clips triangles against a frustum that is much wider than the image (Sutherland and Hodgman 1974). Clipping an edge
-// depends only on its two vertices, so both triangles of a shared edge get the same new vertices.
+// Clips triangles against a frustum that is much wider than the image (Sutherland and Hodgman 1974). The new vertex on
+// a clipped edge depends only on the two vertices of the edge. Two triangles that share an edge therefore get the same
+// new vertices.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -14,15 +15,15 @@ struct Corner {
     double x, y, w;
 };
 
-// The distance of a corner from a clipping plane, positive inside the frustum. If a corner is inside all four planes,
-// its w is at least 0.
+// Returns the distance of a corner from a clipping plane, which is positive inside the frustum. If all four distances
+// of a corner are positive, its w is at least 0.
 FOURD_HD static inline double clip_distance(const Screen& screen, int plane, const Corner& corner) {
     const double guard = plane < 2 ? screen.guard_x : screen.guard_y;
     const double coordinate = plane < 2 ? corner.x : corner.y;
     return guard * corner.w + (plane % 2 == 0 ? coordinate : -coordinate);
 }
 
-// The intersection of a plane with the edge between a corner inside and a corner outside of this plane.
+// Returns the intersection of a plane with an edge whose ends lie on different sides of the plane.
 FOURD_HD static inline Corner intersection(const Corner& inside, double d_inside, const Corner& outside,
                                            double d_outside) {
     const double t = d_inside / (d_inside - d_outside);
@@ -67,8 +68,8 @@ FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const
     return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
 }
 
-// Sets the reference pixel of a triangle's Planes (maths.h). The reference pixel is the first pixel of the bounding
-// box, or the centre of the image if the triangle is clipped.
+// Sets the reference pixel of a triangle's Planes (maths.h). For a clipped triangle, this is the centre of the image.
+// For other triangles, this is the first pixel of the bounding box.
 FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
     piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);
     piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);

@@ -1,11 +1,11 @@
 // The gradient of the rasterizer, shared by every backend.
 //
 // With b = M^-1 f (maths.h), a change of the vertex p_k = (x, y, w)_k changes b by -M^-1 dp_k b_k. If g is the gradient
-// with respect to b, the gradient of p_k is therefore -b_k M^-T g. M is constant over a triangle, so only the products
-// b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend on M in the same way. Below, g0
-// and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k.
-// The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this scale, so that the
-// products of gradients and elements of b do not depend on the scale.
+// with respect to b, the gradient of p_k is therefore -b_k M^-T g. M is the same at all pixels of a triangle, so only
+// the products b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend on M in the same
+// way. Below, g0 and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum
+// s = 1/w of all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this
+// scale, so that the products of gradients and elements of b do not depend on the scale.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -20,10 +20,10 @@ FOURD_HD static inline float bounded(double gradient) {
     return static_cast<float>(gradient < kLargestGradient ? gradient : kLargestGradient);
 }
 
-// Computes the values that are summed over the pixels of a triangle. These values are 9 products of (g0, g1, gs) and
+// Computes the values that are summed over the pixels of a triangle. The values are the 9 products of (g0, g1, gs) and
 // (b_0, b_1, s), and the gradients with respect to b_x and b_y. `b` has the values of the first three planes at the
-// pixel. `x` and `y` have the slopes of these planes. grad_u, grad_v and `db` are the gradients with respect
-// to rast and rast_db.
+// pixel. `x` and `y` have the slopes of these planes. grad_u, grad_v and `db` are the gradients with respect to rast
+// and rast_db.
 template <bool kDerivatives>
 FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,
                                            const float* db, float* out) {
@@ -41,7 +41,7 @@ FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const
         grad_x[0] = u_x, grad_x[1] = v_x, grad_x[2] = -(u_x * u + v_x * v);
         grad_y[0] = u_y, grad_y[1] = v_y, grad_y[2] = -(u_y * u + v_y * v);
     }
-    // The clamps of u and v: v is at most 1 - u.
+    // Back-propagates through the clamps of u and v. The upper limit of v is 1 - u.
     grad_u -= v_free > 1.0f - u ? grad_v : 0.0f;
     grad_v = v_free > 1.0f - u ? 0.0f : grad_v;
     grad_v = v_free < 0.0f ? 0.0f : grad_v;
@@ -62,7 +62,8 @@ FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const
 // is their reference pixel.
 FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, int row, const float* c, const float* x,
                                              const float* y, double scale, const float* sums, float* out) {
-    // Planes over normalised device coordinates: slopes along x and y, and the value at the centre of the image.
+    // The planes as functions of normalised device coordinates: slopes along x and y, and the value at the centre of
+    // the image.
     const double half_width = 0.5 * screen.width, half_height = 0.5 * screen.height;
     const double from_x = device_coordinate(column, screen.width), from_y = device_coordinate(row, screen.height);
     double normal[3][3], b_x[3], b_y[3], product[3][3];
@@ -76,7 +77,8 @@ FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, i
         product[j][1] = sums[3 * j + 1];
         product[j][2] = static_cast<double>(sums[3 * j + 2]) - sums[3 * j] - sums[3 * j + 1];
     }
-    // The third plane is the sum over all vertices. Subtracting the first two gives the element of vertex 2.
+    // The third plane is the sum over all three vertices. Subtracting the first two planes from it gives the plane of
+    // vertex 2.
     b_x[2] -= b_x[0] + b_x[1];
     b_y[2] -= b_y[0] + b_y[1];
     for (int k = 0; k < 3; ++k) {

@@ -24,8 +24,10 @@ namespace fourd::rasterize {
 constexpr int kSubpixelBits = 8;
 constexpr int kSubpixels = 1 << kSubpixelBits;
 constexpr int kHalfPixel = kSubpixels / 2;
-constexpr float kLargestCoefficient = 1e10f;  // A triangle with a coefficient above this is degenerate, and is culled.
-constexpr float kSmallestInverseW = 1e-6f;    // Lower limit of scale / w (see Planes), which is at least 1 in a triangle.
+// A triangle with a coefficient above kLargestCoefficient is degenerate, and is culled.
+constexpr float kLargestCoefficient = 1e10f;
+// Lower limit of scale / w (see Planes). Inside a triangle, scale / w is at least 1.
+constexpr float kSmallestInverseW = 1e-6f;
 constexpr float kLargestFloat = 3.402823466e38f;
 constexpr int kPlanes = 4;  // (Weight of vertex 0) / w, (weight of vertex 1) / w, 1/w, and z/w.
 
@@ -58,7 +60,7 @@ FOURD_HD static inline bool is_finite(float value) { return value >= -kLargestFl
 
 FOURD_HD static inline float magnitude(float value) { return value < 0.0f ? -value : value; }
 
-// Rounds to the nearest integer. Halves are rounded up. |value| is below 2^31.
+// Rounds to the nearest integer. Halves are rounded up. |value| must be below 2^31.
 FOURD_HD static inline std::int32_t round_half_up(float value) {
     const std::int32_t whole = static_cast<std::int32_t>(value);
     const float rest = value - static_cast<float>(whole);
@@ -98,7 +100,7 @@ struct Bounds {
 FOURD_HD static inline int smaller(int a, int b) { return a < b ? a : b; }
 FOURD_HD static inline int larger(int a, int b) { return a > b ? a : b; }
 
-// The first and the last pixel along an axis whose centres are between two positions.
+// The first and the last of the pixels, along one axis, whose centres are between two positions.
 FOURD_HD static inline int first_pixel(int position) { return (position + kHalfPixel - 1) >> kSubpixelBits; }
 FOURD_HD static inline int last_pixel(int position) { return (position - kHalfPixel) >> kSubpixelBits; }
 
@@ -143,8 +145,8 @@ FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int r
     return {value >> kSubpixelBits, slope_x, slope_y};
 }
 
-// The largest value of an edge function over `columns` x `rows` pixels. The first of these pixels is the pixel at which
-// the edge function has the value edge.value.
+// Returns the largest value of an edge function in a rectangle of `columns` x `rows` pixels. At the first pixel of the
+// rectangle, the value is edge.value.
 FOURD_HD static inline std::int64_t largest_value(const Edge& edge, int columns, int rows) {
     return edge.value + std::int64_t{larger(edge.x, 0)} * (columns - 1) + std::int64_t{larger(edge.y, 0)} * (rows - 1);
 }
@@ -156,7 +158,7 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
 
 // Linear functions over the image: s (weight of vertex 0) / w, s (weight of vertex 1) / w, s / w and z/w, in this
 // order. The scale s is the largest |w| of the vertices, which makes the functions independent of the unit of w. The
-// value at a pixel is (c + y dy) + x dx, with the pixel's distances dx and dy from the reference pixel.
+// value at a pixel is (c + y dy) + x dx, where (dx, dy) is the vector from the reference pixel to the pixel.
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];
@@ -234,7 +236,7 @@ struct Weights {
     float u, v, u_x, u_y, v_x, v_y;
 };
 
-// w0, w1 and inverse_w are the values of the first three planes at a pixel, and x and y their slopes.
+// w0, w1 and inverse_w are the values of the first three planes at a pixel. x and y are the slopes of these planes.
 FOURD_HD static inline Weights weights_of(float w0, float w1, float inverse_w, const float* x, const float* y) {
     inverse_w = inverse_w > kSmallestInverseW ? inverse_w : kSmallestInverseW;
     const float w = 1.0f / inverse_w;

@@ -26,7 +26,7 @@ struct RayArguments {
     using IndexGrid = Array<const std::int32_t, nanobind::ndim<2>>;
     using IndexGridOut = Array<std::int32_t, nanobind::ndim<2>>;
     using PositionsOut = Array<float, nanobind::shape<-1, 3>>;
-    // Nodes and blocks are passed as rows of floats.
+    // The bindings receive the nodes and blocks of a tree as rows of floats.
     using NodeRows = Array<const float, nanobind::shape<-1, sizeof(rays::Node) / sizeof(float)>>;
     using BlockRows = Array<const float, nanobind::shape<-1, sizeof(rays::Block) / sizeof(float)>>;
     using DiscRows = Array<const float, nanobind::shape<-1, sizeof(rays::DiscBlock) / sizeof(float)>>;
@@ -48,7 +48,7 @@ struct RayArguments {
                 reinterpret_cast<const rays::DiscBlock*>(blocks.data()), magnitude};
     }
 
-    // The caller checks that there is a colour for each disc of the tree.
+    // Callers must check that `colours` has one colour for each disc of the tree.
     static rays::DiscPicture picture(std::size_t count, const Positions& colours, const std::optional<Vector>& facing,
                                      int layers, const PictureOut& out) {
         require(layers >= 1 && layers <= rays::kMaxDiscLayers, "layers: expected 1 to 64");

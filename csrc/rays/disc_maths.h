@@ -12,12 +12,12 @@
 
 namespace fourd::rays {
 
-// A ray that is prepared for discs. `Number` is float, or a vector of floats with equal elements.
+// A ray that is prepared for intersections with discs. `Number` is float, or a vector of floats with equal elements.
 template <typename Number>
 struct DiscRay {
     Number origin[3];
     Number along[3];   // The scaled direction.
-    Number normal[3];  // The normal of the discs, divided by its product with the scaled direction.
+    Number normal[3];  // The normal of the discs, divided by the dot product of the normal and the scaled direction.
 };
 
 // Returns false if the ray is parallel to the discs.
@@ -35,8 +35,8 @@ FOURD_HD FOURD_INLINE bool prepare_discs(const Ray& ray, const float* direction,
     return true;
 }
 
-// Computes where the ray meets the plane of a disc, as t', and the alpha of the disc there. The alpha is not positive
-// beside the disc.
+// Computes the t' at which the ray meets the plane of a disc, and the alpha of the disc at this point. Outside the
+// disc, the alpha is 0 or negative.
 template <typename Number>
 FOURD_HD FOURD_INLINE void meet_disc(const DiscRay<Number>& ray, const Number (&centre)[3],
                                      const Number& inverse_square, const Number& density, const Number& one, Number* t,
@@ -48,7 +48,7 @@ FOURD_HD FOURD_INLINE void meet_disc(const DiscRay<Number>& ray, const Number (&
     *alpha = density * (one - square * inverse_square);
 }
 
-// The nearest discs of a ray so far, in the order of (t', index).
+// The nearest discs that a ray has hit so far, in the order of (t', index).
 struct NearestDiscs {
     int layers, found = 0;
     float t[kMaxDiscLayers], alpha[kMaxDiscLayers];
@@ -69,12 +69,12 @@ struct NearestDiscs {
         index[at] = new_index;
     }
 
-    // Returns the largest t' at which a disc can be added, if it is below `last`, and `last` otherwise.
+    // Returns the largest t' at which a disc can still be added, but at most `last`.
     FOURD_HD FOURD_INLINE float bound(float last) const {
         return found == layers && t[found - 1] < last ? t[found - 1] : last;
     }
 
-    // Composites the discs front to back. Writes colour times alpha, and alpha.
+    // Composites the discs front to back. Writes the colour multiplied by alpha, and alpha, to `rgba`.
     FOURD_HD FOURD_INLINE void composite(const float* colours, float* rgba) const {
         float transmittance = 1.0f;
         for (int c = 0; c < 3; ++c) rgba[c] = 0.0f;

@@ -1,5 +1,6 @@
-// Compositing of discs along rays. A disc faces each ray, or all discs are parallel to a plane. With discs parallel to
-// the image plane of a pinhole camera, the result along its rays is that of the compositor of points (points/points.h).
+// Compositing of discs along rays. A disc faces each ray, or all discs are parallel to a plane. If the discs are
+// parallel to the image plane of a pinhole camera, and the rays are those of the camera's pixels, the result equals
+// that of the point renderer (points/points.h).
 #pragma once
 
 #include <cstddef>
@@ -14,14 +15,14 @@ constexpr int kMaxDiscLayers = 64;
 struct Discs {
     const float* xyz;      // (count, 3).
     const float* radius;   // (count,).
-    const float* density;  // (count,). The alpha at the centre, clamped to 1.
+    const float* density;  // (count,): alpha at the centre of each disc, clamped to 1.
     std::size_t count;
 };
 
 struct alignas(64) DiscBlock {
     float centre[3][kWidth];
     float inverse_square[kWidth];  // 1 / radius^2.
-    float density[kWidth];         // 0 where there is no disc.
+    float density[kWidth];         // 0 in unused elements, which have no disc.
     std::int32_t index[kWidth];
     std::int32_t unused[2][kWidth];
 };
@@ -39,15 +40,15 @@ struct DiscTreeView {
     float magnitude;
 };
 
-// Builds a tree, which is the same for any number of threads. Discs are never hit if a number is not finite, or if
-// radius or density is not positive.
+// Builds a tree, which is the same for any number of threads. A disc is never hit if one of its numbers is not finite,
+// or if its radius or density is not positive.
 DiscTree build_discs(const Discs& discs, int threads);
 
 struct DiscPicture {
-    const float* colours;  // (Discs::count, 3), of the discs that the tree was built for.
-    const float* facing;   // (3,): normal of all discs. Null if each disc faces the ray.
+    const float* colours;  // (Discs::count, 3): colours of the discs for which the tree was built.
+    const float* facing;   // (3,): the common normal of all discs, or null if discs face each ray.
     int layers;            // Number K of nearest discs that are composited, from 1 to kMaxDiscLayers.
-    float* rgba;           // (Rays::count, 4): colour times alpha, and alpha.
+    float* rgba;           // (Rays::count, 4): colour multiplied by alpha, then alpha.
 };
 
 // Composites the K nearest discs of each ray front to back, in the order of (t, index). The alpha of a disc at the

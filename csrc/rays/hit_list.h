@@ -1,4 +1,4 @@
-// The nearest hits of a ray, shared by every backend.
+// Keeps the nearest hits of a ray in order. This code is shared by every backend.
 #pragma once
 
 #include <cstddef>
@@ -16,11 +16,11 @@ struct HitList {
     int layers, found;
     float *t, *u, *v;
     std::int32_t* triangle;
-    bool is_continued;  // Only hits after (after_t, after_triangle) are added.
+    bool is_continued;  // If true, only hits after (after_t, after_triangle) are added.
     float after_t;
     std::int32_t after_triangle;
 
-    // Starts an empty list for the ray `index`.
+    // Starts an empty list for the ray with this index.
     FOURD_HD FOURD_INLINE HitList(const Rays& rays, const Hits& hits, std::size_t index)
         : layers(hits.layers), found(0), is_continued(rays.after_t != nullptr), after_t(0.0f), after_triangle(0) {
         const std::size_t first = index * static_cast<std::size_t>(layers);

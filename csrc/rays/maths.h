@@ -3,8 +3,8 @@
 //
 // A triangle is hit if the watertight test of Woop, Benthin and Wald (2013, Watertight Ray/Triangle Intersection)
 // accepts it, and if the ray meets the padded box of the triangle. The t of a hit is clamped to the box. All operations
-// are monotonic even with rounding. If a box contains another box, the interval of t in the outer box therefore
-// contains the interval in the inner box exactly, and a tree of boxes loses no hit.
+// are monotonic even with rounding. If a box contains another box, a ray's interval of t in the outer box therefore
+// always contains its interval in the inner box. A tree of boxes thus loses no hit.
 #pragma once
 
 #include <cmath>
@@ -16,24 +16,26 @@
 
 namespace fourd::rays {
 
-// Largest absolute coordinate of vertices and origins, and limits of the largest absolute coordinate of a direction.
+// Upper limit of the absolute coordinates of vertices and origins, and limits of the largest absolute coordinate of a
+// direction.
 constexpr float kMaxMagnitude = 1e18f;
 constexpr float kMinDirection = 1e-18f;
 // Padding of boxes, as a multiple of the largest absolute coordinate of the ray's origin and the mesh. The rounding
 // errors of the test are at most a quarter of the padding.
 constexpr float kPadding = 0x1p-21f;
-// Smallest absolute coordinate of a scaled direction (Ray) in box tests. Smaller coordinates are replaced by this
-// number, so that products with their reciprocals stay finite.
+// Smallest absolute coordinate of a scaled direction (Ray) in box tests. Smaller coordinates are replaced by kMinShare,
+// so that products with their reciprocals stay finite.
 constexpr float kMinShare = 1e-18f;
 constexpr float kTiny = 1.17549435e-38f;  // The smallest normal number.
 constexpr float kMaxFloat = 3.402823466e38f;
 constexpr float kInfinity = __builtin_huge_valf();
 
 // A ray, prepared for intersection. The direction is multiplied by the power of two `scale`, so that its largest
-// coordinate is between 1 and 2. With the scaled direction, the point at t has the parameter t' = t / scale.
+// coordinate is between 1 and 2. The point at the parameter t of the ray has the parameter t' = t / scale with the
+// scaled direction.
 struct Ray {
     float origin[3];
-    int x, y, z;        // A permutation of the axes. The direction has its largest coordinate along z.
+    int x, y, z;        // A permutation of the axes, in which the largest coordinate of the direction is along z.
     float shear_x, shear_y, shear_z;
     float inverse[3];
     float enter[3], leave[3];  // The ray passes the plane at p between t' = p inverse - enter and p inverse - leave.
@@ -43,7 +45,7 @@ struct Ray {
 
 FOURD_HD FOURD_INLINE float absolute(float a) { return a < 0.0f ? -a : a; }
 
-// The power of two 2^-e for a positive normal number with the exponent e.
+// Returns 2^-e for a positive normal number with the exponent e.
 FOURD_HD FOURD_INLINE float inverse_power_of(float a) {
     std::uint32_t bits;
     std::memcpy(&bits, &a, sizeof bits);
@@ -53,7 +55,8 @@ FOURD_HD FOURD_INLINE float inverse_power_of(float a) {
     return out;
 }
 
-// Prepares a ray. Returns false if the ray cannot hit anything, also for NaN, because comparisons with NaN are false.
+// Prepares a ray. Returns false if the ray cannot hit anything. The result is also false if a number is NaN, because
+// all comparisons with NaN are false.
 FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, float t_min, float t_max,
                                    float magnitude, Ray* out) {
     float largest = 0.0f, farthest = magnitude;
@@ -95,8 +98,8 @@ FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, 
     return true;
 }
 
-// The ends of an interval of t' that contains t_min to t. The interval is slightly enlarged, because the products of
-// tiny t are rounded.
+// The first and the last t' for t_min and t. The interval between them is slightly enlarged, because the conversion of
+// a tiny t to t' is rounded.
 FOURD_HD FOURD_INLINE float first_of(const Ray& ray) {
     return ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
 }
@@ -115,8 +118,8 @@ struct Hit {
     std::int32_t triangle;
 };
 
-// The weights of the corners, not normalised. If a weight is 0 in float, all three weights are computed in double. Two
-// neighbouring triangles then agree on which side of their common edge the ray passes.
+// The weights of the corners, not normalised. If a weight is 0 in float, all three weights are computed again in
+// double. Two triangles with a common edge therefore agree on which side of the edge the ray passes.
 struct Weights {
     float a, b, c;
 };
@@ -132,7 +135,7 @@ FOURD_HD FOURD_INLINE Weights weights_of(const float ax, const float ay, const f
     return out;
 }
 
-// The part of the ray in the padded box of a triangle, as an interval of t'.
+// The interval of t' in which the ray is inside the padded box of a triangle.
 FOURD_HD FOURD_INLINE void box_interval(const Ray& ray, const float* a, const float* b, const float* c, float* first,
                                         float* last) {
     *first = -kMaxFloat;
@@ -147,8 +150,8 @@ FOURD_HD FOURD_INLINE void box_interval(const Ray& ray, const float* a, const fl
     }
 }
 
-// Intersects a ray with the triangle of the corners a, b and c (x, y, z each). Returns whether the triangle is hit with
-// t in [t_min, t_max], and writes t, u and v. Rays hit a triangle from both sides, and also at its edges.
+// Intersects a ray with the triangle that has the corners a, b and c. Returns whether the triangle is hit with t in
+// [t_min, t_max], and writes t, u and v. Rays hit a triangle from both sides, and also at its edges.
 FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float* b, const float* c, Hit* out) {
     const float az = a[ray.z] - ray.origin[ray.z], bz = b[ray.z] - ray.origin[ray.z], cz = c[ray.z] - ray.origin[ray.z];
     const float ax = (a[ray.x] - ray.origin[ray.x]) - ray.shear_x * az;
@@ -175,9 +178,10 @@ FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float
 }
 
 // The gradient of a hit. The hit solves origin + t direction = u a + v b + (1 - u - v) c. Let M be the matrix with the
-// columns -direction, a - c and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the gradient is y
-// for the origin and t y for the direction. For the corners, the gradient is -u y, -v y and -(1 - u - v) y. If the ray
-// lies in the plane of the triangle, the function returns false and y = 0.
+// columns -direction, a - c and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the gradient with
+// respect to the origin is y, and the gradient with respect to the direction is t y. The gradients of the corners a, b
+// and c are -u y, -v y and -(1 - u - v) y. If the ray lies in the plane of the triangle, the function returns false and
+// y = 0.
 FOURD_HD FOURD_INLINE bool hit_gradient(const float* direction, const float* a, const float* b, const float* c,
                                         float to_t, float to_u, float to_v, float* y) {
     double d[3], p[3], q[3];

@@ -1,8 +1,8 @@
 // Ray tracing of triangle meshes. Callers check shapes. Every pointer points to a dense row-major array.
 //
-// A bounding volume hierarchy (BVH) has nodes with up to eight children, and blocks with up to eight triangles. Child
-// indices are larger than the index of their node. The tree decides only which triangles are tested, so that the hits
-// of a ray are those of a loop over all triangles (maths.h).
+// A bounding volume hierarchy (BVH) has nodes with up to eight children, and blocks with up to eight triangles. The
+// index of a child node is larger than the index of its parent. The tree decides only which triangles are tested, so a
+// ray has the same hits as with a loop over all triangles (maths.h).
 #pragma once
 
 #include <cstddef>
@@ -27,7 +27,8 @@ struct alignas(64) Node {
 };
 
 struct alignas(64) Block {
-    float corner[3][3][kWidth];     // Indexed by vertex, axis and triangle. NaN if a triangle cannot be hit.
+    // Indexed by vertex, axis and triangle. The corners of triangles that cannot be hit are NaN.
+    float corner[3][3][kWidth];
     std::int32_t triangle[kWidth];  // Index of the triangle, or -1.
 };
 
@@ -62,7 +63,7 @@ struct TreeView {
     float magnitude;
 };
 
-// Builds the tree by the surface area heuristic. The tree is the same for any number of threads. Triangles with a
+// Builds the tree with the surface area heuristic. The tree is the same for any number of threads. Triangles with a
 // coordinate that is not finite or above kMaxMagnitude are never hit.
 Tree build(const Mesh& mesh, int threads);
 
@@ -81,8 +82,9 @@ struct Rays {
     std::size_t t_min_stride;
     const float* t_max;  // (count,), or one number if t_max_stride is 0.
     std::size_t t_max_stride;
-    const float* after_t;               // (count,), may be null. Only hits after (after_t, after_triangle) in the order
-    const std::int32_t* after_triangle; // of (t, triangle) are found.
+    // (count,) each, or null. Hits up to (after_t, after_triangle), in the order of (t, triangle), are skipped.
+    const float* after_t;
+    const std::int32_t* after_triangle;
     int threads;
     Simd simd;
 };
@@ -114,7 +116,7 @@ struct HitGradients {
     int threads;
 };
 
-// Sums have a fixed order, so the result is the same for any number of threads.
+// Gradients are summed in a fixed order, so the result is the same for any number of threads.
 void trace_backward(const Mesh& mesh, const HitGradients& gradients);
 
 }  // namespace fourd::rays

@@ -43,7 +43,7 @@ inline shade::Settings shade_settings(const ChosenArray& chosen, const ViewWeigh
             simd_named(simd.c_str())};
 }
 
-// The template argument Half is the 16-bit integer type of arrays of float16 values.
+// The template argument Half is the element type of float16 arrays, a 16-bit integer.
 template <typename Device, typename Half>
 struct ShadeArguments {
     static_assert(sizeof(Half) == sizeof(std::uint16_t));

@@ -23,7 +23,8 @@ struct Points {
 
 struct Settings {
     const std::int32_t* chosen;  // (chosen_count,): indices of the views to blend.
-    const float* view_weights;   // (chosen_count,): factors in [0, 1] on the blend weights. At least one is not 0.
+    // (chosen_count,): factors in [0, 1] by which the blend weights are multiplied. At least one factor is not 0.
+    const float* view_weights;
     int chosen_count;            // From 0 to kMaxChosen.
     double centre[3];            // Position of the camera in world coordinates.
     float sh_range;              // The SH colour is sh_base + sh_range * tanh(dot(sh, Y(direction))).

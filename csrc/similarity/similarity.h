@@ -13,7 +13,7 @@ constexpr int kWindow = 11;
 
 struct Pictures {
     const float* picture;  // (height, width, channels).
-    const float* truth;    // The shape is that of picture.
+    const float* truth;    // (height, width, channels).
     int width, height;     // At least kWindow.
     int channels;          // At least 1.
     int threads;           // At least 1. The result is the same for any number of threads.

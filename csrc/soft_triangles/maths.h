@@ -2,12 +2,11 @@
 // fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
 // The coverage of the pixel p by a triangle is D = sigmoid(x). Inside the triangle, x = d^2 / sigma. Outside the
-// triangle, x = -d^2 / sigma. d is the distance of p from the nearest edge, or the smallest barycentric coordinate of
-// p.
-// The inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The barycentric coordinates of
-// this interpolation are clamped to at least 0 and normalised to the sum 1. The weight of the triangle is
-// D exp(-z per_depth). Up to a constant factor, this is the weight of the paper,
-// D exp((far - z) / ((far - near) gamma)).
+// triangle, x = -d^2 / sigma. The number d is the distance of p from the nearest edge, or the smallest barycentric
+// coordinate of p. The inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The
+// barycentric coordinates of this interpolation are clamped to at least 0 and normalised to the sum 1. The weight of
+// the triangle is D exp(-z per_depth). The weight in the paper differs only by a constant factor: D
+// exp((far - z) / ((far - near) gamma)).
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -43,9 +42,9 @@ using tiles::tile_span;
 
 struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
-    float sharpness;         // |x| / d^2, which is 1 / sigma, or (pixel size)^2 / sigma if d is in pixels.
+    float sharpness;         // The factor |x| / d^2, which is 1 / sigma, or (pixel size)^2 / sigma if d is in pixels.
     float cut;               // A triangle hits the pixels where x >= -cut.
-    float reach;             // A triangle hits the pixels outside whose distance d is at most `reach`.
+    float reach;             // Outside the triangle, the triangle hits the pixels whose distance d is at most `reach`.
     float per_depth;         // 1 / ((far - near) gamma).
     float far_depth;         // A triangle hits a pixel only if its depth z at the pixel is at most far_depth.
     float background_depth;  // The background has the weight of a triangle with D = 1 at this depth.
@@ -64,12 +63,12 @@ struct alignas(64) Face {
 
 FOURD_HD static inline tiles::TileRange tile_range_of(const Face& face) { return face.range; }
 
-// Sums of gradients over the pixels of a triangle, with respect to the corners in pixels and their inverse depths.
+// Gradients with respect to the corners in pixels and their inverse depths, summed over the pixels of a triangle.
 struct ShapeGradient {
     float u[3], v[3], inverse_z[3];
 };
 
-// The triangle after projection. If `visible` is false, the other members have no defined values.
+// A triangle after projection. If `visible` is false, the other members are undefined.
 template <typename Number, typename Condition>
 struct Projection {
     Number x, y, u[3], v[3], inverse_z[3], inverse_area, inverse_square[3], slope_x[3], slope_y[3];
@@ -99,7 +98,8 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
         out.slope_x[k] = zero - edges.y[k] * out.inverse_area * unit;
         out.slope_y[k] = edges.x[k] * out.inverse_area * unit;
     }
-    // With barycentric distances, a triangle hits the pixels inside the triangle scaled by 1 + 3 reach.
+    // If d is a barycentric coordinate, the pixels that the triangle hits lie inside the triangle scaled by 1 + 3
+    // reach.
     const Number scale = constant(softness.barycentric ? 1.0f + 3.0f * softness.reach : 1.0f, tag);
     const Number margin = constant(softness.barycentric ? 0.0f : softness.reach, tag);
     const Number left = minimum(minimum(out.u[0], out.u[1]), out.u[2]) * scale + out.x;
@@ -112,7 +112,7 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
     return out;
 }
 
-// Coverage of a pixel by a triangle.
+// How a triangle covers a pixel.
 template <typename Number, typename Condition>
 struct Coverage {
     Number lambda[3];          // Barycentric coordinates.
@@ -120,7 +120,8 @@ struct Coverage {
     Number depth;              // Camera depth, or kNoHit where the triangle does not hit the pixel.
     Number total;              // Sum of the barycentric coordinates above 0.
     Number inverse_depth;
-    Number along, off_x, off_y;  // For the nearest point q on the edges: the position of q along its edge, and p - q.
+    // For the point q of the edges that is nearest to the pixel p: the position of q along its edge, and p - q.
+    Number along, off_x, off_y;
     Condition nearest[3];      // Whether edge k is the nearest edge or, if `barycentric`, has the smallest coordinate.
     Condition inside;
 };
@@ -208,8 +209,8 @@ FOURD_HD static inline Number depth_weight(const Softness& softness, Number near
 }
 
 // Adds the gradient of one triangle at a pixel to `sums`, which has the members of ShapeGradient in their order. to_x
-// and to_depth are the gradients with respect to x and to the depth. Both gradients must be 0 where the triangle does
-// not hit the pixel.
+// and to_depth are the gradients with respect to x and to the depth. At a pixel that the triangle does not hit, both
+// gradients must be 0.
 template <typename Number, typename Condition>
 FOURD_HD static inline void add_gradient(const Face& face, const Softness& softness, Number pixel_x, Number pixel_y,
                                          const Coverage<Number, Condition>& at, Number to_x, Number to_depth,
@@ -219,7 +220,7 @@ FOURD_HD static inline void add_gradient(const Face& face, const Softness& softn
     const Number zero = c(0.0f), one = c(1.0f);
     const Number signed_x = to_x * c(softness.sharpness);
     const Number to_square = select(at.inside, signed_x, zero - signed_x);
-    // The derivative of the depth: depth = 1 / q, q = sum of max(lambda_k, 0) / z_k / total.
+    // Back-propagates the gradient of the depth, which is 1 / q with q = sum over k of max(lambda_k, 0) / z_k / total.
     const Number to_inverse = (zero - to_depth) / (at.inverse_depth * at.inverse_depth);
     const Number to_each = to_inverse / at.total;
     Number to_lambda[3], mean = zero;

@@ -27,7 +27,8 @@ struct SourceArguments {
     using VisibilityOut = Array<float, nanobind::ndim<2>>;
     using Softness = Array<const float, nanobind::ndim<1>>;
 
-    static constexpr std::size_t kNumbers = 21;  // Numbers per camera, which are K, R (both row-major) and T.
+    // Numbers per camera: the matrices K and R, both row-major, and the vector T.
+    static constexpr std::size_t kNumbers = 21;
     static constexpr std::size_t kMaxViews = 1 << 16;
     static constexpr std::size_t kMaxChannels = 256;
     static constexpr std::size_t kLongestSide = 1 << 24;

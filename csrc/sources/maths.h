@@ -47,8 +47,8 @@ FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Project
 }
 
 // The four samples around a position in a map of height x width samples, row by row. As in grid_sample of torch with
-// align_corners=False, the centre of sample (0, 0) is half a sample from the border. A sample outside the map has
-// weight 0, and its offset is that of a sample inside the map, which can be read safely.
+// align_corners=False, the centre of sample (0, 0) is half a sample from the border. A sample outside the map has the
+// weight 0 and the offset of a sample inside the map, so that the read is valid.
 struct Bilinear {
     std::size_t offset[4];
     float weight[4];
@@ -57,8 +57,8 @@ struct Bilinear {
 };
 
 FOURD_HD FOURD_INLINE Bilinear bilinear_at(float x, float y, int width, int height) {
-    // NaN and positions outside these bounds use no sample, because they are replaced by a position where all weights
-    // are 0.
+    // A position that is NaN or outside these bounds is replaced by a position where all weights are 0, so no sample is
+    // used.
     const bool inside = x > -1.0f && y > -1.0f && x < static_cast<float>(width) && y < static_cast<float>(height);
     x = inside ? x : -1.0f;
     y = inside ? y : -1.0f;
@@ -82,7 +82,7 @@ FOURD_HD FOURD_INLINE float sample(const float* map, const Bilinear& at) {
            at.weight[3] * map[at.offset[3]];
 }
 
-// A gradient with respect to a position that is measured in samples.
+// The gradient with respect to a position in a map, in units of samples.
 struct PixelGradient {
     float u, v;
 };

@@ -1,5 +1,5 @@
-// Projects points into source views and samples the views there. Callers check shapes. Every pointer points to a dense
-// row-major array.
+// Projects points into source views, and samples the views at the projections. Callers check shapes. Every pointer
+// points to a dense row-major array.
 #pragma once
 
 #include <cmath>
@@ -17,7 +17,7 @@ struct Maps {
     const float* depth;     // (views, height, width): depth of the nearest surface. Null disables the occlusion test.
     const float* features;  // (views, feature_height, feature_width, channels), or null.
     int width, height;
-    int channels, feature_width, feature_height;  // All three numbers are 0 if there are no features.
+    int channels, feature_width, feature_height;  // If `features` is null, all three numbers are 0.
 };
 
 struct Query {
@@ -26,8 +26,8 @@ struct Query {
     int views;
     const float* xyz;  // (count, 3).
     std::size_t count;
-    // (count,): decay length of the visibility behind a surface, in world units. sample_backward() does not read
-    // softness.
+    // (count,): length, in world units, over which the visibility decays behind a surface. sample_backward() does not
+    // read softness.
     const float* softness;
     int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.
     Simd simd;    // An instruction set that this machine supports. Only the CPU uses simd.
@@ -71,11 +71,12 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
     return static_cast<int>(std::rint(place < last ? place : last));
 }
 
-constexpr float kMinSoftness = 1e-12f;  // Replaces a softness that is NaN or below this value.
+// Softness values that are NaN or smaller than kMinSoftness are replaced by kMinSoftness.
+constexpr float kMinSoftness = 1e-12f;
 
-// The visibility weight of a view at a point: the squared matte times a decay factor. If the point is at most twice the
-// softness behind the visible surface, the factor is 1. Farther behind the surface, the factor decays exponentially.
-// The matte is squared because pixels on the silhouette contain some background.
+// The visibility weight of a view at a point: the squared matte times a decay factor. Up to a distance of 2 * softness
+// behind the visible surface, the factor is 1. Farther behind the surface, the factor decays exponentially. The matte
+// is squared because pixels on the silhouette contain some background.
 FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const Projection& at, const Bilinear& image,
                                        float softness) {
     if (!(at.z > 0.0f)) return 0.0f;

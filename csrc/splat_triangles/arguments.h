@@ -1,6 +1,6 @@
-// Checks and converts the arguments of triangle splatting, for the CPU and a GPU. Shapes are checked here, because a
-// kernel would read past the end of an array with a wrong shape. fourd/raster/triangles/splatting.py checks values,
-// and vertex indices on a GPU.
+// Checks and converts the arguments of triangle splatting, for the CPU and a GPU. This file checks shapes, because a
+// kernel would read past the end of an array with a wrong shape. fourd/raster/triangles/splatting.py checks values, and
+// also the vertex indices of arrays on a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -52,7 +52,7 @@ struct SplatArguments {
                 sigma.data(), xyz.shape(0), count, static_cast<int>(channels), geometry};
     }
 
-    // Without geometry, normal and depth may have any shape and are not used.
+    // If `geometry` is false, the arrays `normal` and `depth` are not used and may have any shape.
     static splat_triangles::Image image(const splat_triangles::Mesh& mesh, const PictureOut& features,
                                         const RowsOut& alpha, const RowsOut& transmittance, const PictureOut& normal,
                                         const RowsOut& depth) {

@@ -1,11 +1,11 @@
 // The maths of triangle splatting, shared by every backend. fourd/ops/splat_triangles/reference.py computes the same
 // float32 numbers in the same order, so that kernel and reference find the same hits.
 //
-// A projected triangle has the incentre s, the inradius r and the signed distances phi_k(p) of a pixel p from its three
-// edges, negative inside. Because phi_k(s) = -r for every edge, this file uses
-//     a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y).
-// The window is max(min_k a_k(p), 0)^sigma. With barycentric coordinates lambda_k, edge lengths l_k and the perimeter
-// P, a_k = lambda_k P / l_k, for both orientations of the triangle.
+// A projected triangle has the incentre s and the inradius r. phi_k(p) is the signed distance of a pixel p from edge k,
+// which is negative inside the triangle. Because phi_k(s) = -r for every edge, this file uses
+// a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y). The window is max(min_k a_k(p),
+// 0)^sigma. With barycentric coordinates lambda_k, edge lengths l_k and the perimeter P, a_k = lambda_k P / l_k, for
+// both orientations of the triangle.
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -22,9 +22,9 @@
 namespace fourd::splat_triangles {
 
 constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to kMaxAlpha, so that later triangles keep a gradient.
-constexpr float kInverseMinAlpha = 255.0f;    // Triangles with an alpha below 1 / 255 are skipped at a pixel.
+constexpr float kInverseMinAlpha = 255.0f;    // A triangle is skipped at pixels where its alpha is below 1 / 255.
 constexpr float kMinTransmittance = 1e-4f;    // A pixel is complete at or below this transmittance.
-constexpr float kSmallestWindow = 1e-7f;      // Values of min_k a_k below kSmallestWindow are rounding errors.
+constexpr float kSmallestWindow = 1e-7f;      // Values of min_k a_k below kSmallestWindow count as rounding errors.
 constexpr float kLn2 = 0.693147181f;
 
 using tiles::constant;
@@ -54,14 +54,14 @@ struct alignas(64) Splat {
 
 FOURD_HD static inline tiles::TileRange tile_range_of(const Splat& splat) { return splat.range; }
 
-// Sums of gradients over the pixels of a triangle. With the gradient g_k with respect to a_k, `a`, `ax` and `ay` are
-// the sums of g_k, g_k (p.x - s.x) and g_k (p.y - s.y).
+// Sums of gradients over the pixels of a triangle. Let g_k be the gradient of the loss with respect to a_k. The members
+// `a`, `ax` and `ay` are the sums of g_k, g_k (p.x - s.x) and g_k (p.y - s.y).
 struct ShapeGradient {
     float a[3], ax[3], ay[3];
     float opacity, sigma;
 };
 
-// The triangle after projection. If `visible` is false, the other members have no defined values.
+// A triangle after projection. If `visible` is false, the other members are undefined.
 template <typename Number, typename Condition>
 struct Projection {
     Number x, y, slope_x[3], slope_y[3], smallest, z;
@@ -117,8 +117,8 @@ FOURD_HD static inline Window window_at(const Splat& splat, float x, float y) {
     return {dx, dy, minimum(a[0], rest), edge};
 }
 
-// Coverage of a pixel by a triangle. If alpha is 0, the triangle does not hit the pixel, and the values of `falloff`
-// and `unclamped` are undefined.
+// How a triangle covers a pixel. If alpha is 0, the triangle does not hit the pixel, and the values of `falloff` and
+// `unclamped` are undefined.
 struct PixelCoverage {
     Window window;
     float falloff, unclamped, alpha;

@@ -13,14 +13,15 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum number of pixels between the taps of a line filter.
 
-// Half of the side in pixels of the largest square around a pixel to which its line must reach. Other lines are specks.
-// The result is at most 32.
+// A line at a pixel is drawn only if it reaches the sides of squares around the pixel; other lines are specks. Returns
+// half the side of the largest square, in pixels, which is at most 32.
 constexpr int speck_reach(int thickness) {
     int reach = 8;
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;
     return reach;
 }
-constexpr std::uint32_t kLeastStrength = 32;  // Least strength, of 255, of a line that continues other lines.
+// Minimum strength, from 0 to 255, at which a pixel's line counts as the continuation of other lines.
+constexpr std::uint32_t kLeastStrength = 32;
 
 // The quantity that selects the row of the shade table.
 enum class Detail { facing = 0, depth = 1, focus = 2 };
@@ -29,8 +30,8 @@ enum class Lines { none = 0, sobel = 1, cross = 2 };
 // Numbers in the order of StyleParameters.numbers in fourd/ops/stylize/parameters.py.
 struct Numbers {
     float ray[6];    // Ray of pixel (x, y) with depth 1: (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5]).
-    float light[3];  // Unit vector towards the light, in the frame of the camera.
-    // colour = table * (table_alone + table_times_albedo * albedo) + albedo_alone * albedo.
+    float light[3];  // Unit vector towards the light, in camera axes.
+    // Factors of the formula colour = table * (table_alone + table_times_albedo * albedo) + albedo_alone * albedo.
     float table_alone, table_times_albedo, albedo_alone;
     float detail_offset, detail_per_depth;
     float angle_threshold, angle_softness, angle_strength, angle_colour[3];
@@ -50,16 +51,16 @@ struct Style {
 
 // The visible surface (points/points.h, Surface).
 struct Surface {
-    const std::uint8_t* albedo;  // (height, width, 4): colours multiplied by alpha, then alpha.
+    const std::uint8_t* albedo;  // (height, width, 4): colour multiplied by alpha, then alpha.
     const float* inverse_depth;  // (height, width).
     const std::uint8_t* normal;  // (height, width, 4).
     int width, height;
 };
 
-// Writes the picture to `out` (height, width, 4). `line_state` (height, width) has the lines of the previous image from
-// the same camera, and receives the lines of this image. `line_state` may be null. The lowest byte of an element is the
-// strength of the line, where 0 means no line. The upper half of an element is the upper half of a float: the sum of
-// the inverse depths at the nine taps of the line filter.
+// Writes the picture to `out` (height, width, 4). `line_state` (height, width) may be null. Otherwise, it has the lines
+// of the previous image from the same camera, and the function overwrites it with the lines of the new image. The
+// lowest byte of a line_state element is the strength of the line, where 0 means no line. The upper 16 bits are those
+// of a float: the sum of the inverse depths at the nine taps of the line filter.
 void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out);
 

@@ -1,5 +1,6 @@
-// Runs the kernels on small random and invalid inputs, in sanitizer builds. Three threads call the kernels at once. This
-// program checks that there are no accesses out of bounds and no data races, and that results are finite for any points.
+// Runs the kernels on small random and invalid inputs, in sanitizer builds. Three threads call the kernels at the same
+// time. The sanitizers detect accesses out of bounds and data races. The program also checks that results are finite
+// for any points.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>

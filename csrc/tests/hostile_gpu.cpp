@@ -1,6 +1,6 @@
-// Runs the emulated CUDA kernels on small random and invalid inputs, in sanitizer builds. This program checks that
-// there are no accesses out of bounds and no diverging lanes. The program also checks that results are finite for any
-// points and any size of the workspace.
+// Runs the emulated CUDA kernels on small random and invalid inputs, in sanitizer builds. The sanitizers detect
+// accesses out of bounds, and the emulator detects diverging lanes. The program also checks that results are finite for
+// any points and any size of the workspace.
 #include <cstdio>
 #include <cstdlib>
 #include <vector>

@@ -13,7 +13,7 @@
 
 namespace fourd::tests {
 
-// Stylizes a surface of random bytes and of depths that may be infinite, NaN or negative.
+// Stylizes a surface whose colours and normals are random bytes, and whose depths may be infinite, NaN or negative.
 inline void run_stylize(unsigned seed, const char* simd) {
     Random random(seed);
     const int width = random_int(random, 0, 150), height = random_int(random, 0, 40);

@@ -53,7 +53,7 @@ struct MeshInputs {
         from_rast.resize(4 * pixels), from_db.resize(4 * pixels);
     }
 
-    // Replaces the triangles of the pixels by any triangles, also by triangles that rasterize() does not draw.
+    // Replaces the triangle of each pixel by a random triangle, which can also be one that rasterize() does not draw.
     void invent_triangles(Random& random) {
         for (std::size_t i = 3; i < rast.size(); i += 4) {
             rast[i] = value_of_triangle(random_int(random, -1, static_cast<int>(query.triangles)));
@@ -94,7 +94,7 @@ struct RayInputs {
         const std::size_t count = random_int(random, 0, 200);
         layers = random_int(random, 1, 9);
         xyz = random_floats(random, 3 * static_cast<std::size_t>(vertices), -1, 1, hostile);
-        const int outside = hostile > 0 ? 1 : 0;  // Whether triangles have vertices that do not exist.
+        const int outside = hostile > 0 ? 1 : 0;  // If 1, some triangles have vertex indices out of range.
         for (int i = 0; i < 3 * triangles; ++i) tri.push_back(random_int(random, -outside, vertices - 1 + outside));
         origins = random_floats(random, 3 * count, -2, 2, hostile);
         directions = random_floats(random, 3 * count, -1, 1, hostile);
@@ -127,8 +127,8 @@ struct RayInputs {
         for (std::int32_t& index : triangle) index = random_int(random, -2, static_cast<int>(tri.size()));
     }
 
-    // Composites discs at the vertices, with radii and densities that may be invalid. Returns the picture.
-    // `composite` is called with a tree, rays and a picture.
+    // Composites discs at the vertices, with radii and densities that may be invalid, and returns the picture.
+    // `composite` is the function to test, which is called with a tree, rays and a picture.
     template <typename Composite>
     Floats composite_discs(Random& random, float hostile, const Composite& composite) const {
         const std::size_t count = xyz.size() / 3;

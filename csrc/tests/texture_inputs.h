@@ -49,7 +49,7 @@ struct TextureInputs {
         query.threads = random_int(random, 1, 4);
     }
 
-    // Pointers to levels 1 and up, which build_mips() writes.
+    // Returns pointers to the mip levels from 1 on, which build_mips() writes.
     std::vector<float*> mips() {
         std::vector<float*> pointers;
         for (std::size_t level = 1; level < levels.size(); ++level) pointers.push_back(levels[level].data());
@@ -78,7 +78,7 @@ struct TextureInputs {
     }
 
   private:
-    // Makes the sides multiples of 8, or 1, so that a chain of four levels can be built.
+    // Makes each side of the texture a multiple of 8, or 1, so that a chain of four mip levels can be built.
     void make_even(Random& random) {
         texture::Shape& shape = query.texture.shape;
         shape.height = random_int(random, 0, 4) ? (shape.height + 7) / 8 * 8 : 1;

@@ -18,7 +18,8 @@ inline Bytes random_bytes(Random& random, std::size_t count) {
     return bytes;
 }
 
-// Decodes random positions, views and spherical harmonics. Values are arbitrary, so only memory accesses are checked.
+// Decodes random positions, views and spherical harmonics. The values are arbitrary, so only memory accesses are
+// checked, not results.
 inline void run_unpack(unsigned seed, const char* simd) {
     Random random(seed);
     const unpack::Loops& loops = unpack::select_loops(simd_named(simd));

@@ -98,7 +98,8 @@ std::function<void()> play_workload(const Size& size) {
     std::mt19937 random(5);
     const auto halves = [&](std::size_t count) {
         std::vector<std::uint16_t> out(count);
-        for (auto& half : out) half = static_cast<std::uint16_t>(0x3000 + random() % 0x800);  // From 0.125 to 0.5.
+        // As float16, random numbers from 0.125 to 0.5.
+        for (auto& half : out) half = static_cast<std::uint16_t>(0x3000 + random() % 0x800);
         return out;
     };
     std::vector<std::uint16_t> radius(size.points);
@@ -155,8 +156,8 @@ std::function<void()> planes_workload(const Size& size, bool backward) {
     };
 }
 
-// Hash grid lookups at points along random lines, like samples of rays. The hash grid has 16 levels of 2 features, from
-// 16 to 2048 cells per side. Each level has at most 2^layers entries.
+// Hash grid lookups at points along random lines, like the samples along camera rays. The hash grid has 16 levels of 2
+// features, from 16 to 2048 cells per side. Each level has at most 2^layers entries.
 std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     constexpr std::size_t kPerLine = 128;
     constexpr int kLevels = 16, kFeatures = 2;
@@ -191,7 +192,7 @@ std::function<void()> hashgrid_workload(const Size& size, bool backward) {
     };
 }
 
-// Sampling of four adjacent source views, with 16 feature channels at half the resolution of the images.
+// Samples four adjacent source views, which have 16 feature channels at half the resolution of the images.
 std::function<void()> sources_workload(const Size& size, bool backward) {
     constexpr int kViews = 4, kChannels = 16;
     const Figure figure(size.points);

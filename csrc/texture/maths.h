@@ -23,7 +23,7 @@ FOURD_HD FOURD_INLINE float absolute(float x) { return x < 0.0f ? -x : x; }
 
 FOURD_HD FOURD_INLINE bool is_finite(float x) { return absolute(x) <= 3.4028234e38f; }  // False for NaN.
 
-// The largest integer that is not above x, for |x| < 2^31.
+// Rounds x down to an integer, for |x| < 2^31.
 FOURD_HD FOURD_INLINE int floor_of(float x) {
     const int towards_zero = static_cast<int>(x);
     return towards_zero - (static_cast<float>(towards_zero) > x ? 1 : 0);
@@ -45,7 +45,7 @@ FOURD_HD FOURD_INLINE float log2_of(float x) {
     return static_cast<float>(exponent) + z * (series * z2 + 2.8853901f);
 }
 
-// Derivatives of a texture position with respect to the x and y coordinates of the picture, in texels of level 0 per
+// Derivatives of the texture position with respect to the x and y coordinates of the picture, in texels of level 0 per
 // pixel.
 struct Footprint {
     float s_x, s_y, t_x, t_y;
@@ -53,7 +53,7 @@ struct Footprint {
 
 // Derivatives are limited to +-kMaxDerivative, so that their fourth powers are finite. NaN stays NaN.
 constexpr float kMaxDerivative = 1e9f;
-// A footprint whose squared length is smaller than this number counts as a point.
+// A footprint whose longer axis has a squared length below kMinSquare counts as a point.
 constexpr float kMinSquare = 1e-36f;
 
 FOURD_HD FOURD_INLINE float limited_derivative(float value) {
@@ -61,8 +61,8 @@ FOURD_HD FOURD_INLINE float limited_derivative(float value) {
     return value < -kMaxDerivative ? -kMaxDerivative : value;
 }
 
-// The squared length of the longer axis of a footprint, which is the larger eigenvalue of a symmetric matrix with the
-// entries a, c, c and b.
+// The squared length of the longer axis of a footprint, which is the larger eigenvalue of the symmetric matrix (a, c;
+// c, b).
 struct LongerAxis {
     float a, b, c, root, square;
 };
@@ -96,8 +96,7 @@ FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
     return square == square ? level : square;
 }
 
-// The derivatives of level_of with respect to the four numbers of a footprint. The derivatives are 0 if the footprint
-// is a point.
+// The derivatives of level_of() with respect to the four numbers of a footprint, or 0 if the footprint is a point.
 FOURD_HD FOURD_INLINE Footprint level_slopes(const Footprint& d) {
     const LongerAxis axis = longer_axis(d);
     const bool is_point = !(axis.square >= kMinSquare);
@@ -144,8 +143,8 @@ FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
     return x < high ? x : high;
 }
 
-// Converts a finite coordinate for linear_axis and nearest_axis. With Boundary::wrap, the result is the fraction in
-// [0, 1]. At magnitudes of 2^23 and above, the fraction is 0, because such floats are integers.
+// Converts a finite coordinate for linear_axis and nearest_axis. With Boundary::wrap, the result is the fraction in [0,
+// 1]. At magnitudes of 2^23 and above, every float is an integer, so the fraction is 0.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE float wrapped(float u) {
     if (boundary != Boundary::wrap) return u;
@@ -181,8 +180,8 @@ FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
     }
     const Axis out = {{low, high}, {1.0f - fraction, fraction}, {-scale, scale}};
     if (boundary == Boundary::cube) return out;
-    // The conditions are computed with bit masks. Compilers would turn selections into branches, which prevent
-    // vectorisation.
+    // The conditions are computed with bit masks, because compilers would turn ?: expressions into branches, which
+    // prevent vectorisation.
     return {{low + (size & (low >> 31)), high - (size & ((size - 1 - high) >> 31))},
             {out.weight[0], out.weight[1]},
             {out.slope[0], out.slope[1]}};

@@ -18,14 +18,16 @@ FOURD_HD FOURD_INLINE int side_at(int side, int level) { return side >> level > 
 // least one texel.
 struct Shape {
     std::size_t items;          // Number of textures.
-    int faces, height, width;   // Size of level 0. A cube map has 6 faces, all other textures have one.
+    int faces, height, width;   // Size of level 0. A cube map has 6 faces, and every other texture has one.
     int channels;
     int level_count;            // From 1 to kMaxLevels.
 
-    FOURD_HD FOURD_INLINE std::size_t texels(int level) const {  // Number of texels of one item, below 2^31.
+    // Number of texels of one item in this level, which is below 2^31.
+    FOURD_HD FOURD_INLINE std::size_t texels(int level) const {
         return static_cast<std::size_t>(faces) * side_at(height, level) * side_at(width, level);
     }
-    FOURD_HD FOURD_INLINE std::size_t floats(int level) const { return texels(level) * channels; }  // For one item.
+    // Number of floats of one item in this level.
+    FOURD_HD FOURD_INLINE std::size_t floats(int level) const { return texels(level) * channels; }
 };
 
 struct Texture {
@@ -38,7 +40,7 @@ struct Texture {
 };
 
 struct Query {
-    Texture texture;  // One item for every picture, or one for all pictures.
+    Texture texture;  // The texture has one item for each picture, or one item that all pictures share.
     Filter filter;
     Boundary boundary;
     const float* uv;      // (pictures, pixels, 2), or (pictures, pixels, 3) for a cube.
@@ -55,7 +57,7 @@ struct Query {
 // Gradients with respect to the inputs. Each gradient has the shape of its input. A gradient whose pointer is null is
 // not computed.
 struct Gradients {
-    float* levels[kMaxLevels];  // Either no pointer or every pointer is null.
+    float* levels[kMaxLevels];  // Either all pointers are null, or none is null.
     float* uv;
     float* uv_da;
     float* bias;
@@ -68,8 +70,8 @@ void sample(const Query& query, float* out);
 // computed from level 0, so their gradients are added to the gradient of level 0.
 void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out);
 
-// Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels, or of 2 texels if an axis has only one
-// texel. mips[k] is level k + 1.
+// Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels of the previous level, or of 2 texels if
+// one side has only one texel. mips[k] is level k + 1.
 void build_mips(const Shape& shape, const float* base, float* const* mips, int threads, Simd simd);
 
 }  // namespace fourd::texture

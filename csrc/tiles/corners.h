@@ -80,8 +80,8 @@ FOURD_HD static inline Edges<Number> edges_of(const Corners<Number>& at) {
     return out;
 }
 
-// Whether the depths, the pixel coordinates and the inradius of a triangle are in the ranges given above. The result is
-// false for NaN, because all comparisons with NaN are false.
+// Whether a triangle is within the limits kMaxDepth, kFarthestPixel and kThinnest. If a number is NaN, the result is
+// false, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<Number>& edges, float near_depth) {
     const Number* const tag = nullptr;
@@ -103,7 +103,8 @@ FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number 
     const Number* const tag = nullptr;
     const Number zero = constant(0.0f, tag), half = constant(0.5f, tag);
     const Number end = constant(static_cast<float>(size - 1), tag);
-    // The margin is enlarged, because rounding errors could otherwise exclude pixels that the triangle hits.
+    // The margin is enlarged, because rounding errors in the bounds could otherwise exclude pixels that the triangle
+    // hits.
     margin = margin + constant(1e-3f, tag) + (high - low) * constant(1e-5f, tag);
     const Number from = maximum(low - margin - half, zero), to = minimum(high + margin - half, end);
     *first = floor_of(from * constant(1.0f / kTile, tag));

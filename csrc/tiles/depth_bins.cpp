@@ -34,7 +34,7 @@ std::vector<DepthBins::Run> DepthBins::split(std::size_t count, int parts) {
     return runs;
 }
 
-// Projects all primitives and returns spans of items. The spans contain only the items of visible primitives.
+// Projects all primitives, and returns spans of items. Only visible primitives have items.
 std::vector<DepthBins::Run> DepthBins::project_all(std::size_t count, const Project& project, Team& team) {
     std::vector<Run> runs = split(count, team.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
@@ -116,7 +116,7 @@ std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, 
 }
 
 // Writes the entries of the tiles in the rows [top, bottom). In each tile, the entries of a part follow the entries of
-// the previous parts. The counts of these tiles in counts_ are replaced.
+// the previous parts. The function overwrites the counts of these tiles in counts_.
 void DepthBins::fill_rows(int top, int bottom, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
     const std::size_t columns = static_cast<std::size_t>(columns_);

@@ -18,8 +18,7 @@ namespace fourd::tiles {
 class DepthBins {
   public:
     // Projects the primitives [begin, end). Writes the tile range of each primitive to tile_ranges, which is indexed by
-    // primitive, and the items of the visible primitives to `items`, in the order of their indices. Returns the number
-    // of items.
+    // primitive. Writes the items of the visible primitives to `items`, in index order, and returns their number.
     using Project =
         std::function<std::size_t(std::size_t begin, std::size_t end, TileRange* tile_ranges, Item* items)>;
 
@@ -30,9 +29,9 @@ class DepthBins {
     // for all rows of tiles from top to bottom.
     void prepare(std::size_t count, int width, int height, const Project& project, Team& team);
 
-    // Bins the primitives into the rows of tiles from `top`, and returns the first row that follows. The number of
-    // rows is limited by `max_entries`, but is at least 1. Only these rows have entries until the next call. Large
-    // primitives can have more entries than the memory has room for.
+    // Bins the primitives into a band of tile rows that starts at row `top`, and returns the first row after the band.
+    // The band has at least one row, and more rows only up to `max_entries` entries. Until the next call, only the rows
+    // of the band have entries. Without bands, the entries of large primitives could exceed the available memory.
     int fill_band(int top, std::size_t max_entries, Team& team);
 
     // Projects and sorts the primitives, without binning them. order() then returns the sorted items.
@@ -73,9 +72,9 @@ class DepthBins {
     Buffer<std::size_t> tile_begin_;
 };
 
-// Assigns a slot to each (primitive, tile) entry. When a tile is processed, its result for the primitive is written
-// into the slot. The slots of a primitive are adjacent and are reduced in a fixed order, so the result does not depend
-// on which thread filled them.
+// Assigns a slot to each (primitive, tile) entry. When a tile is processed, the tile's result for the primitive is
+// written into the slot. The slots of a primitive are adjacent and are summed in a fixed order. The sum therefore does
+// not depend on which thread filled the slots.
 class Slots {
   public:
     // Assigns the slots of `count` primitives, and returns the number of slots.

@@ -43,7 +43,8 @@ struct Item {
     std::uint32_t index;
 };
 
-// The coordinate of the centre of a pixel. float32 represents pixel indices exactly.
+// Returns the coordinate of a pixel's centre. The conversion is exact, because float32 represents every pixel index
+// exactly.
 FOURD_HD static inline float pixel_centre(int index) { return static_cast<float>(index) + 0.5f; }
 
 }  // namespace fourd::tiles

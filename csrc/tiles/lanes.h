@@ -2,10 +2,10 @@
 // that this file is compiled for. A dispatched file (common/dispatch.h) includes this file inside its namespace.
 // Additions have the same order for all instruction sets, so results have the same bits, except those of multiply_add.
 //
-// multiply_add(a, b, c) returns a b + c. Only instruction sets with fused operations skip the rounding of the product.
-// exponent_of and mantissa_of take positive normal numbers a = m 2^e with m in [1, 2), and return e and m. The function
-// times_power_of_two(a, power) returns a 2^power for whole numbers `power`. The result must be a normal number.
-// minimum(a, b) and maximum(a, b) return b where a or b is NaN.
+// multiply_add(a, b, c) returns a b + c. With fused multiply-add, the product is not rounded; other instruction sets
+// round the product. For positive normal numbers a = m 2^e with m in [1, 2), exponent_of(a) returns e and
+// mantissa_of(a) returns m. times_power_of_two(a, power) returns a * 2^power, where `power` is a whole number. The
+// result must be a normal number. minimum(a, b) and maximum(a, b) return b where a or b is NaN.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 
@@ -370,5 +370,6 @@ inline float max_lane(Lanes a) {
     return v[0];
 }
 
-// An overload for Lanes, for code that is written for both floats and Lanes. The pointer only selects the overload.
+// The overload of constant() for Lanes. With such overloads, templates work on floats and on Lanes. The pointer
+// argument only selects the overload.
 inline Lanes constant(float value, const Lanes*) { return broadcast(value); }

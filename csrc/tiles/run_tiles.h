@@ -1,4 +1,4 @@
-// Work on the tiles of an image, in parallel.
+// Processes the tiles of an image in parallel.
 #pragma once
 
 #include <algorithm>
@@ -8,8 +8,8 @@
 namespace fourd::tiles {
 
 // Calls work(tile, worker) for all tiles in [first, last), in any order. A task is a group of consecutive tiles of at
-// most kTilesPerTask. Without groups, two threads would often write to neighbouring tiles at the same time. Rows of
-// neighbouring tiles share cache lines, which would then move between the cores with each write.
+// most kTilesPerTask. Without groups, two threads would often write to neighbouring tiles at the same time. Pixel rows
+// of neighbouring tiles share cache lines, so every write would move a cache line between the cores.
 template <typename Work>
 void run_tiles(Team& team, int first, int last, const Work& work) {
     constexpr int kTilesPerTask = 8, kTasksPerThread = 16;

@@ -13,7 +13,7 @@ namespace fourd::unpack {
 namespace FOURD_SIMD {
 namespace {
 
-constexpr std::size_t kBlock = 64;  // Number of points whose output fits into the first-level cache.
+constexpr std::size_t kBlock = 64;  // Number of points per block. The output of one block fits into the L1 cache.
 constexpr std::size_t kGroup = 4;   // Number of points whose sums are computed at the same time.
 
 // A block of points, with the rows of the basis that contribute to it. A row contributes if its factor is not 0 for at
@@ -89,8 +89,8 @@ void harmonics(const Harmonics& from, std::uint16_t* out) {
     }
 }
 
-// Adds `step` times a level, which is a signed byte, to a colour. With a step of 1, sums wrap around, so that levels
-// represent all differences of colours.
+// Adds `step` times a level, which is a signed byte, to a colour. With a step of 1, sums wrap around modulo 256, so
+// that one byte can represent every difference of two colours.
 FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int step) {
     const int sum = mean + step * static_cast<std::int8_t>(level);
     const int clamped = sum < 0 ? 0 : (sum > 255 ? 255 : sum);
@@ -108,7 +108,7 @@ FOURD_INLINE void write_point(const Views& from, std::size_t number, std::size_t
     rgb[2] = add_level(mean[2], static_cast<std::uint8_t>(level[0] + level[2]), from.colour_step);
 }
 
-// Writes one view of `count` points that all have colours.
+// Writes one view of `count` points, for scenes in which every point has colours.
 void view_of_all(const Views& from, std::size_t number, std::size_t first, std::size_t count,
                  std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];
@@ -118,9 +118,8 @@ void view_of_all(const Views& from, std::size_t number, std::size_t first, std::
     }
 }
 
-// Writes one view of `count` points. Returns the number of colours that were read. Points without a colour also read a
-// level, which is then masked. A branch would be slower than this read, because the processor cannot predict the
-// branch.
+// Writes one view of `count` points, and returns the number of colours that were read. For points without a colour, the
+// function also reads a level, which is then masked. A branch would be slower, because the processor cannot predict it.
 std::size_t view_of_some(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
                          std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];

@@ -12,8 +12,8 @@ namespace fourd::unpack {
 constexpr int kShNumbers = 48;
 constexpr int kWeightCodes = 256;
 
-// Spherical harmonics. The coefficients of a point are the mean plus a sum of basis rows. Each row is multiplied by a
-// factor of the point.
+// Spherical harmonics. The coefficients of a point are the mean plus a weighted sum of the basis rows. The weights,
+// called factors, are stored for each point.
 struct Harmonics {
     const std::uint8_t* low;   // (rows, points): low bytes of the zigzag-coded factors.
     const std::uint8_t* high;  // (rows, points): high bytes.
@@ -39,7 +39,8 @@ struct Views {
     bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
 };
 
-// Positions: the differences of successive Morton codes, as planes of bytes. The lowest bytes come first.
+// Positions are stored as the differences of successive Morton codes. Byte k of all differences forms plane k, and the
+// plane of the lowest bytes comes first.
 struct Positions {
     const std::uint8_t* planes;  // (code_bytes, points).
     int code_bytes;              // Number of bytes per code, from 1 to 8.

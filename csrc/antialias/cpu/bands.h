@@ -1,4 +1,4 @@
-// Division of the work in kernels that visit the pairs of neighbouring pixels of an image. Dispatched files
+// Divides the work of kernels that visit all pairs of neighbouring pixels of an image. Dispatched files
 // (common/dispatch.h) do not include this header.
 #pragma once
 
@@ -23,7 +23,7 @@ inline Rows rows_of(const Images& images, int task) {
     return {static_cast<std::size_t>(task / bands), begin, std::min(images.height, begin + kRowsPerTask)};
 }
 
-// The results of silhouettes_of() for all triangles of all instances, see Plan::silhouettes.
+// Computes silhouettes_of() for all triangles of all instances, in the layout of Plan::silhouettes.
 Buffer<std::uint8_t> find_silhouettes(const Mesh& mesh, std::size_t images, Simd simd, Team& team);
 
 }  // namespace fourd::antialias

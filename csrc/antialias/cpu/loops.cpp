@@ -1,5 +1,5 @@
-// Most pairs of pixels show the same triangle, or triangles without silhouettes. The loops quickly find the other
-// pairs.
+// In most pairs of pixels, both pixels show the same triangle, or two triangles without silhouette edges. The loops
+// skip these pairs quickly.
 #include "antialias/cpu/loops.h"
 
 #include <cstdint>
@@ -41,7 +41,8 @@ void blend(const Plan& plan, const Rows& rows, float* scratch, float* out, std::
     float *ids = scratch, *below = scratch + view.width;
     std::uint8_t* const changes = reinterpret_cast<std::uint8_t*>(scratch + 2 * static_cast<std::size_t>(view.width));
     copy(plan.images.colours, begin * view.channels, end * view.channels, out);
-    // The loop starts one row before rows.begin, because blending the pairs of that row also changes row rows.begin.
+    // The loop starts at row rows.begin - 1, because pixels of that row form pairs with pixels of row rows.begin, and
+    // blending changes both.
     const int first = rows.begin > 0 ? rows.begin - 1 : 0;
     copy_ids(view.rast(view.pixel(first, 0)), view.width, below);
     for (int row = first; row < rows.end; ++row) {
@@ -118,7 +119,7 @@ void blend_backward(const Plan& plan, const Rows& rows, const Gradients& gradien
                 if (edge_of(codes[column], axis) == 0) continue;
                 const Pair pair{row, column, axis};
                 if (!has_owner(view, pair, codes[column])) {
-                    // count() counts these codes, too.
+                    // The crossings in these codes are included in the result of count().
                     if (own && contributions) *contributions++ = {0, 0, 0, 0}, *contributions++ = {0, 0, 0, 0};
                     continue;
                 }

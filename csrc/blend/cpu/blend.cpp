@@ -14,7 +14,7 @@ constexpr std::size_t kPointsPerTask = 64 * kRun;
 
 int task_count(const Inputs& inputs) { return static_cast<int>((inputs.count + kPointsPerTask - 1) / kPointsPerTask); }
 
-// Calls work(first, count) for each batch of the points of a task.
+// Splits the points of a task into batches, and calls work(first, count) for each batch.
 template <typename Work>
 void for_runs(const Inputs& inputs, int task, const Work& work) {
     const std::size_t begin = task * kPointsPerTask, end = std::min(inputs.count, begin + kPointsPerTask);
@@ -23,12 +23,12 @@ void for_runs(const Inputs& inputs, int task, const Work& work) {
     }
 }
 
-// The number of floats that the partial sums of one task need.
+// Returns the number of floats in the partial sums of one task.
 std::size_t sums_size(const Mlp& mlp) {
     return (static_cast<std::size_t>(mlp.channels) * mlp.hidden + mlp.hidden + 1) * kLanes;
 }
 
-// Adds the kLanes partial sums of sum i, and returns the total.
+// Returns the total of the kLanes partial sums of sum i.
 float total(const float* sums, std::size_t i) {
     float out = 0.0f;
     for (int lane = 0; lane < kLanes; ++lane) out += sums[i * kLanes + lane];

@@ -1,5 +1,5 @@
-// Inner loops over batches of kRun consecutive points. Each SIMD lane computes one point. The loops therefore never add
-// the lanes of a vector, and they broadcast each MLP weight to all lanes.
+// Inner loops over batches of kRun consecutive points. Each SIMD lane computes one point. Each MLP weight is therefore
+// broadcast to all lanes, and values of different lanes are never added.
 #include <cmath>
 #include <cstring>
 
@@ -24,7 +24,7 @@ typedef float Vector __attribute__((vector_size(4 * kNative)));
 
 inline Vector broadcast(float x) { return x - Vector{}; }
 
-// Selects the lanes of value where x is positive, and 0 in the other lanes.
+// Returns the lanes of `value` where x is positive, and 0 in the other lanes.
 inline Vector where_positive(const Vector& x, const Vector& value) { return x > 0.0f ? value : Vector{}; }
 
 #else
@@ -82,7 +82,7 @@ inline void load_run(const float* from, int count, RunValues* to) {
 
 inline void store_run(const RunValues& from, int count, float* to) { std::memcpy(to, &from, count * sizeof(float)); }
 
-// Transposes the rows of count points. out[h] receives value h of every point.
+// Transposes the rows of `count` points, so that out[h] has value h of every point.
 inline void load_transposed(const float* from, int width, int count, RunValues* out) {
     if (count < kRun) std::memset(out, 0, width * sizeof(RunValues));
     float* to = reinterpret_cast<float*>(out);
@@ -98,7 +98,7 @@ inline void store_transposed(const RunValues* from, int width, int count, float*
     }
 }
 
-// The offset of the samples of channel c in one view, for the point with index `first`.
+// Returns the offset of the sample of channel c in one view, for the point with index `first`.
 inline std::size_t sample_at(const Mlp& mlp, const Inputs& inputs, std::size_t view, int c, std::size_t first) {
     return (view * mlp.channels + c) * inputs.count + first;
 }
@@ -135,7 +135,7 @@ void forward(const Mlp& mlp, const Inputs& inputs, std::size_t first, int count,
     }
 }
 
-// Adds the products a * b of all points to kLanes partial sums.
+// Computes the product a * b for each point, and adds the products to kLanes partial sums.
 inline void add_products(const RunValues& a, const RunValues& b, float* sum) {
     for (int first = 0; first < kSums; ++first) {
         Vector total;

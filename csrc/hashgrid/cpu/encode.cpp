@@ -8,8 +8,8 @@
 namespace fourd::hashgrid {
 namespace {
 
-// Number of points per part. The encodings of the points of one part stay in the L2 cache from level to level. The
-// table entries of a level are reused for many points.
+// Number of points per part. A part is small enough that the encodings of its points stay in the L2 cache from level to
+// level. A part is large enough that its points share many table entries of each level.
 constexpr std::size_t kPointsPerTask = 4096;
 
 // Sets the entries of a level, and the padding after them, to zero.
@@ -34,10 +34,11 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
     Team team(query.threads);
     if (grad_table != nullptr) {
         prefer_huge_pages(grad_table, query.entries * query.features * sizeof(float));
-        // Because one worker processes all points of a level in order, no locks are needed and the order of sums is
-        // fixed.
+        // One worker processes all points of a level, in order. Therefore, no locks are needed, and the order of
+        // additions is fixed.
         team.run(query.level_count, [&](int task, int) {
-            const int l = query.level_count - 1 - task;  // Small levels come last, to balance the load.
+            // The last tasks are small levels, which balances the load of the workers.
+            const int l = query.level_count - 1 - task;
             clear(query, l, grad_table);
             loops.scatter(query, l, gradient, grad_table);
         });

@@ -11,7 +11,7 @@ namespace {
 
 constexpr int kRun = 16;  // Number of points per batch. While one batch is processed, the next batch is prefetched.
 
-// A vector of Width float values.
+// A SIMD vector of `Width` floats.
 template <int Width>
 struct Vector;
 template <>
@@ -61,14 +61,14 @@ FOURD_INLINE void add(float weight, const Entry<Features>& from, Entry<Features>
     for (int part = 0; part < Entry<Features>::kParts; ++part) to->parts[part] += weight * from.parts[part];
 }
 
-// The cells of the points of a batch. Arrays are indexed by corner or edge, then by point.
+// The grid cells that contain the points of a batch. Arrays are indexed by corner or edge, then by point.
 struct Cells {
     std::uint32_t entry[kCorners][kRun];
     float weight[kCorners / 2][kRun];
     float fraction[kRun];
 };
 
-// The coordinates of the points of a batch, indexed by axis, then by point. Places after the last point contain 0.
+// The coordinates of the points of a batch, indexed by axis, then by point. Elements after the last point are 0.
 struct Coordinates {
     float at[3][kRun];
 };
@@ -95,8 +95,8 @@ FOURD_INLINE void find_cells_as(const Level& level, const Coordinates& from, Cel
     }
 }
 
-// Finds the cells of `count` points. The number `count` is at most kRun. This function is not forced inline, because it
-// has most of the code and all callers can share one copy.
+// Finds the cells of `count` points. The number `count` is at most kRun. This function is not forced inline: its code
+// is long, and all callers can share one copy.
 void find_cells(const Level& level, const float* coordinates, int count, Cells* out) {
     Coordinates run;
     gather(coordinates, count, &run);
@@ -159,8 +159,8 @@ FOURD_INLINE int run_length(std::size_t begin, std::size_t end) {
     return end - begin < kRun ? static_cast<int>(end - begin) : kRun;
 }
 
-// Calls use(cells, i, point) for each point in [begin, end). While one batch of points is used, prefetch_entries(cells,
-// i, point) is called for the points of the next batch.
+// Calls use(cells, i, point) for each point in [begin, end). During the calls for one batch, prefetch_entries(cells, i,
+// point) is called for the points of the next batch.
 template <typename Fetch, typename Use>
 FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::size_t begin, std::size_t end,
                             const Fetch& prefetch_entries, const Use& use) {

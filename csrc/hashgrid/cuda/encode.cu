@@ -6,8 +6,8 @@
 namespace fourd::hashgrid::cuda {
 namespace {
 
-// The levels and points that a kernel processes. Kernels process one level after another. Threads that run at the same
-// time then share the table entries of one level in the cache (Mueller et al. 2022, sec. 4).
+// The levels and points that a kernel processes. Kernels process one level after another, so that threads that run at
+// the same time share the cached table entries of one level (Mueller et al. 2022, sec. 4).
 struct Grid {
     Level levels[kMaxLevels];
     int level_count, features;
@@ -40,7 +40,7 @@ struct Location {
                        interpolate_axis(level, coordinates[2]));
     }
 
-    // The offset in the table of the entry at a corner of the cell.
+    // Returns the offset, in the table, of the entry at a corner of the cell.
     FOURD_DEVICE std::size_t at(const Grid& grid, int corner) const {
         return (level.first + cell.entry[corner]) * grid.features;
     }
@@ -56,8 +56,8 @@ struct Encode {
 
     FOURD_DEVICE void operator()(std::size_t index) const {
         const Location location(grid, index);
-        // This loop processes one feature at a time. An array of all features with a run-time index would be in local
-        // memory, not in registers.
+        // The loop processes one feature at a time. An array of all features would have run-time indices, so the
+        // compiler would place it in local memory and not in registers.
         for (int f = 0; f < grid.features; ++f) {
             float sum = 0.0f;
             for (int corner = 0; corner < kCorners; ++corner) {

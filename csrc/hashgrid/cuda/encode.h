@@ -8,7 +8,7 @@ namespace fourd::hashgrid::cuda {
 
 void encode(const Query& query, float* out, void* stream);
 
-// Sums over points have no fixed order, so the last bits of the gradients can differ between calls.
+// The order of the additions over points is not fixed, so the last bits of the gradients can differ between calls.
 void encode_backward(const Query& query, const float* gradient, float* grad_table, float* grad_coordinates,
                      void* stream);
 

@@ -10,7 +10,8 @@ constexpr int kTile = 32;  // Side of a tile in pixels.
 
 struct GradientTile {
     const float* attr;            // (vertices, channels): attributes for the image.
-    const std::int32_t* visible;  // (slots,): triangle of each slot. Slots number the visible triangles of the tile.
+    // (slots,): triangle of each slot. A slot is the number of a visible triangle in the tile.
+    const std::int32_t* visible;
     const std::int16_t* slot_of;  // (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
     int column, row;              // Position of the first pixel of the tile.
     std::size_t first;            // Index of the image's first pixel.
@@ -18,7 +19,7 @@ struct GradientTile {
 };
 
 struct Loops {
-    // Writes the pixels [begin, end) of an image, counted from the first pixel of the first image.
+    // Writes the pixels [begin, end) of an image. Pixels are counted from the first pixel of the first image.
     void (*forward)(const Query& query, const float* attr, std::size_t begin, std::size_t end, float* out,
                     float* out_da);
 

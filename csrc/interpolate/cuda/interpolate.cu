@@ -13,7 +13,7 @@ struct Pixel {
     const float* a0;
     const float* a1;
     const float* a2;
-    std::size_t first;  // Index in Query::attr of the image's first attribute.
+    std::size_t first;  // Index, in Query::attr, of the image's first attribute.
 
     FOURD_DEVICE Pixel(const Query& query, std::size_t index) {
         corners = corners_of(query.rast[4 * index + 3], query.tri, query.triangles, query.vertices, query.channels);

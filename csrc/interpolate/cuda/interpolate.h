@@ -8,7 +8,8 @@ namespace fourd::interpolate::cuda {
 
 void interpolate(const Query& query, float* out, float* out_da, void* stream);
 
-// Sums over pixels have no fixed order, so the last bits of the gradient of attr can differ between calls.
+// The order of the additions over pixels is not fixed, so the last bits of the gradient of attr can differ between
+// calls.
 void interpolate_backward(const Query& query, const Gradients& gradients, void* stream);
 
 }  // namespace fourd::interpolate::cuda

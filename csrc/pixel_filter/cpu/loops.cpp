@@ -1,5 +1,5 @@
-// The filter is separable. Runs of kRun pixels are first filtered along columns, with one more pixel on each side, and
-// then along rows. Runs of one colour, such as the background, are copied.
+// The filter is separable. A run of kRun pixels, with one more pixel on each side, is first filtered along columns. The
+// run is then filtered along the row. Runs in an area of one colour, such as the background, are copied.
 #include "pixel_filter/cpu/loops.h"
 
 #include <cstddef>
@@ -14,7 +14,7 @@ namespace {
 constexpr int kRun = 64;
 constexpr int kChannels = 4;
 
-// The row of the image and the rows above and below.
+// A row of the image, with the rows above and below it.
 struct Rows {
     const std::uint8_t *above, *centre, *below;
 };

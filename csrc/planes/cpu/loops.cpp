@@ -29,8 +29,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples around point i of a batch in some of the planes [first, last): those that are larger than the
-// caches of a core. The function `values` returns the array of plane k, or an array of the same shape.
+// For point i of a batch, prefetches the samples of those planes in [first, last) that are larger than the caches of a
+// core. `values(k)` returns the array of plane k, or another array of the same shape.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {
@@ -93,7 +93,7 @@ FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int fe
     }
 }
 
-// Adds the gradient with respect to the position, separately for each feature, to along_x and along_y.
+// Adds the gradient with respect to the position to along_x and along_y, which have one element per feature.
 template <int Features>
 FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, const float* gradient, const float* top,
                              const float* bottom, int features, float* along_x, float* along_y) {
@@ -173,8 +173,8 @@ FOURD_INLINE void coordinate_gradient_run(const Plan& plan, std::size_t begin, i
     }
 }
 
-// Adds the contribution of a batch to the gradients of planes [first, last). out[k] is the gradient of plane k and has
-// the shape of the values of the plane.
+// Adds the contribution of a batch to the gradients of planes [first, last). out[k] is the gradient of plane k, in the
+// shape of the plane's values.
 template <int Features>
 FOURD_INLINE void scatter_run(const Plan& plan, std::size_t begin, int count, const RunPositions& positions, int first,
                               int last, const float* gradient, float* const* out) {

@@ -10,14 +10,14 @@ namespace fourd::planes {
 
 constexpr int kRun = 64;  // Number of points per batch. The positions of a batch stay in the L1 cache.
 
-// A coordinate along which planes have `size` samples. Several planes can share an axis, so each point is located once
-// per axis, not once per plane.
+// A coordinate along which planes have `size` samples. Several planes can share an axis, so the sample indices of a
+// point are computed once per axis, not once per plane.
 struct Axis {
     int coordinate;
     int size;
 };
 
-// A query with its distinct axes and the spatial order of its points. In spatial order, consecutive points share cache
+// A query, its distinct axes, and the spatial order of its points. In spatial order, consecutive points share cache
 // lines of the planes.
 struct Plan {
     const Query* query;
@@ -45,7 +45,7 @@ struct RunLoops {
     void (*sample)(const Plan&, std::size_t begin, int count, const RunPositions&, float* out);
     void (*coordinate_gradient)(const Plan&, std::size_t begin, int count, const RunPositions&, const float* gradient,
                                 float* out);
-    // Adds the contribution of a batch to the gradients of planes [first, last). out[k] is the gradient of plane k.
+    // Adds the contribution of a batch to the gradients of the planes [first, last). out[k] is the gradient of plane k.
     void (*scatter)(const Plan&, std::size_t begin, int count, const RunPositions&, int first, int last,
                     const float* gradient, float* const* out);
 };

@@ -18,7 +18,7 @@ std::size_t bytes_of(const Query& query, int k) {
     return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features * sizeof(float);
 }
 
-// The index of the cell that contains a coordinate, in a grid of 2^kCellBits cells over [-1, 1].
+// Returns the index of the cell that contains a coordinate. The interval [-1, 1] has 2^kCellBits cells.
 std::uint32_t cell_of(float coordinate) {
     return static_cast<std::uint32_t>(interpolate_axis(coordinate, (1 << kCellBits) + 1).low);
 }
@@ -38,7 +38,7 @@ Buffer<std::uint32_t> order_by_cell(const Query& query) {
     return order;
 }
 
-// Owns the arrays of a Plan and, for each worker, the memory for one batch.
+// Owns the arrays of a Plan, and the memory that each worker needs for one batch.
 class QueryPlan {
   public:
     QueryPlan(const Query& query, int workers) : order_(order_by_cell(query)) {
@@ -115,8 +115,9 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     QueryPlan planned(query, team.size());
-    // Because one worker processes all points of a plane in order, no locks are needed and the order of sums is fixed.
-    // Each worker processes its planes together, because the gradients of these planes share cache lines of `gradient`.
+    // One worker processes all points of a plane, in order. Therefore, no locks are needed, and the order of additions
+    // is fixed. A worker processes all its planes together, because these planes read the same cache lines of
+    // `gradient`.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

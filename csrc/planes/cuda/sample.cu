@@ -6,8 +6,8 @@
 namespace fourd::planes::cuda {
 namespace {
 
-// The planes and points that a kernel processes. Consecutive threads process the planes of one point, so that adjacent
-// threads write adjacent memory.
+// The planes and points that a kernel processes. Consecutive threads process different planes of the same point, so
+// that adjacent threads write adjacent memory.
 struct PlaneTable {
     Plane planes[kMaxPlanes];
     int plane_count, features;

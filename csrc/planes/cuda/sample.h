@@ -6,11 +6,11 @@
 
 namespace fourd::planes::cuda {
 
-constexpr int kMaxPlanes = 64;  // The kernel receives the planes by value.
+constexpr int kMaxPlanes = 64;  // Limits the size of the kernel arguments, because planes are passed by value.
 
 void sample(const Query& query, float* out, void* stream);
 
-// Sums over points have no fixed order, so the last bits of the gradients can differ between calls.
+// The order of the additions over points is not fixed, so the last bits of the gradients can differ between calls.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates,
                      void* stream);
 

@@ -24,7 +24,8 @@ constexpr int kMaxChannels = 32;
 struct Projections {
     static constexpr std::size_t kMax = 64;
     float u[kMax], v[kMax], inverse_square[kMax], density[kMax], z[kMax], rho[kMax];
-    // The lower 16 bits are the first block, and the upper 16 bits are the last block.
+    // Ranges of blocks and of tiles along one axis. The lower 16 bits are the first index, and the upper 16 bits are
+    // the last index.
     std::uint32_t blocks_across[kMax], blocks_down[kMax];
     std::uint32_t tiles_across[kMax], tiles_down[kMax];
     std::uint32_t visible[kMax];
@@ -38,7 +39,8 @@ inline std::uint32_t pair(int first, int last) {
 inline std::uint32_t project_some(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t count,
                                   Projections& out) {
     constexpr int kBlocksPerSide = kTile / kBlock;
-    const Pinhole camera = settings.camera;  // A local copy, which no write through a pointer can change.
+    // A local copy. The compiler knows that no write through a pointer changes the copy.
+    const Pinhole camera = settings.camera;
     const float near_depth = settings.near_depth;
     std::uint32_t visible = 0;
     for (std::size_t i = 0; i < count; ++i) {
@@ -111,7 +113,7 @@ std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_
         if (visible == 0) continue;
         store_splats(some, here, splats + first);
         for (std::size_t i = 0; i < here; ++i) {
-            // This loop has no branches. The item is always written, but `count` increases only if the point is
+            // To avoid branches, the loop writes an item for every point, but increases `count` only if the point is
             // visible. `count` never exceeds first + i - begin.
             items[count] = {word(some.z[i]), static_cast<std::uint32_t>(first + i)};
             count += some.visible[i];

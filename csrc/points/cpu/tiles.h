@@ -28,7 +28,8 @@ struct Tile {
 // pixels of the block. Visits are sorted by entry, then by block.
 struct Visits {
     float* transmittance;  // (count, 16): transmittance before the entry, negative at pixels without a hit.
-    std::uint64_t* tags;   // Tag of each visit, which is 16 * entry + block, or kNoVisit if no pixel was hit.
+    // (count,): the number 16 * entry + block of each visit, or kNoVisit if the visit hits no pixel.
+    std::uint64_t* tags;
     std::size_t count;     // Equal to count_visits(tile).
 };
 
@@ -51,13 +52,13 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // Joins the colours and the normals of points [begin, end), of which there are at most kJoinedPoints. `xyz`
-    // (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count, kSurfaceFeatures) are indexed by point.
-    // The normals are decoded (points/octahedral.h) and rotated to the axes of the camera.
+    // Joins the colours and the normals of the points [begin, end), which are at most kJoinedPoints points. `xyz`
+    // (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count, kSurfaceFeatures) are indexed by
+    // point. The normals are decoded (points/octahedral.h) and rotated to the axes of the camera.
     void (*join_normals)(const Pinhole& camera, const float* xyz, const float* colours, const std::uint8_t* octahedral,
                          std::size_t begin, std::size_t end, float* out);
 
-    // Renders the colours and the visible surface. The features of the tile are those of join_normals.
+    // Renders the colours and the visible surface. The features of the tile are the output of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);
 
     // `sums` has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.

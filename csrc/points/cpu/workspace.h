@@ -1,5 +1,5 @@
-// The memory for rendering an image. The workspace is kept for the next image. If each image had a new workspace, the
-// allocation would take a fifth of the rendering time.
+// The memory for rendering an image. The workspace is kept for the next image, because allocating a new workspace would
+// take a fifth of the rendering time.
 #pragma once
 
 #include <vector>
@@ -18,7 +18,7 @@ struct Workspace {
         Buffer<std::uint64_t> tags;
     };
 
-    Fingerprint source_fingerprint;  // Identifies the inputs of the last render, whose bins are in `bins`.
+    Fingerprint source_fingerprint;  // Hash of the inputs from which the current `bins` were computed.
     Bins bins;
     tiles::Slots slots;                      // Slots of the (point, tile) entries.
     Buffer<float> sums;                      // Indexed by slot.
@@ -27,17 +27,18 @@ struct Workspace {
     // Projects, sorts and bins the points of a cloud.
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // Calls draw(tile index) for all tiles, in parallel. Call bins.prepare before. If there are more than kMaxEntries
-    // entries, the tiles are binned and drawn in bands, which limits the memory. Returns whether there was one band,
-    // whose entries are kept.
+    // Calls draw(tile index) for all tiles, in parallel. Call bins.prepare() before this function. If the image has
+    // more than kMaxEntries entries, bands of tiles are binned and drawn one after another, which limits the memory.
+    // Returns true if one band was enough, so that `bins` has the entries of the whole image.
     template <typename Draw>
     bool draw_tiles(Team& team, const Draw& draw);
 
-    // Calls fill unless the last render had the same inputs. In a backward pass the inputs are usually the same,
-    // because the last render was the forward pass.
+    // Calls fill() unless `bins` already belong to the same inputs. The inputs of a backward pass are usually those of
+    // the last call, which was the forward pass.
     void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
 
-    // The inputs for rendering the tile with this index. Tiles are numbered row by row. Call fill before this function.
+    // Returns the inputs for rendering the tile with this index. Tiles are numbered row by row. Call fill() before this
+    // function.
     Tile tile(const Cloud& cloud, const Settings& settings, int index) const;
 
     std::size_t bytes() const;  // Size of the memory that is kept between images.

@@ -1,4 +1,4 @@
-// The scratch memory for rendering an image, which Python passes.
+// The scratch memory for rendering an image, which the Python caller allocates.
 #pragma once
 
 #include "binding/require.h"

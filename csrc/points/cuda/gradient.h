@@ -23,11 +23,11 @@ struct Upstream {
 };
 
 // A thread composites its pixel front to back and records the layers. Afterwards, the thread processes the recorded
-// layers back to front. In this pass, the threads of a warp stay together: they stop at every entry that at least one
-// thread recorded.
+// layers back to front. In this second pass, all threads of a warp process the same entry at the same time, and visit
+// every entry that at least one of them recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
-    View view;              // The value of view.layers is at most kLayers.
+    View view;              // Requires view.layers <= kLayers.
     const float* features;  // Indexed by point.
     int channels;
     ImageGradient gradient;
@@ -60,7 +60,7 @@ struct GradientPixel {
             const std::uint32_t next_entry = lane.max(own_entry);
             if (next_entry == 0) break;
             const std::size_t rank = list.rank(next_entry - 1);
-            float parts[5 + kCapacity] = {};  // First the members of SplatGradient, then the features.
+            float parts[5 + kCapacity] = {};  // First the members of SplatGradient, then the gradients of the features.
             if (own_entry == next_entry) {
                 --count;
                 const Splat& splat = view.entries.splats[rank];

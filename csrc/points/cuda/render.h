@@ -23,8 +23,8 @@ void render(const Cloud& cloud, const Settings& settings, const EntryBuffer& buf
 // Renders three channels over a background, to an 8-bit image with rounded values.
 void draw(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, const Canvas& out, void* stream);
 
-// settings.layers must be at most kMaxLayersBackward, and transmittance_min is ignored. Sums over the pixels of a point
-// have no fixed order, so the last bits of gradients can differ between calls.
+// settings.layers must be at most kMaxLayersBackward. settings.transmittance_min is ignored. The order of the additions
+// over the pixels of a point is not fixed, so the last bits of gradients can differ between calls.
 void render_backward(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer,
                      const ImageGradient& gradient, const CloudGradient& out, void* stream);
 

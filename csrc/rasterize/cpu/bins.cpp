@@ -13,7 +13,7 @@ struct Range {
     std::size_t first, count;
 };
 
-// The range of triangles of an image, clipped to the existing triangles.
+// Returns the range of triangles that an image shows, clipped to the triangles that exist.
 Range triangle_range(const Query& query, int image) {
     if (query.ranges == nullptr) return {0, query.triangles};
     const std::size_t first = static_cast<std::size_t>(std::max(query.ranges[2 * image], 0));
@@ -74,7 +74,8 @@ void Bins::cut(const Query& query, int first, std::size_t begin, std::size_t end
             const std::size_t a = static_cast<std::uint32_t>(query.tri[3 * triangle]);
             const std::size_t b = static_cast<std::uint32_t>(query.tri[3 * triangle + 1]);
             const std::size_t c = static_cast<std::uint32_t>(query.tri[3 * triangle + 2]);
-            if (std::max({a, b, c}) >= query.vertices) continue;  // The condition is also true for negative indices.
+            // Converted to an unsigned integer, a negative index also fulfils this condition.
+            if (std::max({a, b, c}) >= query.vertices) continue;
             for_pieces(screen, vertices[a], vertices[b], vertices[c], pos + 4 * a, pos + 4 * b, pos + 4 * c,
                        static_cast<int>(triangle), [&](const Piece& piece, const Bounds& bounds) {
                            entries.push_back({piece, bounds, image});
@@ -93,8 +94,8 @@ void Bins::fill(const Query& query, int first, int last, Team& team) {
     for (int image = first; image < last; ++image) {
         first_item_.push_back(first_item_.back() + triangle_range(query, image).count);
     }
-    // Each part has consecutive items, and parts are merged in order. The result does not depend on the number of
-    // parts.
+    // Each part has consecutive items, and the parts are merged in order, so the result does not depend on the number
+    // of parts.
     const int parts = team.size();
     const std::size_t items = first_item_.back();
     entries_.resize(parts);

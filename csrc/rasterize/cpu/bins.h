@@ -13,10 +13,11 @@ namespace fourd::rasterize {
 // The pieces of a group of consecutive images, binned into tiles. Tiles are numbered image by image and row by row.
 class Bins {
   public:
-    // The memory of a group is proportional to its number of triangles. A group has at least one image.
+    // Returns the number of images per group, which is at least one. Smaller groups need less memory, because the
+    // memory of a group is proportional to its number of triangles.
     static int group_size(const Query& query);
 
-    // Bins the images [first, last) and replaces the previous contents.
+    // Bins the pieces of the images [first, last), and replaces the previous contents.
     void fill(const Query& query, int first, int last, Team& team);
 
     int tiles() const { return tiles_per_image_ * images_; }
@@ -38,13 +39,15 @@ class Bins {
     void cut(const Query& query, int first, std::size_t begin, std::size_t end, int part);
 
     int images_ = 0, columns_ = 0, tiles_per_image_ = 0;
-    std::size_t vertex_images_ = 0;                // 1 if the images share their positions.
+    // Number of images that have their own vertex positions, or 1 if all images share the positions.
+    std::size_t vertex_images_ = 0;
     Buffer<Snapped> vertices_;
     std::vector<std::size_t> first_item_;          // First item of each image. An item is a triangle of an image.
     std::vector<std::vector<Entry>> entries_;      // The pieces of each part of the items.
-    std::vector<std::vector<std::uint32_t>> counts_;  // For each part: number of pieces in every tile.
+    std::vector<std::vector<std::uint32_t>> counts_;  // For each part of the items, the number of pieces in every tile.
     Buffer<Piece> pieces_;
-    std::vector<std::size_t> begin_;               // First piece of each tile, followed by the number of pieces.
+    // Index of the first piece of each tile. The last element is the number of all pieces.
+    std::vector<std::size_t> begin_;
 };
 
 }  // namespace fourd::rasterize

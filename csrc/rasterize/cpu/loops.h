@@ -32,7 +32,7 @@ struct Tile {
     const std::int32_t* tri;  // (triangles, 3).
     const Piece* pieces;      // Pieces of the tile, in ascending order of their triangles.
     std::size_t count;        // Number of pieces.
-    int column, row;          // Position of the first pixel of the tile.
+    int column, row;          // Image column and row of the tile's first pixel.
     Records records;          // Scratch memory for at least `count` records.
     const float* previous;    // (height, width, 4): `rast` of the previous layer, or null.
     float* rast;              // (height, width, 4).
@@ -48,7 +48,7 @@ struct GradientTile {
     const std::int32_t* visible;   // (slots,): triangle of each slot.
     int slots;                     // Number of slots, at most kTilePixels.
     const std::int16_t* slot_of;   // (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
-    int column, row;               // Position of the first pixel of the tile.
+    int column, row;               // Image column and row of the tile's first pixel.
     Records records;               // Scratch memory for at least `slots` records.
     float* sums;                   // Scratch memory for at least (slots, kSumStride) floats.
     const float* grad_rast;        // (height, width, 4).

@@ -22,7 +22,8 @@ struct Scratch {
     std::unique_ptr<meshes::TileSlots> slots;
 
     Records records(std::size_t count) {
-        constexpr std::size_t kSpare = 16;  // The last batch of records may extend beyond the last triangle.
+        // Number of spare records, because the last batch of records may extend beyond the last triangle.
+        constexpr std::size_t kSpare = 16;
         const std::size_t needed = std::max<std::size_t>(count + kSpare, 256);
         if (needed > references.size()) {
             references.require(needed);

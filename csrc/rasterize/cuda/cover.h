@@ -1,6 +1,6 @@
-// Kernels that find the nearest triangle of each pixel. Each triangle with a small piece is processed by one warp.
-// Triangles with large pieces are listed. Afterwards, each warp processes all listed triangles in one tile, so that no
-// warp has to process a whole image.
+// Kernels that find the nearest triangle of each pixel. In the first kernel, each triangle is processed by one warp,
+// which covers the triangle's small pieces. Triangles with large pieces are added to a list. In the second kernel, each
+// warp covers the large pieces of all listed triangles in one tile, so that no warp has to process a whole image.
 #pragma once
 
 #include "rasterize/cuda/triangles.h"
@@ -23,7 +23,7 @@ struct Items {
 
     FOURD_DEVICE std::size_t image_of(std::uint64_t item) const { return item / longest_range; }
 
-    // Returns false for an item without a triangle.
+    // Returns false if the item's number is beyond the last triangle of the image.
     FOURD_DEVICE bool load(const Screen& screen, std::uint64_t item, Triangle* out) const {
         const std::size_t image = image_of(item);
         std::size_t first = 0, count_of_image = query.triangles;

@@ -12,7 +12,7 @@ std::size_t workspace_bytes(std::size_t images, std::size_t height, std::size_t 
 void rasterize(const Query& query, std::size_t longest_range, void* workspace, const float* previous, float* rast,
                float* rast_db, void* stream);
 
-// Sums over pixels have no fixed order, so the last bits of the gradient can differ between calls.
+// The order of the additions over pixels is not fixed, so the last bits of the gradient can differ between calls.
 void rasterize_backward(const Query& query, const float* rast, const float* grad_rast, const float* grad_db,
                         float* grad_pos, void* stream);
 

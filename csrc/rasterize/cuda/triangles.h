@@ -61,7 +61,7 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
     return depth;
 }
 
-// The images to which the kernels write the nearest triangles.
+// The buffer to which the kernels write the nearest triangle of each pixel, with the previous layer.
 struct Target {
     Screen screen;
     std::uint64_t* keys;    // (images, height, width).
@@ -84,7 +84,8 @@ struct Target {
         const std::size_t at = pixel(image, column, row);
         if (previous != nullptr) {
             const float before = previous[4 * at + 2], before_id = previous[4 * at + 3];
-            if (!(before_id > 0.0f)) return;  // Behind a pixel of the background, there are no further layers.
+            // A pixel that shows the background in the previous layer has no further layers.
+            if (!(before_id > 0.0f)) return;
             const bool is_behind =
                 depth > before || (depth == before && value_of_triangle(piece.triangle) > before_id);
             if (!is_behind) return;

@@ -18,7 +18,7 @@ LeafBox box_of(const Node& node) {
     return box;
 }
 
-// Half of the surface area, or 0 for an empty box.
+// Returns half of the surface area of a box, or 0 if the box is empty.
 double area_of(const float (&bounds)[6]) {
     if (!(bounds[0] <= bounds[1])) return 0.0;
     const double x = static_cast<double>(bounds[1]) - bounds[0], y = static_cast<double>(bounds[3]) - bounds[2];
@@ -30,7 +30,8 @@ double area_of(const float (&bounds)[6]) {
 
 float fill_bounds(Node* nodes, std::size_t node_count, const LeafBox* leaves) {
     std::vector<LeafBox> boxes(node_count);
-    // The indices of children are larger than the index of their parent, so children come first in this loop.
+    // The loop runs from the last node to the first. Child indices are larger than the index of their parent, so the
+    // bounds of children are computed first.
     for (std::size_t i = node_count; i-- > 0;) {
         Node& node = nodes[i];
         for (int lane = 0; lane < kWidth; ++lane) {

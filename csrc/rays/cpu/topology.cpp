@@ -1,7 +1,7 @@
 // Builds the tree from the top down. The centres of a range of primitives are sorted into 16 bins along each axis. The
 // range is split at the border of two bins where the cost by the surface area heuristic (Wald 2007, On fast
 // Construction of SAH-based Bounding Volume Hierarchies) is lowest. A node splits its range until it has eight
-// children. The top of the tree is built on one thread, and the subtrees below on all threads.
+// children. The top of the tree is built on one thread. The subtrees below the top are built on all threads.
 #include "rays/cpu/topology.h"
 
 #include <algorithm>
@@ -11,12 +11,15 @@ namespace fourd::rays {
 namespace {
 
 constexpr int kBins = 16;
-constexpr int kMaxSahDepth = 24;          // Nodes below this depth split ranges in halves.
-constexpr std::size_t kParts = 48;        // The top of the tree ends at ranges of 1 / kParts of all primitives.
-constexpr std::size_t kSmallPart = 4096;  // Ranges of this size or less are not part of the top of the tree.
+// Nodes deeper than kMaxSahDepth split their range in two halves, without the surface area heuristic.
+constexpr int kMaxSahDepth = 24;
+// Ranges with at most 1 / kParts of all primitives are not split further in the top of the tree.
+constexpr std::size_t kParts = 48;
+// Ranges of at most kSmallPart primitives are not split further in the top of the tree.
+constexpr std::size_t kSmallPart = 4096;
 static_assert(kMaxSahDepth + 32 <= kMaxDepth, "2^31 primitives are halved at most 31 times");
 
-// Half of the surface area, or 0 for an empty box.
+// Returns half of the surface area of a box, or 0 if the box is empty.
 inline float area_of(const Box& box) {
     const float x = box.high[0] - box.low[0], y = box.high[1] - box.low[1], z = box.high[2] - box.low[2];
     return x >= 0.0f ? x * y + y * z + z * x : 0.0f;
@@ -51,7 +54,7 @@ struct Bin {
     std::uint32_t count;
 };
 
-// The bins of the centres along each axis.
+// Maps the centre of a primitive to a bin along each axis.
 struct Binning {
     float low[4], scale[4];
 
@@ -59,7 +62,7 @@ struct Binning {
         for (int axis = 0; axis < 4; ++axis) {
             const float extent = axis < 3 ? centres.high[axis] - centres.low[axis] : 0.0f;
             low[axis] = centres.low[axis];
-            // The factor below 1 keeps the largest centre in the last bin.
+            // The factor is below 1, so that rounding does not put the largest centre beyond the last bin.
             scale[axis] = extent > 0.0f ? kBins * 0.99999f / extent : 0.0f;
             if (!(scale[axis] <= 3e38f)) scale[axis] = 0.0f;
         }
@@ -71,7 +74,8 @@ struct Binning {
     }
 };
 
-// The plane between the bins below `bin` and the other bins. `axis` is -1 if no plane separates the range.
+// A plane that splits a range: primitives in bins below `bin` lie on one side. If no plane separates the primitives,
+// `axis` is -1.
 struct Plane {
     int axis, bin;
 };
@@ -165,7 +169,7 @@ std::vector<Range> children_of(Reference* references, const Range& range, bool i
     return out;
 }
 
-// A part of the tree. Children are numbered within the part.
+// A part of the tree. The child indices are indices within the part.
 struct Part {
     std::vector<Node> nodes;
     std::vector<Leaf> leaves;

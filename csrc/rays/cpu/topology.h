@@ -10,7 +10,7 @@
 
 namespace fourd::rays {
 
-// The fourth coordinate is unused. With four coordinates, compilers use vector instructions.
+// The fourth coordinate is unused, but arrays of four coordinates let compilers use vector instructions.
 struct Box {
     float low[4], high[4];
 };
@@ -25,7 +25,7 @@ inline void extend(Box* box, const Box& by) {
     }
 }
 
-// A primitive while the tree is built.
+// A primitive and its box, as the builder of the tree sorts them.
 struct alignas(16) Reference {
     Box box;
     std::int32_t index;
@@ -37,14 +37,14 @@ struct Leaf {
 };
 
 struct Topology {
-    Buffer<Node> nodes;  // Without bounds. Negative children c are the leaves ~c.
+    Buffer<Node> nodes;  // The bounds of these nodes are not set. A negative child c is the leaf with the index ~c.
     Buffer<Leaf> leaves;
 };
 
-// Sorts the references. The result is the same for any number of threads.
+// Builds the structure of a tree, and sorts the references. The result is the same for any number of threads.
 Topology build_topology(Reference* references, std::size_t count, Team& team);
 
-// The box of the primitives of a leaf, in the order of Node::bounds.
+// The bounding box of the primitives in a leaf, in the order of Node::bounds.
 struct LeafBox {
     float bounds[6];
 };

@@ -32,13 +32,14 @@ Buffer<Reference> references_of(const Mesh& mesh, Team& team) {
                 for (int axis = 0; axis < 3; ++axis) is_valid = is_valid && absolute(at[axis]) <= kMaxMagnitude;
                 extend(&reference.box, at);
             }
-            if (!is_valid) reference.box = {};  // The triangle needs a place in the tree, because refit() may move it.
+            // A triangle that cannot be hit is still part of the tree, because refit() may make it valid.
+            if (!is_valid) reference.box = {};
         }
     });
     return out;
 }
 
-// Writes the corners of the block's triangles, and returns their box.
+// Writes the corners of the block's triangles, and returns the bounding box of the triangles.
 LeafBox move_block(const Mesh& mesh, Block* block) {
     LeafBox box = kEmptyLeafBox;
     for (int lane = 0; lane < kWidth; ++lane) {

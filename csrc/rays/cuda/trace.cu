@@ -9,7 +9,7 @@
 namespace fourd::rays::cuda {
 namespace {
 
-// Calls visit(hit) for the hits of a block; a visit that returns true ends the traversal.
+// Calls visit(hit) for each hit in a block. If visit(hit) returns true, the traversal ends.
 template <typename Visit>
 FOURD_DEVICE static bool visit_block(const Ray& ray, const Block& block, const Visit& visit) {
     for (int lane = 0; lane < kWidth; ++lane) {

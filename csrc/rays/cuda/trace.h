@@ -10,7 +10,7 @@ void trace(const TreeView& tree, const Rays& rays, const Hits& hits, void* strea
 
 void occluded(const TreeView& tree, const Rays& rays, std::uint8_t* out, void* stream);
 
-// Sums over hits have no fixed order, so the last bits of the gradient of xyz can differ between calls.
+// The order of the additions over hits is not fixed, so the last bits of the gradient of xyz can differ between calls.
 void trace_backward(const Mesh& mesh, const HitGradients& gradients, void* stream);
 
 }  // namespace fourd::rays::cuda

@@ -24,12 +24,12 @@ FOURD_DEVICE inline bool meets_box(const Ray& ray, const Node& node, int lane, f
 }
 
 struct Entry {
-    float t;  // The ray enters the box at t'.
+    float t;  // The scaled parameter t' (rays/maths.h) at which the ray enters the box.
     std::int32_t child;
 };
 
-// Visits the blocks that the ray meets between first_of(ray) and last(), which may become smaller. visit(block) returns
-// whether the traversal is finished.
+// Visits the blocks whose boxes the ray meets at a t' between first_of(ray) and last(). The value of last() may become
+// smaller during the traversal. visit(block) returns whether the traversal is finished.
 template <typename Block, typename Visit, typename Last>
 FOURD_DEVICE void traverse(const Node* nodes, const Block* blocks, const Ray& ray, Visit& visit, const Last& last) {
     const float first = first_of(ray);

@@ -55,7 +55,7 @@ FOURD_INLINE __m256 halves(const std::uint16_t* from) {
     return _mm256_cvtph_ps(_mm_loadu_si128(reinterpret_cast<const __m128i*>(from)));
 }
 
-// Writes to colour (count, 3) the product of the SH coefficients and the basis.
+// Writes to `colour` (count, 3), for each channel, the dot product of the SH coefficients and the basis.
 FOURD_INLINE void dot_harmonics(const std::uint16_t* sh, int count, const float (*basis)[kBlock], float* colour) {
     for (int first = 0; first < count; first += 8) {
         __m256 low[8], high[8];
@@ -78,7 +78,7 @@ FOURD_INLINE void dot_harmonics(const std::uint16_t* sh, int count, const float 
 
 #else
 
-// Writes to colour (count, 3) the product of the SH coefficients and the basis.
+// Writes to `colour` (count, 3), for each channel, the dot product of the SH coefficients and the basis.
 FOURD_INLINE void dot_harmonics(const std::uint16_t* sh, int count, const float (*basis)[kBlock], float* colour) {
     for (int i = 0; i < count; ++i) {
         float direction[kTerms];
@@ -108,7 +108,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
     float total = 0;
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::size_t at = row + static_cast<std::size_t>(settings.chosen[v]);
-        std::uint32_t bytes = 0;  // The fourth byte belongs to the next view and is unused.
+        std::uint32_t bytes = 0;  // Only three bytes are used. The fourth byte belongs to the next view.
         if (at < last) {
             std::memcpy(&bytes, points.rgb + 3 * at, 4);
         } else {
@@ -136,8 +136,8 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
 #endif
 }
 
-// Computes the sum of the colours of the chosen views, weighted only by the view weights. Returns the sum of the view
-// weights. The result is used if all chosen views have blend weight 0 at the point.
+// Computes the sum of the colours of the chosen views, weighted only by the view weights, and returns the sum of the
+// view weights. The result is used for points at which all chosen views have the blend weight 0.
 FOURD_INLINE float plain_sum(const Points& points, std::size_t row, const Settings& settings, Rgb* out) {
     float total = 0;
     *out = {{0, 0, 0}};

@@ -7,7 +7,8 @@
 
 namespace fourd::shade::cuda {
 
-// A kernel over points. The kernel contains a copy of the views' indices and weights, because they are in host memory.
+// Shades points, one per thread. The kernel object contains a copy of the view indices and view weights, because the
+// original arrays are in host memory.
 class ShadePoint {
   public:
     ShadePoint(const Points& points, const Settings& settings, float* out)
@@ -38,8 +39,8 @@ class ShadePoint {
     }
 
   private:
-    // Blends the colours of the chosen views with normalised weights. If all chosen views have blend weight 0 at the
-    // point, only the view weights are used.
+    // Blends the colours of the chosen views with normalised weights. If all chosen views have the blend weight 0 at
+    // the point, only the view weights are used.
     FOURD_DEVICE void blend(std::size_t point, float* out) const {
         float total = 0.0f, plain_total = 0.0f, plain[3] = {};
         for (int v = 0; v < count_; ++v) {

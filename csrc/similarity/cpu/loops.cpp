@@ -12,7 +12,8 @@ namespace fourd::similarity::FOURD_SIMD {
 namespace {
 
 constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
-constexpr int kLanes = 8;  // Number of partial sums, whose additions are independent.
+// Number of partial sums. Their additions are independent, so a processor can do them in parallel.
+constexpr int kLanes = 8;
 
 // Computes the window means along columns for element i of a row. If Number is Eight, the function also computes the
 // means of the next seven elements. `out` has kMeans rows of plan.stride floats.
@@ -39,7 +40,7 @@ FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const 
     store(&product, out + 4 * stride + i);
 }
 
-// Computes the weighted sum of the window elements [first, last). Consecutive elements are `step` floats apart.
+// Computes the weighted sum over the elements [first, last) of a window. Consecutive elements are `step` floats apart.
 template <typename Number>
 FOURD_INLINE void window_sum_at(const Window& window, int first, int last, const float* from, std::ptrdiff_t step,
                                 float* to) {
@@ -124,8 +125,8 @@ void gradient_row(const Plan& plan, int row, const float* derivatives, float* sc
     const float* y = plan.pictures.truth + row * stride;
     float *padded = scratch, *smoothed = scratch + stride + border;
     for (int derivative = 0; derivative < kDerivatives; ++derivative) {
-        // The derivatives are padded with zeros beyond the valid part. The backward pass correlates with the reversed
-        // window. The window is symmetric, so reversing it changes nothing.
+        // The derivatives are padded with zeros outside the valid part. The backward pass correlates the derivatives
+        // with the reversed window. The window is symmetric, so the same weights are used.
         std::memset(padded, 0, border * sizeof(float));
         std::memset(padded + stride, 0, border * sizeof(float));
         const int first = row < plan.valid_rows ? 0 : row - plan.valid_rows + 1;

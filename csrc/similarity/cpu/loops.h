@@ -14,8 +14,8 @@ struct Window {
     float weights[kWindow];
 };
 
-// Sizes are in floats. A row with interleaved channels is treated as one array, so the step between window elements is
-// the number of channels.
+// Sizes are in floats. The channels of a row are interleaved in one array, so the step between window elements is the
+// number of channels.
 struct Plan {
     Pictures pictures;
     Window window;
@@ -26,7 +26,8 @@ struct Plan {
     explicit Plan(const Pictures& pictures);
 };
 
-// Number of window means per pixel: the means of the picture, of the truth, of their two squares and of their product.
+// Number of window means per pixel: of the picture, the truth, the square of the picture, the square of the truth, and
+// the product of picture and truth.
 constexpr int kMeans = 5;
 
 // Number of derivatives of the similarity. The derivatives are with respect to the mean of the picture, the mean of its

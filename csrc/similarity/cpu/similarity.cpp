@@ -66,7 +66,8 @@ double similarity(const Pictures& pictures, float* gradient) {
         });
     }
     double total = 0;
-    for (const double sum : sums) total += sum;  // In row order, any number of threads gives the same total.
+    // Rows are added in order, so the total is the same for any number of threads.
+    for (const double sum : sums) total += sum;
     return total / (static_cast<double>(plan.valid) * plan.valid_rows);
 }
 

@@ -31,9 +31,9 @@ struct Tile {
 // Scratch memory. A visit is an entry that hits pixels of a block.
 struct Visits {
     std::uint16_t* blocks;   // (count,): mask of the blocks that each entry may hit.
-    std::uint32_t* entries;  // (count,): entries of the visits of a block.
+    std::uint32_t* entries;  // (count,): entry of each visit of a block.
     float* x;                // (count, 16): log-odds of the coverage D (maths.h).
-    float* depth;            // (count, 16): kNoHit at pixels that do not use the triangle.
+    float* depth;            // (count, 16): depth of the triangle, or kNoHit at pixels that do not use the triangle.
 };
 
 struct Loops {

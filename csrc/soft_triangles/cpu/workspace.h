@@ -30,7 +30,7 @@ struct Workspace {
     // Projects and bins the triangles of a mesh.
     void fill(const Mesh& mesh, const Settings& settings, Team& team);
 
-    // The inputs for rendering the tile with this index. Tiles are numbered row by row.
+    // Returns the inputs for rendering the tile with this index. Tiles are numbered row by row.
     Tile tile(const Mesh& mesh, const Settings& settings, int index) const;
 
     std::size_t bytes() const;  // Size of the memory that is kept between images.

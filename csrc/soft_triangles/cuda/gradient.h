@@ -28,7 +28,8 @@ struct GradientPixel {
             const auto at = view.coverage(rank, pixel);
             const bool taken = nearest.takes(at.depth) && pixel.inside;
             if (!lane.any(taken)) continue;
-            float parts[kShapeSums + kCapacity] = {};  // First the members of ShapeGradient, then the channels.
+            // First the members of ShapeGradient, then the gradients of the channels.
+            float parts[kShapeSums + kCapacity] = {};
             if (taken) {
                 const Odds<float> odds = odds_of(at.x);
                 const float share =
@@ -45,9 +46,9 @@ struct GradientPixel {
 
   private:
     struct Sums {
-        float open;    // Product of 1 - D over the triangles of the pixel.
+        float open;    // Product of 1 - D (maths.h) over the triangles of the pixel.
         float weight;  // Sum of the weights, including the weight of the background.
-        float mean;    // Weighted mean of the values.
+        float mean;    // Weighted mean of the values of all triangles of the pixel.
     };
 
     FOURD_DEVICE float value_of(std::size_t rank, const float* upstream) const {

@@ -36,7 +36,8 @@ struct ProjectTriangle {
                           static_cast<std::uint16_t>(at.top), static_cast<std::uint16_t>(at.bottom)};
         }
         to.by_index[triangle] = face;
-        to.keys[triangle] = at.visible ? 0u : tiles::cuda::kCulled;  // All keys are equal, so the order is by index.
+        // All keys of visible triangles are equal, so triangles stay in index order.
+        to.keys[triangle] = at.visible ? 0u : tiles::cuda::kCulled;
         to.values[triangle] = static_cast<std::uint32_t>(triangle);
     }
 };

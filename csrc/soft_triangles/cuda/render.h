@@ -16,8 +16,8 @@ std::size_t workspace_bytes(std::size_t count, int channels, int width, int heig
 // Renders the triangles. The function ignores settings.threads and settings.simd.
 void render(const Mesh& mesh, const Settings& settings, const EntryBuffer& buffer, const Image& out, void* stream);
 
-// Sums over the pixels of a triangle and over the triangles of a vertex have no fixed order, so the last bits of
-// gradients can differ between calls.
+// The order of the additions over pixels and over triangles is not fixed, so the last bits of gradients can differ
+// between calls.
 void render_backward(const Mesh& mesh, const Settings& settings, const EntryBuffer& buffer,
                      const ImageGradient& gradient, const MeshGradient& out, void* stream);
 

@@ -12,8 +12,8 @@ constexpr int kMaxChannels = 256;
 
 FOURD_INLINE std::size_t image_size(const Maps& maps) { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-// The template argument Channels is the number of channels if it is known at compile time, which lets loops fit vectors
-// exactly. Channels is 0 if the number is known only at run time.
+// The template argument Channels is the number of channels if it is known at compile time, and 0 otherwise. With a
+// number known at compile time, the compiler can divide the loops into whole vectors.
 template <int Channels>
 FOURD_INLINE int channels_of(const Maps& maps) {
     return Channels > 0 ? Channels : maps.channels;
@@ -65,9 +65,9 @@ FOURD_INLINE float total(const Eight* number) {
 }
 #endif
 
-// Processes the gradient of channel c. If Number is Eight, the function also processes the next seven channels. The
-// function adds the gradient with respect to the pixel position to `sum`. Unless `to` is null, the function also adds
-// the gradient with respect to the features to `to`.
+// Back-propagates the gradient of channel c and, if Number is Eight, of the next seven channels. The function adds the
+// gradient with respect to the pixel position to `sum`. If `to` is not null, the function adds the gradient with
+// respect to the features to `to`.
 template <typename Number>
 FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
                              const float* gradient, float* to, PixelGradient* sum) {

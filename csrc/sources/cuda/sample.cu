@@ -21,12 +21,13 @@ struct Views {
 
     FOURD_DEVICE std::size_t image_size() const { return static_cast<std::size_t>(maps.width) * maps.height; }
 
-    // The offset of the features of a view in the array of all features.
+    // Returns the offset of a view's features in the array of all features.
     FOURD_DEVICE std::size_t features(std::size_t view) const {
         return view * maps.feature_width * static_cast<std::size_t>(maps.feature_height) * maps.channels;
     }
 
-    // The offset of the first channel of a point in a view. Consecutive channels of the point are `count` floats apart.
+    // Returns the offset of a point's first channel in a view. Consecutive channels of the point are `count` floats
+    // apart.
     FOURD_DEVICE std::size_t channels(std::size_t view, std::size_t point) const {
         return view * static_cast<std::size_t>(maps.channels + 3) * count + point;
     }

@@ -6,12 +6,12 @@
 
 namespace fourd::sources::cuda {
 
-constexpr int kMaxViews = 16;  // The kernel receives the cameras by value.
+constexpr int kMaxViews = 16;  // Limits the size of the kernel arguments, because cameras are passed by value.
 
 void sample(const Query& query, const Samples& out, void* stream);
 
-// `gradient` is the gradient with respect to Samples::channels. The visibility is treated as constant. Sums have no
-// fixed order, so the last bits of gradients can differ between calls.
+// `gradient` is the gradient with respect to Samples::channels. The visibility is treated as constant. The order of
+// additions is not fixed, so the last bits of gradients can differ between calls.
 void sample_backward(const Query& query, const float* gradient, const Gradients& out, void* stream);
 
 }  // namespace fourd::sources::cuda

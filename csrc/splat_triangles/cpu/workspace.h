@@ -16,7 +16,7 @@ struct Workspace {
         Buffer<float> best;
     };
 
-    Fingerprint source_fingerprint;  // Identifies the inputs of the last render, whose bins are in `bins`.
+    Fingerprint source_fingerprint;  // Hash of the inputs from which the current `bins` were computed.
     tiles::DepthBins bins;
     tiles::Slots slots;
     Buffer<Splat> splats;                    // Indexed by triangle. Only visible triangles have a valid splat.
@@ -24,11 +24,11 @@ struct Workspace {
     Buffer<float> corners;                   // Gradients of the positions of the 3 vertices of each triangle.
     std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
 
-    // Projects, sorts and bins the triangles of a mesh, unless the last call had the same inputs. In a backward pass
-    // the inputs are usually the same, because the last call was the forward pass.
+    // Projects, sorts and bins the triangles of a mesh, unless `bins` already belong to the same inputs. The inputs of
+    // a backward pass are usually those of the last call, which was the forward pass.
     void fill(const Mesh& mesh, const Settings& settings, Team& team);
 
-    // The inputs for rendering the tile with this index. Tiles are numbered row by row.
+    // Returns the inputs for rendering the tile with this index. Tiles are numbered row by row.
     Tile tile(const Mesh& mesh, const Settings& settings, int index) const;
 
     std::size_t bytes() const;  // Size of the memory that is kept between images.

@@ -57,7 +57,8 @@ struct GradientPixel {
             const PixelCoverage coverage = pixel_coverage(splat, pixel.x, pixel.y);
             const bool hit = open && coverage.alpha > 0.0f;
             if (!lane.any(hit)) continue;
-            float parts[kShapeSums + kCapacity] = {};  // First the members of ShapeGradient, then the channels.
+            // First the members of ShapeGradient, then the gradients of the channels.
+            float parts[kShapeSums + kCapacity] = {};
             if (hit) {
                 const float weight = transmittance * coverage.alpha;
                 const float* feature = view.values_of(rank);

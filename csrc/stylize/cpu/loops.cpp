@@ -1,5 +1,5 @@
-// Computes the picture in runs of kRun pixels of a row. Every step is a loop over the arrays of a run. Compilers
-// vectorise these loops.
+// Computes the picture in runs of kRun pixels of a row. Every step is a loop over the arrays of a run, which compilers
+// vectorise.
 #include "stylize/cpu/loops.h"
 
 #include <algorithm>
@@ -21,8 +21,7 @@ struct Colours {
 
 inline float mix(float a, float b, float share) { return a + share * (b - a); }
 
-// Looks up the colours of the shade table. The tone selects the column, and the detail selects the row. Both are in
-// [0, 1].
+// Looks up colours in the shade table. `tone` in [0, 1] selects the column, and `detail` in [0, 1] selects the row.
 inline void look_up(const Style& style, const float* tone, const float* detail, Colours& out) {
     const std::uint32_t* table = style.table;
     if (style.rows == 1) {
@@ -94,13 +93,14 @@ inline void measure(const Taps& centre, const Style& style, int row, int first, 
     if (has_rows && !by_facing) measure_depth_detail(centre, style, out.detail);
 }
 
-// The distance to the nearest of a set of parallel lines: 0 on a line, 1 halfway between two lines.
+// Returns the distance to the nearest line of a set of parallel lines, which is 0 on a line and 1 halfway between two
+// lines.
 inline float wave(float position) {
     const float whole = static_cast<float>(static_cast<int>(position)), part = position - whole;
     return size_of(2.0f * part - 1.0f);
 }
 
-// The lines of hatching of a style. Reciprocals are computed once, because divisions are slow.
+// The hatching parameters of a style. Reciprocals are computed once per image, because divisions are slow.
 struct Hatching {
     float width, spacing, per_spacing, levels[2], per_level[2];
 };
@@ -114,7 +114,8 @@ inline Hatching hatching_of(const Numbers& n) {
     return out;
 }
 
-// The share of a pixel that two layers of hatching cover with ink. The lines become wider as `light` decreases.
+// Returns the fraction of a pixel that two layers of hatching cover with ink. Hatch lines become wider as `light`
+// decreases.
 inline float ink_at(const Hatching& hatching, float x, float y, float light) {
     float ink = 0.0f;
     for (int layer = 0; layer < 2; ++layer) {
@@ -170,7 +171,7 @@ inline void fill_paper(const Numbers& n, int count, std::uint32_t* out) {
     for (int i = 0; i < count; ++i) out[i] = paper;
 }
 
-// Shades a run of a row. Taps are the samples that the line filters read, from this row and the rows above and below.
+// Shades a run of a row. The line filters read samples, called taps, from this row and from the rows above and below.
 inline void shade_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
                       std::uint32_t* picture) {
     Shape shape;

@@ -10,19 +10,19 @@
 namespace fourd::stylize {
 namespace {
 
-// The rows that a task reads fit into the L1 cache, so that the pixels that successive runs both read stay in the
-// cache.
+// With 8 rows, the pixels that a task reads fit into the L1 cache. Pixels that two successive runs read are then still
+// in the cache.
 constexpr int kRowsPerTask = 8;
 
-// Says when the lines of a task's rows can be drawn: when the tasks are done whose rows are at most `reach` rows away.
-// Lines are drawn soon after the shading, because the rows are then still in the L2 cache.
+// Decides when the lines of a task's rows can be drawn. All tasks with rows at a distance of at most `reach` must be
+// finished before. Lines are drawn soon after shading, while the rows are still in the L2 cache.
 class Progress {
   public:
     Progress(int tasks, int reach) : tasks_(tasks), neighbours_((reach + kRowsPerTask - 1) / kRowsPerTask), missing_(tasks) {
         for (int task = 0; task < tasks; ++task) missing_[task] = end(task) - begin(task);
     }
 
-    // Calls draw(task) for each task whose lines can be drawn now that `done` is done.
+    // Records that the task `done` is finished. Calls draw(task) for each task whose lines can now be drawn.
     template <typename Draw>
     void finish(int done, const Draw& draw) {
         for (int task = begin(done); task < end(done); ++task) {
@@ -35,7 +35,8 @@ class Progress {
     int end(int task) const { return std::min(task + neighbours_ + 1, tasks_); }
 
     int tasks_, neighbours_;
-    std::vector<std::atomic<int>> missing_;  // Number of tasks that are not done, among a task and its neighbours.
+    // For each task, the number of unfinished tasks among the task itself and its neighbours.
+    std::vector<std::atomic<int>> missing_;
 };
 
 }  // namespace

@@ -1,7 +1,7 @@
 // The backward pass on the CPU. The texels of each level are divided into bands. A first pass over the pixels writes
 // the gradients of the positions, and lists for each band the pixels that read its texels. In a second pass, one worker
 // per band adds the gradients of these pixels to the band's texels, in the order of the pixels. Results therefore do
-// not depend on the number of threads, the second pass needs no locks, and the sums of a band stay in the L2 cache.
+// not depend on the number of threads, and the second pass needs no locks. The sums of a band stay in the L2 cache.
 #include <cstring>
 
 #include "common/buffer.h"
@@ -38,7 +38,7 @@ class EntryTable {
     EntryTable(const Bands& bands, std::size_t tasks, int workers)
         : bands_(bands.count), entries_(tasks), starts_(tasks * (bands_ + 1)), lists_(workers) {}
 
-    // An empty list for the entries of one task.
+    // Returns an empty list for the entries of one task.
     EntryList list(int worker) {
         List& list = lists_[worker];
         list.bands.require(kMaxEntries);
@@ -54,8 +54,8 @@ class EntryTable {
         for (std::size_t band = 0; band < bands_; ++band) start[band + 1] += start[band];
         entries_[task] = Buffer<Entry>(list.count);
         for (std::size_t i = 0; i < list.count; ++i) entries_[task][start[list.bands[i]]++] = list.entries[i];
-        // The loop has advanced each start to the end of its band, which is the start of the next band. The starts are
-        // therefore shifted by one band.
+        // The loop has advanced the start of each band to the start of the next band, so all starts are moved back by
+        // one band.
         std::memmove(start + 1, start, bands_ * sizeof *start);
         start[0] = 0;
     }
@@ -85,7 +85,7 @@ struct Part {
     int level;
     std::size_t band;
     std::size_t first_task, last_task;
-    int number, count;  // Index of this part among the parts of the band, and the number of these parts.
+    int number, count;  // Index of this part among the parts of the band, and number of parts of the band.
     std::size_t sums;   // Index of this part's sums in the array of partial sums, if the band has several parts.
 };
 
@@ -132,7 +132,7 @@ class Scatter {
     }
 
   private:
-    // The number of floats that the sums of the largest band need.
+    // Returns the number of floats in the sums of the largest band.
     std::size_t sums_size() const {
         std::size_t largest = 0;
         for (int level = 0; level < query_.texture.shape.level_count; ++level) {

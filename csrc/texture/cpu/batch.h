@@ -1,5 +1,5 @@
-// Batches of pixels: their positions, mip levels and texels, in loops that compilers vectorise over pixels. Only
-// dispatched files (common/dispatch.h) include this file.
+// Computes the positions, mip levels and texels of batches of pixels, in loops that compilers vectorise over pixels.
+// Only dispatched files (common/dispatch.h) include this file.
 #pragma once
 
 #include "common/inline.h"
@@ -138,7 +138,7 @@ FOURD_INLINE void blend_weights(Batch& b, int slot) {
     }
 }
 
-// A type with the boundary mode as its value. with_boundary passes an object of this type to `work`.
+// A type whose value is a boundary mode. with_boundary passes an object of this type to `work`.
 template <Boundary boundary>
 struct BoundaryTag {
     static constexpr Boundary value = boundary;
@@ -154,8 +154,8 @@ FOURD_INLINE void with_boundary(Boundary boundary, const Work& work) {
     }
 }
 
-// A type with the number of channels as its value. The value 0 stands for any number of channels. with_channels passes
-// an object of this type to `work`.
+// A type whose value is the number of channels, or 0 for any number. with_channels passes an object of this type to
+// `work`.
 template <int channels>
 struct ChannelsTag {
     static constexpr int value = channels;

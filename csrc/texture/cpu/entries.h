@@ -1,5 +1,5 @@
-// Entries: the lists of the pixels that read the texels of a band, and the sums of their gradients. Only dispatched
-// files (common/dispatch.h) include this file.
+// Lists the pixels that read the texels of a band (called entries), and sums their gradients. Only dispatched files
+// (common/dispatch.h) include this file.
 #pragma once
 
 #include <cstring>

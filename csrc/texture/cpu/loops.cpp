@@ -34,7 +34,7 @@ FOURD_INLINE void prepare(const Query& query, std::size_t pixel, int count, Batc
     for (int slot = 0; slot < slots_of(query); ++slot) find_texels<boundary, with_slopes>(query, b, slot);
 }
 
-// For each mip level, a pointer to the texels of the texture that belongs to a picture.
+// For each mip level, a pointer to the texels of the texture from which a picture is sampled.
 struct Bases {
     const float* level[kMaxLevels];
 
@@ -89,7 +89,7 @@ void sample(const Query& query, const Task& task, float* out) {
     });
 }
 
-// The dot products of the gradient of each pixel with the values of its texels.
+// For each pixel, the dot products of the pixel's gradient with the values of its texels.
 struct Products {
     float value[2][4][kRun];
 };

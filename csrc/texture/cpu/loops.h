@@ -26,9 +26,10 @@ struct Bands {
 };
 
 // An entry is a pixel of a task that reads texels of a band. The value of an entry is twice the index of the pixel in
-// its task. To this value, 1 is added if the texels belong to the second of the two levels that the pixel blends.
+// its task. If the texels belong to the second of the two levels that the pixel blends, 1 is added to this number.
 using Entry = std::uint16_t;
-constexpr std::size_t kMaxEntries = 8 * kTaskPixels;  // Per task: four texels in each of two levels.
+// Maximum number of entries of a task: four texels in each of two levels for each pixel.
+constexpr std::size_t kMaxEntries = 8 * kTaskPixels;
 
 struct EntryList {
     std::uint32_t* bands;  // (kMaxEntries,).
@@ -48,16 +49,16 @@ FOURD_INLINE std::size_t stride_of(int channels) { return channels == 3 ? 4 : st
 
 struct Loops {
     void (*sample)(const Query&, const Task&, float* out);
-    // Writes the gradients of uv, uv_da and bias, and the clamped mip level of each pixel to `levels` (pictures,
-    // pixels), unless `levels` is null. Lists the entries of the task in `entries`, unless `entries` is null. Pixels
-    // with a zero gradient have no entries.
+    // Writes the gradients of uv, uv_da and bias. If `levels` (pictures, pixels) is not null, writes the clamped mip
+    // level of each pixel. If `entries` is not null, lists the entries of the task. Pixels with a zero gradient have no
+    // entries.
     void (*pixel_gradients)(const Query&, const Task&, const float* gradient, const Gradients& out, float* levels,
                             const Bands&, EntryList* entries);
     // Adds the contributions of some entries of a task to the sums of a band.
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
-    // Computes some rows of a level from the next finer level. The finer level has two rows for each row of the level
-    // if halves_rows is true, and one row otherwise.
+    // Computes some rows of a level from the next finer level. If halves_rows is true, the finer level has two rows for
+    // each row of the coarser level. Otherwise, it has one row.
     void (*halve)(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out);
     // The backward pass of halve: adds the gradient of the coarser level to some rows of the gradient of the finer
     // level.

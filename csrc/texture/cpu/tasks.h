@@ -1,4 +1,4 @@
-// The division of work into tasks, which does not depend on the number of threads.
+// Divides work into tasks in a way that does not depend on the number of threads.
 #pragma once
 
 #include <algorithm>

@@ -62,8 +62,8 @@ struct SampleBackward {
     }
 
   private:
-    // Adds the contribution of one of the two levels. `sign` (1 or -1) is the sign of this level's value in the
-    // derivative with respect to the mip level.
+    // Adds the contribution of one of the two mip levels that a lookup blends. The derivative with respect to the mip
+    // level is the difference of the values of both levels, in which this level's value has the sign `sign` (1 or -1).
     FOURD_DEVICE void add(const Lookup& at, int level, float blend, float sign, std::size_t pixel,
                           PixelGradient& sum) const {
         const Texels texels = at.texels(query, level);
@@ -119,8 +119,8 @@ struct SampleBackward {
 };
 
 // A float of the coarser level is the mean of up to four floats of the finer level. Mean computes the offsets of these
-// floats. The rows of all images can be numbered consecutively, because a side with an odd number of texels has exactly
-// one texel.
+// floats. A side with an odd number of texels has exactly one texel, so the rows of all images can be numbered
+// consecutively.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;

@@ -7,7 +7,8 @@ namespace fourd::texture::cuda {
 
 void sample(const Query& query, float* out, void* stream);
 
-// Sums over pixels have no fixed order, so the last bits of the gradients of levels can differ between calls.
+// The order of the additions over pixels is not fixed, so the last bits of the gradients of levels can differ between
+// calls.
 void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out, void* stream);
 
 void build_mips(const Shape& shape, const float* base, float* const* mips, void* stream);

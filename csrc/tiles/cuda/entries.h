@@ -1,5 +1,5 @@
 // Sorts primitives by depth and bins them into tiles, on a GPU. A compositor provides the type Splat of its projected
-// primitives, the function tile_range_of(splat), and a kernel that projects.
+// primitives, the function tile_range_of(splat), and a kernel that projects the primitives.
 #pragma once
 
 #include <cstring>
@@ -31,15 +31,19 @@ struct Entries {
     Tiles tiles;
     Splat* by_index;             // Indexed by primitive.
     Splat* splats;               // Indexed by rank.
-    std::uint32_t* keys;         // Sort keys: first the depths of points, then the tiles of entries.
-    std::uint32_t* values;       // Sort values: first primitives, then the ranks of entries.
-    std::uint32_t* depths;       // Bits of the depth, indexed by rank.
+    // Sort keys. The first sort uses the depths of primitives, and the second sort uses the tiles of entries.
+    std::uint32_t* keys;
+    // Sort values. The first sort uses the indices of primitives, and the second sort uses the ranks of entries.
+    std::uint32_t* values;
+    std::uint32_t* depths;       // Bits of the depth of each primitive, indexed by rank.
     std::uint32_t* indices;      // Primitives, indexed by rank.
-    std::uint64_t* tile_counts;  // Number of tiles of each rank. The last element is 0.
-    std::uint64_t* begin;        // First entry of each rank, followed by the number of entries.
+    std::uint64_t* tile_counts;  // Number of tiles that the primitive of each rank covers. The last element is 0.
+    // Index of the first entry of each rank. The last element is the number of all entries.
+    std::uint64_t* begin;
     std::uint32_t* entry_tiles;  // Tile of each entry, in ascending order.
     std::uint32_t* entry_ranks;  // Rank of each entry, sorted by tile, then by rank.
-    std::uint32_t* tile_begin;   // First entry of each tile, followed by the number of entries.
+    // Index of the first entry of each tile. The last element is the number of all entries.
+    std::uint32_t* tile_begin;
     std::uint32_t* visible;      // Number of visible primitives.
     float* sums;                 // Sums of gradients over pixels, indexed by rank.
     void* scratch;
@@ -72,7 +76,7 @@ Entries<Splat> allocate_entries(device::Arena& arena, std::size_t count, int sum
     return out;
 }
 
-// The index of the first element that is not below value, in an ascending array.
+// Returns the index of the first element that is at least `value`, in an ascending array.
 template <typename T>
 FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t count, T value) {
     std::size_t first = 0;
@@ -113,11 +117,12 @@ struct EmitEntry {
     Entries<Splat> to;
 
     FOURD_DEVICE void operator()(std::size_t entry) const {
-        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());  // This key is above the key of any tile.
+        // Unused entries get a key above the key of every tile.
+        std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
-            // The rank of an entry is the last rank whose first entry is at or before this entry. A rank without tiles
-            // has the same first entry as the next rank, so this search never finds a rank without tiles.
+            // An entry belongs to the last rank whose first entry is at or before the entry. A rank without tiles has
+            // the same first entry as the next rank, so this search never finds a rank without tiles.
             rank = static_cast<std::uint32_t>(lower_bound(to.begin, to.count + 1, std::uint64_t{entry} + 1) - 1);
             const TileRange range = tile_range_of(to.splats[rank]);
             const std::uint64_t place = entry - to.begin[rank];
