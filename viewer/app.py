@@ -21,18 +21,18 @@ from fourd.viewer.window import Window
 from fourd.viewer.window_renderer import WindowRenderer
 
 _MAX_STEP_SECONDS = 0.1
-"""Longest time step of playback, in seconds.
+"""Maximum duration of a time step of playback, in seconds.
 
-After a stall of the event loop that exceeds this time, playback continues near the frame where it stopped.
+If the event loop stalls for a longer time, playback continues near the frame at which the stall began.
 """
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
 _SPINNER_SECONDS = 0.1
 """Seconds between two images of the spinner. The spinner is slow, because loading a scene also needs the CPU."""
 _IMAGES_AFTER_INPUT = 8
-"""Number of images drawn after each input.
+"""Number of images that are drawn after each input event.
 
-One image is not enough, because imgui handles a press, a motion and a release in separate images.
+One image per input event is not enough, because imgui handles a press, a motion and a release in separate images.
 """
 
 
@@ -125,7 +125,8 @@ class App:
         with state.timings.measure("present"):
             window.swap_buffers()
         if is_drawn:
-            # The cpu renderer stylizes while it draws. The window waits for the GPU when it presents the image.
+            # The cpu renderer runs the stylizer while it draws. OpenGL renderers run the stylizer on the GPU, and the
+            # window waits for the GPU when it presents the image.
             source = "draw" if state.renderer.choice.name == "cpu" else "present"
             state.timings.move(source, "style", state.renderer.renderer.style_seconds)
         state.timings.finish_image()
@@ -134,9 +135,9 @@ class App:
         window.set_title(self._title())
 
     def _draw(self, request: RenderRequest) -> None:
-        """Draw the scene. When the renderer fails, switch to the cpu renderer.
+        """Draw the scene. If the renderer fails, switch to the cpu renderer.
 
-        When the shade map of the style cannot be read, switch the style off.
+        If the shade map of the style cannot be read, switch the style off.
         """
         state = self._state
         try:
@@ -164,7 +165,7 @@ class App:
         return min(session.playback.seconds_to_next_frame(), _IDLE_SECONDS)
 
     def _is_idle(self) -> bool:
-        """Whether the next image would be equal to the current one."""
+        """Whether the next image would be equal to the current image."""
         state, session = self._state, self._state.session
         is_active = session.is_opening or session.is_waiting or session.is_moving or session.playback.is_playing
         is_changing = state.recorder is not None or state.renderer.is_stale or self._is_settling
@@ -172,7 +173,7 @@ class App:
 
     @property
     def _is_settling(self) -> bool:
-        """Whether playback is paused and the lines of a style still fade in."""
+        """Whether playback is paused while the lines of a style still fade in."""
         return self._state.renderer.is_settling and not self._state.session.playback.is_playing
 
     def _title(self) -> str:

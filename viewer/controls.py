@@ -64,7 +64,7 @@ def handle_navigation(session: Session, window_height: float, seconds: float) ->
 
 
 def handle_shortcuts(state: ViewerState) -> None:
-    """Handle the keys that control the panel, the renderer, the output and the cameras."""
+    """Handle the keys for the panel, the renderer, the output and the cameras."""
     if imgui.get_io().want_text_input:
         return
     if imgui.is_key_pressed(imgui.Key.tab, False):
@@ -115,8 +115,8 @@ def _drag(pose: Pose, io: imgui.IO, window_height: float) -> Pose:
     right, down = io.mouse_delta.x, io.mouse_delta.y
     if not (right or down):
         return pose
-    # A duration above 0 means that the button was already down in the previous image. Motion before the press does not
-    # count as a drag.
+    # If the duration of a press is above 0, the button was already down in the previous image. Only motion after the
+    # press counts as a drag.
     left, other, middle = (io.mouse_down_duration[button] > 0 for button in (_LEFT, _RIGHT, _MIDDLE))
     if other or (io.key_shift and (left or middle)):
         return pose.pan(right / window_height, down / window_height)
@@ -124,7 +124,7 @@ def _drag(pose: Pose, io: imgui.IO, window_height: float) -> Pose:
         return pose
     if io.key_ctrl:
         return pose.dolly(math.exp(2 * down / window_height))
-    # As in OrbitControls, a drag over the height of the window rotates by 360 degrees.
+    # As in OrbitControls, a drag as long as the window's height rotates the view by 360 degrees.
     return pose.orbit(2 * math.pi * right / window_height, 2 * math.pi * down / window_height)
 
 
@@ -146,7 +146,8 @@ def _fly(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
 
 
 def _next_speed(speed: float, direction: int) -> float:
-    """The next preset speed above (direction 1) or below (direction -1) the absolute value of ``speed``.
+    """Return the next faster (direction 1) or slower (direction -1) preset speed, relative to the absolute value of
+    ``speed``.
 
     The result has the sign of ``speed``.
     """

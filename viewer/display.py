@@ -11,7 +11,7 @@ from fourd.cameras import Camera
 from fourd.stylize import Style
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
-"""Minimum and maximum of the panel's factors on point size and density."""
+"""Minimum and maximum of the factors in the panel for point size and density."""
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,9 @@ class DisplaySettings:
     Attributes:
         layers: the maximum number K of points composited per pixel.
         background: background colour as red, green and blue in [0, 1].
-        point_scale: factor on the points' radii.
-        density_scale: factor on the points' densities. Scaled densities are clamped to 1.
-        style: the style of a cartoon or a drawing, or None for the captured colours.
+        point_scale: factor by which the points' radii are multiplied.
+        density_scale: factor by which the points' densities are multiplied. The products are clamped to 1.
+        style: the style in which the scene is drawn, such as a cartoon, or None for the captured colours.
     """
 
     layers: int = 12
@@ -55,8 +55,8 @@ class RenderRequest:
         frame: the arrays to draw, already scaled by :meth:`DisplaySettings.scale_points`.
         camera: a pinhole camera without distortion. The camera's size is the size of the image.
         manifest: the manifest of the scene.
-        settings: supplies K and the background colour. Renderers ignore the point scales in ``settings``, because the
-            points of ``frame`` are already scaled.
+        settings: supplies the number of layers K and the background colour. Renderers ignore the point scales in
+            ``settings``, because the points of ``frame`` are already scaled.
     """
 
     frame: BakedFrame

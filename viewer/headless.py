@@ -92,7 +92,7 @@ class Headless:
 def _cameras_along_path(
     scene: LoadedScene, path: str, size: tuple[int, int], steps: int | None
 ) -> tuple[list[Camera], list[int], float]:
-    """The camera and the frame index of each image of a video, and the images per second. Raises UserError."""
+    """Return the camera and the frame index of each image of a video, and the images per second. Raises UserError."""
     manifest = scene.manifest
     kinds: dict[str, PathKind] = {kind: kind for kind in get_args(PathKind)}
     if path not in kinds:

@@ -33,7 +33,8 @@ class LoadedScene:
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # Frames of a run are baked on demand. The buffer of frames is minimal, which leaves more CPU time for training.
+        # The frames of a run are baked on demand. For a run, the buffer is as small as possible, so that less baking
+        # slows training.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.has_normals = "normals" in self.manifest.optional_attributes
@@ -51,7 +52,7 @@ class LoadedScene:
         return pose_facing(centre + 1.2 * diagonal * side, centre, self.up, np.radians(50))
 
     def camera_pose(self, index: int, size: tuple[int, int]) -> Pose:
-        """The pose of a camera of the capture."""
+        """Return the pose of a camera of the capture."""
         return pose_from_camera(self.manifest.cameras[index], self.manifest.focus, self.up, size)
 
     def poll_checkpoint(self) -> bool:

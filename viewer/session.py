@@ -21,9 +21,9 @@ TRANSITION_SECONDS = 0.7
 
 
 class Session:
-    """The state that the panel and the keys change.
+    """The state of the viewer that the panel and the keys change.
 
-    A scene opens in a thread, and the previous scene stays on screen until the new scene is ready.
+    Scenes are opened in a thread. The previous scene stays on screen until the new scene is ready.
 
     Attributes:
         settings: display settings.
@@ -147,7 +147,7 @@ class Session:
         self.set_style(replace(style, ramp=replace(style.ramp, map=path)))
 
     def set_style(self, style: Style) -> None:
-        """Draw the scene in a changed style.
+        """Set a style that the user has changed.
 
         If the shade map does not have the shape that the style needs, the current style stays and ``message`` contains
         the reason.
@@ -188,8 +188,8 @@ class Session:
     def render_request(self, size: tuple[int, int], wait: bool = False) -> RenderRequest | None:
         """The render request for an image of ``size``, or None until the first frame of a scene has been read.
 
-        While a frame is being read, the request contains the previous frame and ``is_waiting`` is True. When a frame
-        cannot be read, the request contains the previous frame and ``message`` contains the reason.
+        While a frame is being read, the request contains the previous frame, and ``is_waiting`` is True. If a frame
+        cannot be read, the request contains the previous frame, and ``message`` contains the reason.
         """
         if self.scene is None or self.pose is None:
             return None
@@ -235,7 +235,7 @@ class Session:
         return self._last_camera[2]
 
     def _scale_points(self, frame: BakedFrame) -> BakedFrame:
-        """The frame scaled by the settings.
+        """The frame, with radii and densities scaled by the settings.
 
         While the frame and the scales do not change, the result is the same object.
         """
@@ -260,5 +260,5 @@ class Session:
     def _open(self, path: Path) -> None:
         try:
             self._opened = LoadedScene(path, open_frame_source(path))
-        except Exception as error:  # take_opened reports this error in the window's thread
+        except Exception as error:  # take_opened() reports this error in the thread of the window
             self._opened = error

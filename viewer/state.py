@@ -30,7 +30,7 @@ class Cancelled(Exception):
 
 
 class ViewerState:
-    """The state that the panel shows and changes.
+    """The state of the viewer that the panel shows and changes.
 
     Attributes:
         window: the window of the viewer.
@@ -58,7 +58,7 @@ class ViewerState:
     def defer(self, action: Callable[[], None]) -> None:
         """Run ``action`` after the current image is finished.
 
-        The panel is still being built when :meth:`defer` is called, and ``action`` may draw.
+        Widgets call :meth:`defer` while the panel is being drawn. ``action`` may draw too, so it must wait.
         """
         self._deferred.append(action)
 
@@ -94,7 +94,7 @@ class ViewerState:
             self._write(path, lambda: save_config(style, path))
 
     def save_view(self) -> None:
-        """Save the pose, so that the viewer starts from this pose when the scene is opened again."""
+        """Save the pose, from which the viewer starts when the scene is opened again."""
         if self.session.scene is not None and self.session.pose is not None:
             self._saved_views.save(self.session.scene.path, self.session.pose)
 
@@ -206,7 +206,8 @@ class ViewerState:
 
 
 def unused_path(stem: str, suffix: str) -> Path:
-    """The first path among STEM-001SUFFIX, STEM-002SUFFIX and so on that does not exist in the working directory."""
+    """Return the first of the paths STEM-001SUFFIX, STEM-002SUFFIX and so on that does not exist in the working
+    directory."""
     number = 1
     while (path := Path(f"{stem}-{number:03d}{suffix}")).exists():
         number += 1

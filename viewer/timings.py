@@ -15,7 +15,7 @@ HISTORY = 120
 
 
 class Timings:
-    """Milliseconds that each part took, for each of the last HISTORY images."""
+    """Milliseconds that each part of an image took, for each of the last HISTORY images."""
 
     def __init__(self) -> None:
         self._history = np.zeros((HISTORY, len(PARTS)))
@@ -31,7 +31,8 @@ class Timings:
             self._current[part] += 1e3 * (time.perf_counter() - started)
 
     def move(self, source: str, target: str, seconds: float) -> None:
-        """Move up to ``seconds`` from the time of the part ``source`` of the current image to the part ``target``."""
+        """In the current image, subtract up to ``seconds`` from the time of the part ``source``, and add this time to
+        the part ``target``."""
         moved = min(1e3 * seconds, self._current[source])
         self._current[source] -= moved
         self._current[target] += moved

@@ -18,7 +18,8 @@ class Canvas:
     """
 
     def __init__(self, context: moderngl.Context, dtype: Literal["f1", "f4"] = "f1") -> None:
-        """``dtype`` is "f1" for bytes, or "f4" for float32. Tests use float32 to measure differences below 1/255."""
+        """``dtype`` is "f1" for 8-bit channels, or "f4" for float32. Tests use float32 to measure differences below
+        1/255."""
         self._context = context
         self._dtype = dtype
         self._texture: moderngl.Texture | None = None
@@ -42,7 +43,8 @@ class Canvas:
         height, width = pixels.shape[:2]
         self.framebuffer(width, height)
         assert self._texture is not None
-        # With software OpenGL, flipping the rows in NumPy takes a quarter of the time of a render pass that flips them.
+        # The rows are flipped in NumPy. With software OpenGL, a render pass that flips the rows would take four times
+        # as long.
         self._texture.write(np.ascontiguousarray(pixels[::-1]))
 
     def read_rgb8(self) -> NDArray[np.uint8]:

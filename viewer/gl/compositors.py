@@ -29,11 +29,11 @@ class Compositor(Protocol):
         """The disc geometry. The caller must call :meth:`Discs.project` before :meth:`draw`."""
 
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
-        """Composite :attr:`discs` and write the result into ``target``, with the top of the image at the top.
+        """Composite :attr:`discs`, and write the result into ``target``. The image is upright in ``target``.
 
         A picture is composited over the background colour of the request, filtered with the pixel filter, and limited
         to [0, 1]. If ``is_picture`` is False, the result is the composited quantity (colour, normal or depth)
-        multiplied by alpha, and alpha. It is neither filtered nor limited.
+        multiplied by alpha, and alpha. The composited quantity is neither filtered nor limited.
         """
 
     def release(self) -> None:
@@ -72,7 +72,7 @@ class OverBackground:
 
 
 class SortedBlending:
-    """Blends all discs in one pass, from the farthest to the nearest. The number of layers is not limited to K.
+    """Blends all discs in one pass, from the farthest to the nearest. A pixel can have more than K layers.
 
     If the scene has a pixel filter, a second pass filters the image.
     """
@@ -130,7 +130,7 @@ class DepthPeeling:
 
     def _peel_layer(self, ranks: str, previous_ranks: str) -> None:
         targets = self._targets
-        targets.clear(ranks, NONE)  # a pixel without a layer in one pass has no layers in later passes
+        targets.clear(ranks, NONE)  # NONE stays in pixels without a layer, which get no layers in later passes
         targets.clear_with_depth("layer")
         disable_blending(self._context)
         self._context.enable(moderngl.DEPTH_TEST)
@@ -144,12 +144,13 @@ class DepthPeeling:
 
 
 class DualDepthPeeling:
-    """Dual depth peeling (Bavoil and Myers 2008): each pass finds one layer from the front and one from the back.
+    """Dual depth peeling (Bavoil and Myers 2008): in each pixel, a pass finds the nearest and the farthest of the
+    remaining layers.
 
     In each pixel, the first K // 2 passes find up to two layers per pass. If a pixel has further layers after these
-    passes, the pixel's layers from the back are dropped, because the pixel can have more than K layers. Further passes
-    peel the pixel from the front, until K layers are composited or no further layer is visible. The result has the K
-    nearest layers, as in :class:`DepthPeeling`.
+    passes, it may have more than K layers, so its layers from the back are dropped. Further passes peel this pixel from
+    the front, until K layers are composited or no further layer is visible. The result has the K nearest layers, as in
+    :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
@@ -224,13 +225,13 @@ class DualDepthPeeling:
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
         """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        If ``clear_back`` is True, the result also counts layers that the layers in front hide. In each pixel where the
-        pass has found a layer, the layers composited from the back are then cleared.
+        If ``clear_back`` is True, the result also counts layers that are hidden by the layers in front. The function
+        then also clears the layers composited from the back, in each pixel where the pass has found a layer.
         """
         targets = self._targets
         previous = 1 - index % 2
-        # The occlusion query needs a framebuffer to draw into. The bounds of the previous pass can be overwritten,
-        # because no later pass reads these bounds.
+        # The occlusion query needs a framebuffer to draw into. The framebuffer with the bounds of the previous pass is
+        # free for this, because no later pass reads these bounds.
         targets.framebuffer([f"back {previous}" if clear_back else f"bounds {previous}"]).use()
         disable_blending(self._context)
         with self._counter:

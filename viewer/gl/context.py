@@ -21,7 +21,7 @@ def offscreen_context() -> moderngl.Context:
     try:
         return moderngl.create_context(standalone=True, require=REQUIRED_VERSION, **backend)  # type: ignore[arg-type]
     except Exception as error:
-        # Exception is caught, because moderngl and glcontext raise this base class itself.
+        # The code catches Exception, because moderngl and glcontext raise this class itself and not a subclass.
         raise UserError(
             f"OpenGL: expected version 3.3 or newer, got '{' '.join(str(error).split())}'; "
             "install a driver (Debian: libegl1 libgl1-mesa-dri) or add --renderer cpu"
@@ -31,8 +31,8 @@ def offscreen_context() -> moderngl.Context:
 def driver_info(context: moderngl.Context) -> dict[str, Any]:
     """The names and limits that the driver reports, keyed by the names of the OpenGL constants."""
     info = context.info
-    # moderngl also queries limits of newer OpenGL versions. Each limit that the driver does not support sets a GL
-    # error. The loop after the query clears these errors.
+    # moderngl also queries limits of newer OpenGL versions. The query of a limit that the driver does not support sets
+    # a GL error. The loop below clears these errors.
     while context.error != "GL_NO_ERROR":
         pass
     return info

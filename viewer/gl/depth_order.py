@@ -18,7 +18,7 @@ from fourd.viewer.display import RenderRequest
 
 @dataclass(frozen=True, eq=False)
 class DepthOrder:
-    """The points of a frame sorted by depth.
+    """The indices of a frame's points, sorted by depth.
 
     Attributes:
         frame: the frame that contains the points.
@@ -33,7 +33,7 @@ class DepthOrder:
     seconds: float
 
     def matches(self, request: RenderRequest) -> bool:
-        """Whether the request has the same frame object and the same camera object."""
+        """Whether this order was computed for the frame object and the camera object of the request."""
         return self.frame is request.frame and self.camera is request.camera
 
 
@@ -43,12 +43,12 @@ class DepthOrders(Protocol):
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
         """Return a depth order for ``request``.
 
-        With ``wait``, the depth order is computed for ``request``. Without ``wait``, the depth order may be that of an
+        If ``wait`` is True, the depth order is computed for ``request``. Otherwise, it may be the depth order of an
         earlier request.
         """
 
     def release(self) -> None:
-        """Stop background work."""
+        """Stop the work in background threads."""
 
 
 class ExactOrders:
@@ -90,9 +90,9 @@ class BackgroundOrders:
         self._thread.start()
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """Return the newest depth order. With ``wait``, return the depth order of ``request``.
+        """Return the newest depth order, or if ``wait`` is True, the depth order of ``request``.
 
-        The first call always waits until a depth order exists. Raises RuntimeError when sorting has failed.
+        The first call always waits until a depth order exists. Raises RuntimeError if sorting has failed.
         """
         with self._changed:
             self._newest = request

@@ -19,11 +19,11 @@ from fourd.viewer.gl.frame_textures import FrameTextures
 from fourd.viewer.gl.shaders import TEXELS_PER_ROW, compile_program, set_uniforms
 
 Paint = Literal["colour", "normal", "depth"]
-"""The quantity that the discs are painted with. Normals are in the frame of the camera."""
+"""The quantity that a disc shows: its colour, its normal or its depth. Normals are in camera axes."""
 
 PAINTS: tuple[Paint, ...] = get_args(Paint)
 _BYTES_PER_DISC = 32
-_MAX_BLENDED_VIEWS = 64  # the size of the arrays in viewer/shaders/shade.vert
+_MAX_BLENDED_VIEWS = 64  # the array length in viewer/shaders/shade.vert
 _DISCS_PER_ROW = TEXELS_PER_ROW // 2
 _MAX_RANKS = 1 << 24
 
@@ -31,10 +31,10 @@ _MAX_RANKS = 1 << 24
 class Discs:
     """The discs of the visible points.
 
-    In nearest-first order, discs are stored in drawing order, and the rank of a disc is its index plus 1. In
-    farthest-first order, sprites are stored in the order of the frame's points, and an index buffer contains the
-    drawing order. In farthest-first order, the vertex shader therefore reads the textures of the points in sequence.
-    Reading in sequence takes half the time of reading in depth order.
+    If discs are drawn nearest first, they are stored in drawing order, and the rank of a disc is its index plus 1. If
+    sprites are drawn farthest first, they are stored in the order of the frame's points, and an index buffer contains
+    the drawing order. The vertex shader then reads the textures of the points in sequence, which takes half the time of
+    reading in depth order.
     """
 
     def __init__(
@@ -46,7 +46,8 @@ class Discs:
     ) -> None:
         """``passes`` maps the name of each pass to the file of its fragment shader.
 
-        With ``as_texture``, the discs are also stored in :attr:`texture`, in order of rank, with two texels per disc.
+        If ``as_texture`` is True, the discs are also stored in :attr:`texture`, in order of rank, with two texels per
+        disc.
         """
         self._context = context
         self._farthest_first = farthest_first
@@ -80,7 +81,8 @@ class Discs:
         """Project and shade points for the camera of ``request``.
 
         ``order`` contains the indices of the points, nearest first. Normals can be painted only if the frame has them.
-        Depths are in multiples of ``depth_unit``, which is in world units. Raises UserError for 2^24 points or more.
+        Depths are in multiples of ``depth_unit``, which is in world units. Raises UserError if the frame has 2^24
+        points or more.
         """
         if len(order) >= _MAX_RANKS:
             raise UserError(
@@ -116,15 +118,15 @@ class Discs:
     def uses_sprites(self) -> bool:
         """Whether the discs are drawn as point sprites.
 
-        Discs that are not drawn as sprites are drawn as quads, which need four times the vertices.
+        Other discs are drawn as quads, which need four times as many vertices.
         """
         return self._margin is not None
 
     def draw(self, name: str, framebuffer: moderngl.Framebuffer, upright: bool = False, **uniforms: object) -> None:
         """Draw all discs with pass ``name`` and the ``uniforms`` of its shader.
 
-        With ``upright``, row 0 of the image is at the top of the framebuffer, as on screen. Without ``upright``, row 0
-        of the image is at the bottom, as in textures.
+        If ``upright`` is True, row 0 of the image is at the top of the framebuffer, as on screen. Otherwise, row 0 is
+        at the bottom, as in textures.
         """
         if not self._count:
             return
@@ -154,10 +156,10 @@ class Discs:
             program.release()
 
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
-        """Number of pixels by which sprites can extend past the image, or None if sprites may exceed the driver's
-        limits."""
-        # The first bound is fast to compute. For scenes with a background, the first bound is too large, because the
-        # points of the background have large radii but are far away.
+        """Return the number of pixels by which sprites can extend past the image, or None if sprites may exceed the
+        driver's limits."""
+        # The first bound on the radius is fast to compute, but too large for scenes with a background. The points of a
+        # background have large radii, but are far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):
             margin = math.ceil(float(request.camera.intrinsics[1, 1]) * ratio(order, request)) + 1
             if self._driver_allows(margin):
@@ -207,7 +209,8 @@ class Discs:
 
 
 def _radius_depth_ratio_bound(order: NDArray[np.uint32], request: RenderRequest) -> float:
-    """The largest radius divided by the smallest depth: a cheap upper bound of :func:`_max_radius_depth_ratio`."""
+    """Return the largest radius divided by the smallest depth, a cheap upper bound of
+    :func:`_max_radius_depth_ratio`."""
     nearest, camera = request.frame.xyz[order[0]].astype(np.float64), request.camera
     depth = float(nearest @ camera.forward) + float(camera.translation[2])
     return float(request.frame.radius.max()) / max(depth, request.manifest.near)
@@ -221,8 +224,8 @@ def _max_radius_depth_ratio(order: NDArray[np.uint32], request: RenderRequest) -
     camera, near = request.camera, request.manifest.near
     depth = (request.frame.xyz @ camera.forward.astype(np.float32)).take(order) + np.float32(camera.translation[2])
     radius = request.frame.radius.take(order).astype(np.float32)
-    # The minimum depth is near / 2, because after rounding, the shader can accept points slightly nearer than the near
-    # plane.
+    # The minimum depth is near / 2, because rounding in the shader can accept points that are slightly nearer than the
+    # near plane.
     ratio = np.where(depth >= near / 2, radius / np.maximum(depth, np.float32(near)), 0)
     return float(ratio.max())
 

@@ -24,7 +24,7 @@ Precision = Literal["float16", "float32"]
 class ArrayTexture:
     """A texture that stores a row-major array.
 
-    Later arrays reuse the storage, which grows when an array needs more space.
+    Later arrays reuse the storage of the texture, which grows if an array needs more space.
     """
 
     def __init__(self, context: moderngl.Context, components: int, dtype: str) -> None:
@@ -47,7 +47,7 @@ class ArrayTexture:
         assert texture is not None
         while first < end:
             row, column = divmod(first, TEXELS_PER_ROW)
-            # All full rows are uploaded at once. A partial row before or after the full rows is uploaded separately.
+            # All complete rows are uploaded in one call. An incomplete row before or after them is uploaded separately.
             full_rows = 0 if column else (end - first) // TEXELS_PER_ROW
             width = TEXELS_PER_ROW if full_rows else min(end - first, TEXELS_PER_ROW - column)
             count = width * max(full_rows, 1)
@@ -90,15 +90,15 @@ class ArrayTexture:
 class FrameTextures:
     """The arrays of one frame in GPU textures. The next frame reuses the textures.
 
-    Each texture stores the dynamic points first, then unused space, then the background's points. A background that
-    consecutive frames share is uploaded once. Only the colours that a frame's shadow changes are uploaded again.
+    Each texture stores the dynamic points first, then unused texels, then the points of the background. A background
+    that consecutive frames share is uploaded once. Only the colours that a frame's shadow changes are uploaded again.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
-        """``precision`` is the type of the textures that store float16 arrays.
+        """``precision`` is the texel type of the textures for the float16 arrays of a frame.
 
-        The precision float32 is the reference in tests and benchmarks. With float32, the textures of float16 arrays
-        need twice the memory and the bandwidth.
+        The precision float32 is the reference in tests and benchmarks. With float32, these textures need twice the
+        memory and bandwidth.
         """
         short = "f2" if precision == "float16" else "f4"
         self._float16_dtype = np.float16 if precision == "float16" else np.float32
@@ -116,7 +116,7 @@ class FrameTextures:
         """Upload ``frame``, unless it is already loaded."""
         if frame is self.frame:
             return
-        self.frame = None  # after a failed upload, no frame counts as loaded
+        self.frame = None  # if the upload fails, no frame counts as loaded
         keeps_background = self._reserve(frame)
         changes_shadow = frame.has_shadow or self._has_shadow
         self._background = None
@@ -172,7 +172,8 @@ class FrameTextures:
 
 
 def _components(attribute: Attribute) -> int:
-    """Number of values per texel: the largest divisor, at most 4, of the attribute's number of values per point."""
+    """Return the number of values per texel, which is the largest number up to 4 that divides the number of values per
+    point."""
     return next(count for count in (4, 3, 2, 1) if attribute.numbers % count == 0)
 
 

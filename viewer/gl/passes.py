@@ -46,7 +46,7 @@ class RenderTargets:
         return self._textures[name]
 
     def clear(self, name: str, first: float = 0.0, second: float = 0.0) -> None:
-        """Set the first two components of a texture to ``first`` and ``second``, and the others to 0."""
+        """Set the first two components of all texels to ``first`` and ``second``, and the other components to 0."""
         self.framebuffer([name]).clear(color=(first, second, 0.0, 0.0))
 
     def clear_with_depth(self, name: str) -> None:
@@ -75,7 +75,7 @@ class RenderTargets:
 def release_framebuffer(context: moderngl.Context, framebuffer: moderngl.Framebuffer) -> None:
     """Unbind a framebuffer, then release it.
 
-    If a released framebuffer stayed bound, moderngl would later fail to bind that framebuffer again.
+    If a framebuffer is released while it is bound, moderngl later fails to bind it again.
     """
     if context.fbo is not None and context.fbo.glo == framebuffer.glo:
         context.detect_framebuffer(0).use()
@@ -106,7 +106,7 @@ class FullScreenPass:
 class SampleCounter:
     """An occlusion query that counts the samples drawn inside its ``with`` block.
 
-    The queries of moderngl are not used, because they cannot be deleted.
+    This class calls OpenGL directly, because the queries of moderngl cannot be deleted.
     """
 
     def __init__(self) -> None:
@@ -123,7 +123,7 @@ class SampleCounter:
 
     @property
     def samples(self) -> int:
-        """The number of samples that were drawn in the last ``with`` block. This property waits for the GPU."""
+        """The number of samples that were drawn in the last ``with`` block. Reading this property waits for the GPU."""
         return int(np.asarray(GL.glGetQueryObjectuiv(self._query, GL.GL_QUERY_RESULT)).ravel()[0])
 
     def release(self) -> None:

@@ -33,7 +33,8 @@ class GLRenderer:
         self._context = context
         self._compositor = compositor
         self._orders = orders
-        # There are two sets of textures, because the previous frame is drawn until the next frame has a depth order.
+        # There are two sets of textures, because the previous frame is still drawn while the points of the next frame
+        # are being sorted.
         self._textures = [FrameTextures(context, precision) for _ in range(2)]
         self._styled: StyledDrawing | None = None
         self._stale_images = 0
@@ -41,7 +42,7 @@ class GLRenderer:
 
     @property
     def stale_images(self) -> int:
-        """Number of successive images drawn with the depth order of an earlier request.
+        """Number of images in succession that were drawn with the depth order of an earlier request.
 
         The number is 0 if the depth order is current.
         """
@@ -63,7 +64,7 @@ class GLRenderer:
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        With ``wait``, the depth order is computed for ``request``.
+        If ``wait`` is True, the depth order is computed for ``request``.
         """
         order = self._orders.order(request, wait)
         self._stale_images = 0 if order.matches(request) else self._stale_images + 1
@@ -100,8 +101,8 @@ class GLRenderer:
         self._styled.draw(self._compositor, project, request, target)
 
     def _release_styled(self) -> None:
-        """Free the objects that only styles need. Textures with estimated normals are also freed. Frames that are drawn
-        without a style have no normals, so old normals of the background would remain in these textures."""
+        """Free the objects that only styles need, and the textures that contain estimated normals. Frames that are
+        drawn without a style have no normals, so outdated normals of the background would remain in these textures."""
         if self._styled is None:
             return
         self._styled.release()

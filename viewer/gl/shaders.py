@@ -16,7 +16,7 @@ operations."""
 NONE = 1e9
 """A rank that is larger than the rank of every layer.
 
-In the bounds of a dual peeling pass, this value means that the pixel has no layer.
+In the bounds of a dual peeling pass, NONE means that the pixel has no layer.
 """
 
 _DEFINES = {"TEXELS_PER_ROW": str(TEXELS_PER_ROW), "NONE": "1e9", "MIN_TRANSMITTANCE": str(MIN_TRANSMITTANCE)}

@@ -1,4 +1,4 @@
-"""Drawing of frames in a style with OpenGL: the visible surface of the points, and then the stylizer."""
+"""Draws frames in a style with OpenGL: first the visible surface of the points, then the picture by the stylizer."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ from fourd.viewer.gl.stylizer import GLStylizer, SurfaceTextures
 from fourd.viewer.gl.timer import GPUTimer
 
 Project = Callable[[Paint], None]
-"""A function that projects the points of a request and draws their discs with colours, normals or depths."""
+"""The type of a function that projects the points of a request, and draws their discs with colours, normals or
+depths."""
 
 
 class SurfaceBuffer:
@@ -45,7 +46,7 @@ class SurfaceBuffer:
     def draw(
         self, compositor: Compositor, project: Project, request: RenderRequest, persistence: float
     ) -> SurfaceTextures:
-        """Draw the surface. Use the returned textures before the next call, which overwrites some of them.
+        """Draw the surface. Use the returned textures before the next call, because that call overwrites some of them.
 
         Args:
             persistence: weight of the previous surface, at least 0 and below 1. Pass 0 if the previous surface was
@@ -57,7 +58,7 @@ class SurfaceBuffer:
             persistence = 0.0
         for paint in PAINTS:
             framebuffer = targets.framebuffer([paint])
-            framebuffer.use()  # projecting uses transform feedback, which needs a framebuffer
+            framebuffer.use()  # the projection uses transform feedback, which needs a bound framebuffer
             project(paint)
             compositor.draw(request, framebuffer, is_picture=False)
         previous, self._last = self._last, 1 - self._last
@@ -85,8 +86,8 @@ class SurfaceBuffer:
 
 
 class StyledDrawing:
-    """Draws requests in their style. In successive pictures from one camera, lines do not flicker, as in the pictures
-    of :class:`fourd.baking.styled.player.StyledPlayer`."""
+    """Draws requests in their style. Lines do not flicker in successive pictures from one camera, as with
+    :class:`fourd.baking.styled.player.StyledPlayer`."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._surface = SurfaceBuffer(context)
@@ -148,6 +149,6 @@ class StyledDrawing:
 
 
 def depth_unit(camera: Camera, manifest: SceneManifest) -> float:
-    """Unit of composited depths: the distance from the camera to the centre of the scene, so that depths are near 1 and
-    fit in float16."""
+    """Return the unit of composited depths, which is the distance from the camera to the centre of the scene. Depths
+    are then near 1, so float16 represents them well."""
     return max(float(np.linalg.norm(np.asarray(manifest.focus) - camera.centre)), 1e-6)

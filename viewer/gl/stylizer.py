@@ -48,24 +48,26 @@ class GLStylizer:
 
     @property
     def line_state(self) -> moderngl.Texture:
-        """Lines of the last picture with specks, one uint32 per pixel. The layout is that of
+        """The lines of the last picture, including specks, as one uint32 per pixel in the layout of
         :func:`fourd.ops.stylize.op.stylize_surface`."""
         return self._targets.texture(f"lines {self._last}")
 
     def resize(self, size: tuple[int, int]) -> None:
-        """Set the size (width, height) of the pictures. At another size, the last lines are dropped."""
+        """Set the size (width, height) of the pictures. If the size changes, the lines of the last picture are
+        dropped."""
         if size != self._targets.size:
             self._targets.resize(size)
             self.forget_lines()
 
     def forget_lines(self) -> None:
-        """Draw the next picture without the lines of the last picture, as for another camera."""
+        """Forget the lines of the last picture, for example because the next picture is drawn from another camera."""
         self._has_state = False
 
     def draw(self, surface: SurfaceTextures, parameters: StyleParameters) -> moderngl.Texture:
-        """Draw a surface of the size of the last call of :meth:`resize`.
+        """Draw a surface, whose size must be that of the last call of :meth:`resize`.
 
-        Returns the picture: RGB over the paper, and alpha. Row 0 is the top. The next call overwrites the picture.
+        Returns the picture: RGB over the paper, and alpha. Row 0 of the texture is the top. The next call overwrites
+        the picture.
         """
         targets = self._targets
         disable_blending(self._context)
@@ -83,7 +85,7 @@ class GLStylizer:
         return targets.texture("picture")
 
     def _shade_surface(self, surface: SurfaceTextures, parameters: StyleParameters) -> None:
-        """Shade the picture without lines, and find its lines."""
+        """Shade the picture without lines, and find the lines to draw."""
         targets, previous = self._targets, self._last
         self._last = 1 - previous
         targets.framebuffer(["shaded", f"lines {self._last}"]).use()

@@ -11,12 +11,12 @@ from OpenGL import GL
 class GPUTimer:
     """Measures the commands of ``with`` blocks on the GPU.
 
-    A result is read when the GPU has it, so that the program never waits for the GPU. The blocks of two timers must not
-    overlap. The queries of moderngl are not used, because they cannot be deleted.
+    A result is read only once it is available, so that the program never waits for the GPU. The blocks of two timers
+    must not overlap. This class calls OpenGL directly, because the queries of moderngl cannot be deleted.
     """
 
     def __init__(self) -> None:
-        # There are two queries, because the result of a block may be missing until after the next block.
+        # There are two queries, because the result of a block may become available only after the next block.
         self._queries = [int(query) for query in np.asarray(GL.glGenQueries(2)).ravel()]
         self._pending: list[int] = []
         self._seconds = 0.0
@@ -30,7 +30,7 @@ class GPUTimer:
 
     def __enter__(self) -> GPUTimer:
         if len(self._pending) == len(self._queries):
-            self._pending.pop(0)  # the result is late, and is not used
+            self._pending.pop(0)  # the oldest result is not available yet, and is dropped
         free = next(query for query in self._queries if query not in self._pending)
         GL.glBeginQuery(GL.GL_TIME_ELAPSED, free)
         self._pending.append(free)
@@ -48,6 +48,6 @@ class GPUTimer:
 
 
 def _value(query: int, name: int) -> int:
-    # A time of up to 4 s in nanoseconds fits into 32 bits. PyOpenGL has no array type for the function that returns 64
-    # bits.
+    # A time of up to 4 s in nanoseconds fits into 32 bits. PyOpenGL cannot call the 64-bit version of this function,
+    # because it has no array type for the result.
     return int(np.asarray(GL.glGetQueryObjectuiv(query, name)).ravel()[0])

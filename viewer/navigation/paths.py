@@ -25,7 +25,7 @@ PathKind = Literal["orbit", "spiral", "cameras"]
 _MAX_GAP = np.radians(120)
 """Largest allowed gap in azimuth between two neighbouring cameras, in radians.
 
-If a gap exceeds this angle, no camera observes this side of the scene.
+If two neighbouring cameras are farther apart, no camera observes the side of the scene between them.
 """
 
 
@@ -39,7 +39,7 @@ def camera_path(
 ) -> list[Camera]:
     """Return the looping path that :func:`orbit`, :func:`spiral` or :func:`interpolate` makes, depending on ``kind``.
 
-    The kind "cameras" interpolates through all cameras in order of azimuth.
+    With the kind "cameras", the path goes through all cameras in order of azimuth.
     """
     if kind == "orbit":
         return orbit(cameras, steps, focus=focus, size=size)
@@ -59,7 +59,7 @@ def orbit(
     size: tuple[int, int] | None = None,
     full: bool | None = None,
 ) -> list[Camera]:
-    """A looping circular path around ``focus``. A full circle starts at the azimuth of the first camera.
+    """Return a looping circular path around ``focus``. A full circle starts at the azimuth of the first camera.
 
     Args:
         cameras: cameras of the capture; at least 1.
@@ -96,7 +96,7 @@ def spiral(
     The arguments that ``Args`` does not list have the same meaning as in :func:`orbit`.
 
     Args:
-        turns: number of full circles or of swings, at least 1.
+        turns: number of full circles, or of swings over the arc, at least 1.
         swing: amplitude of the elevation around the cameras' median elevation, in degrees. None uses the largest
             deviation of a camera's elevation from the median, but at least 10 degrees.
     """
@@ -155,9 +155,9 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
     """The least-squares intersection of all optical axes, (3,).
 
     The intersection is not used if the axes are nearly parallel, if there is only one camera, or if the intersection is
-    behind at least half of the cameras. If the intersection is not used, the result is the centre of ``bounds`` (lower,
-    upper). Without bounds, the result is a point in front of the cameras. The distance from the mean camera centre to
-    this point is three times the spread of the camera centres, or 1 world unit for a single camera.
+    behind at least half of the cameras. The result is then the centre of ``bounds`` (lower, upper). Without bounds, the
+    result is then a point in front of the cameras. Its distance from the mean camera centre is three times the spread
+    of the camera centres, or 1 world unit for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -196,7 +196,7 @@ class _Rig:
         azimuths: azimuths of the cameras in radians, (C,).
         distance: the cameras' median distance from the focus in world units.
         elevation: the cameras' median elevation in radians.
-        elevation_deviation: largest deviation of a camera from the median elevation, in radians.
+        elevation_deviation: largest difference between a camera's elevation and the median elevation, in radians.
         zoom: the cameras' median focal length, in units of the shorter image side.
         size: width and height of the first camera's image in pixels.
     """
@@ -237,7 +237,8 @@ def _measure_rig(
     local = offsets @ axes.T
     distances = np.maximum(np.linalg.norm(local, axis=1), 1e-9)
     elevations = np.arcsin(np.clip(local[:, 2] / distances, -1, 1))
-    # The elevation is at most 80 degrees, because at 90 degrees the up direction is parallel to the view direction.
+    # The elevation is limited to 80 degrees, because the view direction would be parallel to the up direction at 90
+    # degrees.
     median = float(np.clip(np.median(elevations), -np.radians(80), np.radians(80)))
     zooms = [camera.intrinsics[1, 1] / min(camera.width, camera.height) for camera in cameras]
     return _Rig(
@@ -253,7 +254,7 @@ def _measure_rig(
 
 
 def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> Array:
-    """Azimuths (steps,) in radians of full circles, or of swings over the arc of the cameras."""
+    """Return the azimuths (steps,) in radians of full circles, or of swings over the arc of the cameras."""
     phases = 2 * np.pi * turns * np.arange(steps) / steps
     ordered = np.sort(rig.azimuths)
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
@@ -273,8 +274,8 @@ def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
     ``knots`` (M, D) contains one camera vector per row. The samples are (steps, D).
     """
     if loop:
-        # After one loop, the quaternions can have the opposite sign, although the rotation is the same. After two
-        # loops, the signs of the quaternions always agree. The spline therefore covers two loops, and only the first
+        # After one loop around the cameras, the quaternion can have the opposite sign, although the rotation is the
+        # same. After two loops, the sign is always the same. The spline therefore covers two loops, and only the first
         # loop is sampled.
         knots = _align_signs(np.concatenate([knots, knots, knots[:1]]))
     else:
@@ -289,7 +290,7 @@ def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
 
 
 def _to_vector(camera: Camera) -> Array:
-    """A camera as a vector (11,): centre, quaternion, log focal lengths and principal point."""
+    """Convert a camera to a vector (11,): centre, quaternion, log focal lengths and principal point."""
     k = camera.intrinsics
     quaternion = Rotation.from_matrix(camera.rotation).as_quat()
     return np.concatenate([camera.centre, quaternion, np.log([k[0, 0], k[1, 1]]), k[:2, 2]])
@@ -326,9 +327,9 @@ def _drop_duplicates(knots: Array, loop: bool) -> Array:
 
 
 def _distances(first: Array, second: Array) -> Array:
-    """Length of each step between two knots.
+    """Return the length of each step between two successive knots.
 
-    The length combines translation and rotation, so that a pure rotation also takes time.
+    The length combines translation and rotation, so that the path also takes time for a pure rotation.
     """
     turn = 1 - np.abs((first[:, 3:7] * second[:, 3:7]).sum(axis=1)).clip(max=1)
     moved = np.linalg.norm(first[:, :3] - second[:, :3], axis=1)

@@ -24,7 +24,7 @@ _MIN_DISTANCE, _MAX_DISTANCE = 1e-3, 1e6
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """A viewpoint: an eye, and a pivot on the eye's viewing axis. Lengths are in world units.
+    """A viewpoint, which consists of an eye and of a pivot on the eye's viewing axis. Lengths are in world units.
 
     Attributes:
         pivot: point (3,) that the eye orbits around.
@@ -68,8 +68,8 @@ class Pose:
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # The tilt axis is horizontal, because for a rolled camera, a rotation about the image's x axis could go past
-        # the vertical.
+        # The tilt axis is horizontal. For a rolled camera, a rotation about the x axis of the image could go past the
+        # vertical.
         level = level / length if length > 1e-6 else self.rotation[0]
         if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down
@@ -104,8 +104,8 @@ class Pose:
 def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, size: tuple[int, int]) -> Pose:
     """The pose whose image of ``size`` (width, height) contains the whole image of ``camera``.
 
-    The pivot is the point of the viewing axis nearest to ``focus``. If this point is not in front
-    of the camera, the pivot is 1 world unit in front of the camera.
+    The pivot is the point on the viewing axis that is nearest to ``focus``. If this point is behind the camera, the
+    pivot is 1 world unit in front of the camera.
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
@@ -158,7 +158,7 @@ def _rotation_matrix(vector: Array) -> Array:
 
 
 def _nearest_rotation(rotation: Array) -> Array:
-    """The rotation matrix nearest to ``rotation``.
+    """Return the rotation matrix that is nearest to ``rotation``.
 
     The function removes rounding errors that accumulate over thousands of small rotations.
     """

@@ -45,7 +45,7 @@ class RecordedPath:
 
 
 class PathRecorder:
-    """Records RECORDED_FPS samples per second, no matter how often :meth:`advance` is called."""
+    """Records a path with RECORDED_FPS samples per second, no matter how often :meth:`advance` is called."""
 
     def __init__(self) -> None:
         self._samples: list[PathSample] = []
@@ -68,7 +68,8 @@ class PathRecorder:
 
 
 def load_recorded_path(path: Path) -> RecordedPath:
-    """Read a recorded path. Raises UserError with a message that names the file and the fix."""
+    """Read a recorded path. If the file is not valid, raises UserError with a message that names the file and the
+    fix."""
     try:
         if path.stat().st_size > _MAX_BYTES:
             raise ValueError(f"expected at most {_MAX_BYTES} bytes")

@@ -49,14 +49,14 @@ def pose_from_json(content: Any) -> Pose:
         raise ValueError(f"expected a pose, got {str(content)[:60]}") from error
     if not (pose.distance > 0 and 1e-3 < pose.field_of_view < math.pi and abs(np.linalg.norm(pose.up) - 1) < 1e-3):
         raise ValueError("expected distance above 0, field_of_view between 0.001 and pi, and a unit vector as up")
-    pose.camera(16, 16)  # validates the rotation
+    pose.camera(16, 16)  # raises an error if the rotation is not valid
     return pose
 
 
 class SavedViews:
     """The last pose of each scene, stored in a file.
 
-    A file that cannot be read counts as empty. If the file cannot be written, it stays unchanged.
+    A file that cannot be read counts as empty. If writing fails, the old file stays unchanged.
     """
 
     def __init__(self, file: Path) -> None:
@@ -70,7 +70,7 @@ class SavedViews:
             return None
 
     def save(self, scene: Path, pose: Pose) -> None:
-        """Save the pose. The file keeps the poses of the 200 scenes that were saved last."""
+        """Save the pose. The file keeps only the poses of the 200 most recently saved scenes."""
         views = self._read()
         views.pop(_key(scene), None)
         views[_key(scene)] = pose_to_json(pose)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from fourd.errors import UserError
 from fourd.files import atomic_path, remove_unfinished_file
 
-# In ITU-T H.273, the codes of BT.709 have the value 1. FFmpeg's code for limited range is also 1.
+# The code 1 stands for BT.709 in ITU-T H.273, and for limited range in FFmpeg.
 _BT709 = 1
 _ENCODERS = ("libx264", "libopenh264", "h264_videotoolbox", "h264")
 
@@ -25,11 +25,11 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
     Args:
         path: the file, which is written atomically. If ``images`` raises an exception, no file is written.
         images: images (H, W, 3) of one size, with RGB colours as uint8 or as float in [0, 1]. The images are read one
-            by one, so a generator needs constant memory. If a side is odd, the last row or column is repeated, because
-            yuv420p needs even sides.
+            by one, so ``images`` can be a generator, and the memory does not grow with the number of images. If a side
+            is odd, the last row or column is repeated, because yuv420p needs even sides.
         fps: images per second, above 0.
-        quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. With a small CRF, the quality is better
-            and the file is larger than with a large CRF.
+        quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
+            larger file.
 
     Returns:
         The number of images written.

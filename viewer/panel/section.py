@@ -19,7 +19,7 @@ class Section:
         title: title of the collapsible header; empty for a section without a header.
         draw: function that draws the widgets and applies the user's changes.
         needs_scene: whether the section is hidden while no scene is open.
-        is_open: whether the section is expanded at first.
+        is_open: whether the section is expanded when the viewer starts.
     """
 
     title: str
@@ -29,9 +29,10 @@ class Section:
 
 
 def text_scale(state: ViewerState) -> float:
-    """The scale of text and widgets.
+    """Return the scale of text and widgets.
 
-    The scale is the display's scale factor. If the framebuffer is already larger than the window, the scale is 1.
+    The result is the display's scale factor. If the framebuffer already has more pixels than the window has units, the
+    result is 1.
     """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

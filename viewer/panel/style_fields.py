@@ -1,4 +1,5 @@
-"""The widgets that change the fields of a style. Each function takes a style and returns the style after the input."""
+"""The widgets that change the fields of a style. Each function takes a style, and returns the style with the user's
+changes."""
 
 from __future__ import annotations
 
@@ -20,12 +21,12 @@ _Option = TypeVar("_Option", bound=str)
 
 @dataclass(frozen=True)
 class Group:
-    """Widgets that are shown and hidden together.
+    """A group of widgets that are shown and hidden together.
 
     Attributes:
         title: title of the group.
         draw: draws the widgets and returns the changed style. Raises ValueError if a value is not valid for the style.
-        applies: whether the fields have an effect on a style.
+        applies: returns whether the fields of the group have an effect on a given style.
     """
 
     title: str
@@ -45,7 +46,7 @@ def _draw_light(style: Style) -> Style:
     largest = max(1.0, *(abs(value) for value in light.direction))
     shown = [value / largest for value in light.direction]
     changed, values = imgui.slider_float3("direction", shown, -1, 1, "%.2f", imgui.SliderFlags_.always_clamp)
-    # A direction of length 0 is not valid. If all sliders are at 0, the last valid direction is kept.
+    # A direction of length 0 is not valid, so the last valid direction is kept while all sliders are at 0.
     direction = _triple(values) if changed and any(values) else light.direction
     return replace(style, light=Light(direction, _combo("axes", light.frame, _FRAMES)))
 
@@ -182,7 +183,7 @@ def edit_style(style: Style, report: Callable[[str], None]) -> Style:
 def _slider(
     label: str, value: float, least: float, most: float, shown: str = "%.2f", is_logarithmic: bool = False
 ) -> float:
-    # Numbers that are typed after Ctrl + click are also clamped.
+    # Ctrl + click on a slider lets the user type a number, which is clamped like the values of the slider.
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if is_logarithmic else 0)
     changed, found = imgui.slider_float(label, value, least, most, shown, flags)
     return min(max(float(found), least), most) if changed else value

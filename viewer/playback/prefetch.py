@@ -1,4 +1,4 @@
-"""A thread prefetches frames in playback order, within a memory limit."""
+"""Prefetches frames in playback order in a thread, within a memory limit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class BakedFrameSource(Protocol):
         """The manifest of the scene."""
 
     def read(self, index: int) -> BakedFrame:
-        """Read a frame, which can take a long time. Raises UserError if the frame is damaged."""
+        """Read a frame. Reading can take a long time. Raises UserError if the frame is damaged."""
 
     def close(self) -> None:
         """Close files."""
@@ -46,7 +46,7 @@ class FramePrefetcher:
         self._head, self._direction = 0, 1
         self._has_started = False
         self._largest: int | None = None  # Size in bytes of the largest frame that has been read.
-        self._generation = 0  # Number of invalidate() calls. Frames read before the last call are dropped.
+        self._generation = 0  # Number of calls of invalidate(). Frames that were read before the last call are dropped.
         self._is_stopped = False
         self._failure: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="frame reader", daemon=True)
@@ -68,7 +68,8 @@ class FramePrefetcher:
             self._raise_failure()
             found = self._buffer.get(index)
         if isinstance(found, UserError):
-            # Raise a new exception, because the traceback of an exception grows each time that the exception is raised.
+            # A new exception is raised, because the traceback of an exception grows each time the same exception is
+            # raised.
             raise UserError(str(found))
         return found
 
@@ -136,7 +137,7 @@ class FramePrefetcher:
         return True
 
     def _first_missing(self) -> int | None:
-        """The first frame in playback order that is not buffered and fits into the memory limit."""
+        """Return the first frame, in playback order, that is not buffered and fits into the memory limit."""
         if not self._has_started:
             return None
         upcoming = islice(self._playback_order(), self._capacity())
@@ -150,8 +151,8 @@ class FramePrefetcher:
     def _capacity(self) -> int:
         """Number of frames that fit into the memory limit.
 
-        Each frame is assumed to be as large as the largest frame that has been read. With this estimate, evicting one
-        frame frees enough memory for another frame.
+        Each frame is assumed to be as large as the largest frame that has been read. Evicting any frame then makes room
+        for any other frame.
         """
         if self._largest is None:
             return min(_MIN_FRAMES, self._frame_count)

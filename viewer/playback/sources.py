@@ -1,4 +1,4 @@
-"""Frame sources. A source is a `.4dv` file, or a run whose newest checkpoint is baked frame by frame."""
+"""Sources of baked frames. A source is a `.4dv` file, or a run whose newest checkpoint is baked frame by frame."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ class RunSource:
         """Bake a frame of the newest checkpoint. Raises UserError if the frame has an invalid value, such as NaN."""
         try:
             return self._bake(index)
-        except FileNotFoundError:  # training has replaced the checkpoint while this method was loading it
+        except FileNotFoundError:  # training replaced the checkpoint during loading
             return self._bake(index)
 
     def close(self) -> None:
-        """Drop the model."""
+        """Remove the loaded model from memory."""
         self._trained = None
 
     def _bake(self, index: int) -> BakedFrame:
@@ -105,7 +105,7 @@ def _lower_priority() -> None:
 def open_frame_source(path: Location) -> BakedFrameSource:
     """Open a `.4dv` file or its URL, a run's folder, a file of Gaussian splats or a folder of such files.
 
-    Raises UserError with a message that names the file and the fix.
+    If this fails, raises UserError with a message that names the file and the fix.
     """
     source: BakedFrameSource = SceneReader(path) if isinstance(path, StorageUrl) else _open_local(path)
     manifest = source.manifest

@@ -1,1 +1,1 @@
-"""Scenes as web pages: the folder that any web server can serve, and a server for this machine."""
+"""Publishes scenes as web pages: writes a folder that any web server can serve, and serves it from this machine."""

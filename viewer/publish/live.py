@@ -1,4 +1,4 @@
-"""Scenes that are written again when their source changes. The source is a file that is exported again, or a run
+"""Writes scenes for browsers again whenever their source changes. The source is a file that is exported again, or a run
 that trains."""
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ class LiveScene:
     Args:
         source: a `.4dv` file or a run.
         folder: the folder in which the scene and its poster are written. The folder must not exist.
-        tier: tier to which an unpacked scene is packed.
+        tier: tier with which a scene is packed, if it is not packed yet.
         console: prints progress and errors of updates.
 
     Attributes:
-        version: version of the source that is written, or an empty text.
-        error: why the last version was not written, or an empty text.
+        version: version of the source from which the current scene was written, or an empty text.
+        error: the reason why the last version was not written, or an empty text.
     """
 
     def __init__(self, source: Path, folder: Path, tier: Tier, console: Console) -> None:
@@ -46,11 +46,11 @@ class LiveScene:
         folder.mkdir(parents=True)
 
     def has_news(self) -> bool:
-        """Whether the source has a version that :meth:`update` has not tried."""
+        """Whether the source has a version that :meth:`update` has not tried to write."""
         return self._read_version() not in (self._tried, "")
 
     def write(self) -> None:
-        """Write the current version. Raises UserError and OSError."""
+        """Write the current version of the source. Raises UserError or OSError."""
         self._tried = self._read_version()
         self._write()
         self.version, self.error = self._tried, ""
@@ -67,7 +67,7 @@ class LiveScene:
             self.write()
         except FileNotFoundError:
             self._tried = before
-            return False  # Training has replaced the checkpoint. The next call reads the new checkpoint.
+            return False  # Training has just replaced the checkpoint, and the next call reads the new one.
         except (UserError, OSError) as error:
             self.error = str(error)
             self._console.print(f"{self._source}: not updated: {error}", soft_wrap=True, markup=False)
@@ -104,7 +104,7 @@ class LiveSite:
     Args:
         source: a `.4dv` file or a run.
         folder: the folder of the site. The folder must not exist.
-        tier: tier to which an unpacked scene is packed.
+        tier: tier with which a scene is packed, if it is not packed yet.
         console: prints progress and errors of updates.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
 
@@ -126,7 +126,7 @@ class LiveSite:
         copy_player(folder, source.stem, is_live=True, styles=styles)
 
     def update(self) -> bool:
-        """Write the scene again if the source has changed, see :meth:`LiveScene.update`."""
+        """Write the scene again if the source has changed, as :meth:`LiveScene.update` does."""
         return self._scene.update()
 
     def watch(self) -> None:
@@ -135,7 +135,7 @@ class LiveSite:
             self.update()
 
     def stop(self) -> None:
-        """End :meth:`watch`."""
+        """Make :meth:`watch` return."""
         self._stopped.set()
 
 

@@ -55,7 +55,7 @@ class SiteHandler(BaseHTTPRequestHandler):
         self._answer(send_content=False)
 
     def log_message(self, format: str, *args: Any) -> None:
-        """Print nothing."""
+        """Print no log line for a request."""
 
     def _answer(self, send_content: bool) -> None:
         path = find_file(self.server.folder, self.path)
@@ -109,7 +109,8 @@ class SiteHandler(BaseHTTPRequestHandler):
         while left > 0:
             content = stream.read(min(left, _CHUNK))
             if not content:
-                # The file has become shorter. The connection then ends early, which the client detects.
+                # The file has become shorter. The connection ends before the announced length, which the client
+                # detects.
                 self.close_connection = True
                 return
             try:
@@ -162,7 +163,8 @@ class SiteServer(ThreadingHTTPServer):
             if error.errno == errno.EADDRINUSE:
                 raise UserError(f"--port {port}: expected a free port, got one in use; choose another one") from error
             raise UserError(f"--host {host} --port {port}: cannot listen ({error.strerror or error})") from error
-        # A name that is no host name, such as a control character, is a TypeError or a UnicodeError of the socket.
+        # If the host is not a valid name, for example because it has a control character, the socket raises TypeError
+        # or UnicodeError.
         except (OverflowError, TypeError, ValueError) as error:
             raise UserError(f"--host {host} --port {port}: expected an address and a port, got '{error}'") from error
 

@@ -42,18 +42,19 @@ def write_site(
 ) -> None:
     """Write a folder with a page, a poster image, the player's modules and the scene.
 
-    Packed scenes keep their tier. The members of a packed scene are compressed again, because browsers cannot
-    decompress Zstandard.
+    A packed scene keeps its tier, but its members are compressed again with zlib, because browsers cannot decompress
+    Zstandard.
 
     Args:
         source: a `.4dv` of any version.
-        out: the folder to write. An earlier site in this folder is replaced.
-        tier: tier of the result, if the scene is not yet packed.
-        title: title of the page, by default the name of the file.
+        out: the folder to write. If the folder contains an earlier site, it is replaced.
+        tier: tier with which the scene is packed, if it is not packed yet.
+        title: title of the page. The default is the name of the file.
         track: reports progress.
         level: level of the tier, see :func:`fourd.baking.packing.pack.pack_scene`.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
-        has_normals: whether the scene has normals, which styles need. Normals that the source lacks are estimated.
+        has_normals: whether the written scene has normals, which styles need. If the source has no normals, they are
+            estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene, or if ``out`` has other content.
@@ -112,8 +113,8 @@ def write_poster(scene: Path, out: Path) -> None:
 def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping[str, Style] | None = None) -> None:
     """Copy the page and the player's modules, and write the styles that the player offers.
 
-    With ``is_live``, the open page loads the scene file again whenever the file changes on the server. ``styles`` None
-    stands for the presets.
+    If ``is_live`` is True, the open page loads the scene file again whenever the file changes on the server. If
+    ``styles`` is None, the page offers the presets.
     """
     with as_file(files("fourd.viewer") / "web") as web:
         _copy_modules(web, folder, styles, (*_NOT_SERVED, TRAINING_FOLDER))
@@ -126,8 +127,8 @@ def copy_player(folder: Path, title: str, is_live: bool = False, styles: Mapping
 
 
 def copy_training_page(folder: Path, title: str, styles: Mapping[str, Style] | None = None) -> None:
-    """Copy the page of a run, and the modules of this page and of the player. ``styles`` None stands for the
-    presets."""
+    """Copy the page of a run, and the modules of the page and of the player. If ``styles`` is None, the player offers
+    the presets."""
     with as_file(files("fourd.viewer") / "web") as web:
         _copy_modules(web, folder, styles, _NOT_SERVED)
         page = (web / TRAINING_FOLDER / "index.html").read_text(encoding="utf-8")
@@ -142,8 +143,8 @@ def _copy_modules(web: Path, folder: Path, styles: Mapping[str, Style] | None, l
 
 
 def _write_page(folder: Path, page: str, title: str, modules: Sequence[str]) -> None:
-    """Write a page with links, with which browsers fetch all modules at once, although the modules import each
-    other."""
+    """Write a page with preload links for all modules. Without the links, a browser would find each module only after
+    it has fetched the modules that import it."""
     links = (f'<link rel="modulepreload" href="{name}" />' for name in modules)
     page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{preload}}", "\n    ".join(links))
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")

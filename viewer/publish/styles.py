@@ -1,5 +1,5 @@
-"""Writes the styles of the web player: a JSON file with the shaders of viewer/shaders/stylize, and the numbers and
-shade tables of styles. viewer/web/stylize reads the file."""
+"""Writes the styles of the web player as a JSON file. The file contains the shaders of viewer/shaders/stylize, and the
+numbers and shade tables of styles. The code in viewer/web/stylize reads the file."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ _SHADERS = {
     "outlines": "stylize/outlines.frag",
 }
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
-"""Numbers that the player computes for each camera."""
+"""Names of the numbers that depend on the camera, which the player therefore computes itself."""
 
 
 def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
     """Load the presets and style files. The name of a style file is its file name without suffix.
 
     Raises:
-        UserError: if a file is not a valid style, or if its name is that of another style.
+        UserError: if a file is not a valid style, or if another style has the same name.
     """
     styles = {name: load_style(name) for name in PRESETS}
     for path in paths:
@@ -63,7 +63,7 @@ def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
 
 def _describe(name: str, style: Style) -> dict[str, Any]:
     table = make_table(style)
-    # The camera has the axes of the world. Its distance from the centre of the scene is 1.
+    # Numbers are computed for a camera with the axes of the world, at the distance 1 from the centre of the scene.
     camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 1, 1)
     parameters = view_style(style, table, camera, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     numbers = asdict(parameters.numbers)

@@ -57,4 +57,4 @@ class CPURenderer:
         canvas.write(self.render(request))
 
     def release(self) -> None:
-        """Does nothing: this renderer owns no GL objects."""
+        """Does nothing, because this renderer owns no GL objects."""

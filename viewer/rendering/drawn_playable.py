@@ -46,7 +46,8 @@ class StyleDrawer:
 
 @dataclass(frozen=True)
 class LensDrawer:
-    """Draws frames through a lens, by tracing rays. ``inserts`` are the mirrors and glass balls in the scene."""
+    """Draws frames through a lens, by tracing rays. ``inserts`` are mirrors and glass balls that are added to the
+    scene."""
 
     lens: Lens
     inserts: tuple[Insert, ...] = ()
@@ -64,7 +65,7 @@ class DrawnPlayable:
     """A scene or a run whose baked frames are drawn by ``drawer``.
 
     Attributes:
-        plain: the scene or run, which supplies cameras and frame numbers.
+        plain: the scene or run without a style or lens, which supplies the cameras and the frame numbers.
         source: the baked frames of the scene or run.
         drawer: draws the frames.
     """
@@ -92,6 +93,6 @@ class DrawnPlayable:
     def render(
         self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Render a frame, as :meth:`fourd.baking.playable.Playable.render`."""
+        """Render a frame, with the arguments of :meth:`fourd.baking.playable.Playable.render`."""
         red, green, blue = (float(value) for value in background)
         return self.drawer.draw(self.source.read(frame), camera, self.source.manifest, layers, (red, green, blue))

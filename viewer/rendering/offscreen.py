@@ -26,7 +26,7 @@ class OffscreenRenderer:
     """
 
     def __init__(self, requested: RendererName | Literal["auto"]) -> None:
-        """Raises UserError when an OpenGL renderer is requested but OpenGL is not available."""
+        """Raises UserError if an OpenGL renderer is requested but OpenGL is not available."""
         self._context = None if requested == "cpu" else _make_context(requested)
         self.choice: RendererChoice = choose_renderer(
             requested, None if self._context is None else _driver_name(self._context)

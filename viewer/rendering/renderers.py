@@ -30,7 +30,7 @@ SOFTWARE_DRIVERS = (
     "gdi generic",
     "microsoft basic render",
 )
-"""Lower-case substrings of GL_RENDERER that identify drivers which render on the CPU."""
+"""Drivers that render on the CPU have one of these substrings in their GL_RENDERER string, converted to lower case."""
 
 
 class Renderer(Protocol):
@@ -42,7 +42,7 @@ class Renderer(Protocol):
 
     @property
     def stale_images(self) -> int:
-        """Number of successive images drawn with the depth order of an earlier request.
+        """Number of images in succession that were drawn with the depth order of an earlier request.
 
         The number is 0 if the depth order is current.
         """
@@ -55,7 +55,7 @@ class Renderer(Protocol):
     def style_seconds(self) -> float:
         """Time of the stylizer in the last image whose time is known, in seconds. Without a style, the time is 0.
 
-        The drawing of depths and normals is not included. OpenGL renderers measure the time on the GPU.
+        The time does not include the drawing of depths and normals. OpenGL renderers measure the time on the GPU.
         """
 
     @property
@@ -65,8 +65,8 @@ class Renderer(Protocol):
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        With ``wait``, the frame and the depth order are those of ``request``. Without ``wait``, the frame and the depth
-        order may be those of an earlier request.
+        If ``wait`` is True, the frame and the depth order are those of ``request``. Otherwise, they may be those of an
+        earlier request.
         """
 
     def release(self) -> None:
@@ -89,7 +89,7 @@ def choose_renderer(requested: RendererName | Literal["auto"], driver: str | Non
         driver: the driver's GL_RENDERER string, or None if OpenGL is not available.
 
     Raises:
-        UserError: when an OpenGL renderer is requested but OpenGL is not available.
+        UserError: if an OpenGL renderer is requested but OpenGL is not available.
     """
     if requested == "cpu":
         return RendererChoice("cpu", "as requested")

@@ -4,8 +4,8 @@
 // same rank.
 #include "alpha.glsl"
 
-// The previous pass stores the negative nearest rank and the farthest rank. Both values are -NONE in pixels without
-// layers.
+// The previous pass has stored two values in each pixel: the negative nearest rank, and the farthest rank. In pixels
+// without layers, both values are -NONE.
 uniform sampler2D bounds;
 uniform bool front_only;
 

@@ -9,7 +9,7 @@ uniform bool is_picture;     // Whether the result is limited to [0, 1].
 
 out vec4 colour;
 
-// A pixel over the background. Pixels outside the image equal the nearest pixel of the image.
+// Returns a pixel, composited over the background. Beyond the border of the image, the nearest pixel is repeated.
 vec4 over_background(ivec2 pixel) {
     vec4 source = texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0);
     vec3 sum = source.rgb + (1.0 - source.a) * background;

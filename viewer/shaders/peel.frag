@@ -1,5 +1,6 @@
 #version 330 core
-// One pass of depth peeling (Everitt 2001). The depth test keeps the nearest disc behind the previous layer.
+// One pass of depth peeling (Everitt 2001). At each pixel, the depth test keeps the nearest disc behind the previous
+// layer.
 
 uniform sampler2D peeled_rank;  // Rank of the layer that the previous pass found.
 

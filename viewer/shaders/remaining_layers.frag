@@ -1,6 +1,6 @@
 #version 330 core
-// Keeps the pixels in which a dual peeling pass has found layers. With `visible_only`, only pixels whose next layer is
-// visible through the layers in front are kept. An occlusion query counts the kept pixels.
+// Keeps the pixels in which a dual peeling pass has found layers. If `visible_only` is true, a pixel is kept only if
+// its next layer is visible through the layers in front. An occlusion query counts the kept pixels.
 
 uniform sampler2D bounds;
 uniform sampler2D front;

@@ -1,7 +1,8 @@
 #version 330 core
 #include "stylize/octahedral.glsl"
 // Projects and shades one point. Transform feedback stores the result once per image, and all geometry passes draw the
-// stored result. The operations and their order are those of fourd/ops/points/reference.py and fourd/baking/shade.py.
+// stored result. The operations, and their order, are the same as in fourd/ops/points/reference.py and
+// fourd/baking/shade.py.
 
 uniform sampler2D xyz;            // One texel per point, as for radius and density.
 uniform sampler2D radius;
@@ -29,8 +30,8 @@ uniform float sh_range;
 uniform float sh_base;
 
 uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Not used by COLOURS.
-uniform int painted;        // The quantity that the discs are painted with: COLOURS, NORMALS or DEPTHS.
-uniform float depth_unit;   // Unit of painted depths, in world units.
+uniform int painted;        // The quantity that the discs show: COLOURS, NORMALS or DEPTHS.
+uniform float depth_unit;   // Length, in world units, of the unit in which depths are written.
 
 const int COLOURS = 0;
 const int NORMALS = 1;  // The normal times the weight of the point.
@@ -83,7 +84,7 @@ vec3 blend_source_views() {
     return total > 0.0 ? sum / max(total, 1e-30) : plain_sum / max(plain_total, 1e-30);
 }
 
-// Returns the normal in the frame of the camera.
+// Returns the normal of the point in camera axes.
 vec3 camera_normal() {
     vec3 n = decode_octahedral(texelFetch(normals, at(slot), 0).rg);
     return vec3(dot(rotation_x, n), dot(rotation_y, n), dot(rotation_z, n));

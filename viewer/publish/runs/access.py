@@ -1,4 +1,4 @@
-"""Who may see and control a run: tokens, names of the server, and the origins of requests."""
+"""Decides who may see and control a run, from tokens, the names of the server, and the origins of requests."""
 
 from __future__ import annotations
 
@@ -26,10 +26,11 @@ _WRONG_TOKEN = "The token is wrong. Open the address that fourd serve has printe
 def choose_token(option: str | None, host: str) -> str | None:
     """The token that the server requires, or None if only this machine can connect and no token was set.
 
-    The token comes from the option ``--token``, otherwise from the environment variable FOURD_TOKEN. If other machines
-    can connect and neither is set, the token is random.
+    The token is the value of the option ``--token``, or else of the environment variable FOURD_TOKEN. If neither is set
+    and other machines can connect, the token is random.
 
-    Raises UserError if the token is too short or has other characters. The message does not contain the token.
+    Raises UserError if the token is too short or has characters that are not allowed. The message does not contain the
+    token.
     """
     source = "--token" if option is not None else TOKEN_VARIABLE
     token = option if option is not None else os.environ.get(TOKEN_VARIABLE)
@@ -66,11 +67,12 @@ class Access:
     token: str | None
 
     def is_token(self, text: str) -> bool:
-        """Whether a text is the token. The duration does not depend on the position of the first difference."""
+        """Whether a text is the token. The time of the comparison does not depend on the position of the first
+        difference."""
         return self.token is not None and hmac.compare_digest(text.encode(), self.token.encode())
 
     def refusal(self, headers: Message, cookie: str, given: str | None) -> str | None:
-        """Why a request is refused, as a sentence for the user, or None if it is accepted.
+        """Return why a request is refused, as a sentence for the user, or None if the request is accepted.
 
         Args:
             headers: the headers of the request.
@@ -87,11 +89,12 @@ class Access:
         return None if self.is_token(kept) else _WRONG_TOKEN
 
     def refusal_of_control(self, headers: Message) -> str | None:
-        """Why a request that changes the training is refused, as a sentence for the user, or None if it is accepted.
+        """Return why a request that changes the training is refused, as a sentence for the user, or None if it is
+        accepted.
 
-        Pages of other sites must not be able to send such requests with the user's browser. Browsers send the header
-        X-Fourd-Request to another site only if that site allows it, which this server never does. They also name the
-        origin of the page.
+        Pages of other sites must not be able to control the training through the user's browser. A browser sends the
+        header X-Fourd-Request to another site only if that site allows the header, and this server never does. A
+        browser also names the origin of the page.
         """
         if headers.get(REQUEST_HEADER) != "control":
             return f"Requests to a training need the header {REQUEST_HEADER}: control."
@@ -102,10 +105,10 @@ class Access:
         return None
 
     def _refuse_name(self, host: str) -> str | None:
-        """Refuse names of the server other than those of this machine.
+        """Refuse a request whose Host header does not name this machine.
 
-        The owner of another name can make it resolve to this machine. Pages under that name would then have the same
-        origin as this server.
+        The owner of any other domain name can make it resolve to this machine. Pages under that name would then have
+        the same origin as this server (DNS rebinding).
         """
         name = _name_of(host)
         if name == self.host or is_loopback(name):
@@ -114,7 +117,7 @@ class Access:
 
 
 def _name_of(host: str) -> str:
-    """The name in a Host header, without the port."""
+    """Return the name in a Host header, without the port."""
     try:
         return urlsplit(f"//{host}").hostname or ""
     except ValueError:

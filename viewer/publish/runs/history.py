@@ -37,11 +37,11 @@ class Series:
 
 
 class RunHistory:
-    """The series of a run's log. The log may grow, and may be replaced by a shorter one when the run is resumed.
+    """The series of a run's log. The log grows during training. When the run is resumed, a shorter log may replace it.
 
     Attributes:
         series: the values by name. Values that are not finite numbers are left out.
-        broken: number of lines that are not records.
+        broken: number of lines of the log that are not valid records.
     """
 
     def __init__(self, run: Path) -> None:
@@ -57,7 +57,8 @@ class RunHistory:
         self._is_skipping = False
 
     def update(self) -> None:
-        """Read the complete lines that were added since the last call. A log that cannot be read counts as empty."""
+        """Read the complete lines that were added to the log since the last call. A log that cannot be read counts as
+        empty."""
         try:
             stream = open_regular(self._path)
         except (OSError, UserError):
@@ -80,7 +81,7 @@ class RunHistory:
                 self._add(line)
             self._is_skipping = False
         if len(rest) > MAX_LINE_BYTES:
-            # The start of a line that is too long to be a record is not read again.
+            # A line that is too long to be a record is skipped, so that its start is not read again.
             self._offset += len(rest)
             self._is_skipping = True
 
@@ -95,11 +96,11 @@ class RunHistory:
         return max((found.steps[-1] for found in self.series.values() if found.steps), default=0)
 
     def curves(self) -> dict[str, dict[str, list[float]]]:
-        """Each series as the lists ``step`` and ``value``, with at most some hundred entries.
+        """Return each series as the lists ``step`` and ``value``, with at most a few hundred entries.
 
-        Longer series are divided into bins, whose steps and values are averaged. Half of the bins have equal widths,
-        and the widths of the other half grow with the step, so that the curves are detailed on linear and on
-        logarithmic axes.
+        Longer series are divided into bins, and the steps and values of each bin are averaged. Half of the bins have
+        equal widths, which gives detail on linear axes. The widths of the other half grow with the step, which gives
+        detail on logarithmic axes.
         """
         return {name: _binned(found) for name, found in sorted(self.series.items())}
 
@@ -123,7 +124,7 @@ class RunHistory:
 
 
 def _numbers(record: Mapping[str, Any]) -> dict[str, float]:
-    """The finite numbers of a record, without the step."""
+    """Return the finite numbers of a record, without the step."""
     return {
         name: float(value)
         for name, value in record.items()
@@ -134,7 +135,7 @@ def _numbers(record: Mapping[str, Any]) -> dict[str, float]:
 def _is_finite(value: float) -> bool:
     try:
         return math.isfinite(value)
-    except OverflowError:  # an integer that is larger than the largest float
+    except OverflowError:  # the number is an integer above the largest float
         return False
 
 
@@ -150,5 +151,5 @@ def _binned(series: Series) -> dict[str, list[float]]:
 
 
 def _rounded(values: NDArray[np.float64]) -> list[float]:
-    """The values with seven significant digits."""
+    """Return the values, rounded to seven significant digits."""
     return [float(f"{value:.7g}") for value in values]

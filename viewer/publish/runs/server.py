@@ -1,4 +1,5 @@
-"""A web server for the page of a run: its site, its data, and requests to its training."""
+"""A web server for the page of a run, which serves the site and the data of the run, and sends requests to its
+training."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ class RunHandler(SiteHandler):
     server: RunServer
 
     def do_POST(self) -> None:
-        # The connection ends after refusals, because the content of the request may not have been read.
+        # After a refusal, the connection is closed, because the content of the request may not have been read.
         refusal = self._refusal(None) or self.server.access.refusal_of_control(self.headers)
         if refusal is not None:
             self._send_text(HTTPStatus.FORBIDDEN, refusal)
@@ -49,7 +50,8 @@ class RunHandler(SiteHandler):
         self._send(HTTPStatus.ACCEPTED, _JSON, b"{}")
 
     def end_headers(self) -> None:
-        # Pages of other sites must not show this page in a frame, in which a user could click on hidden buttons.
+        # Pages of other sites must not show this page in a frame, because they could trick the user into clicking on
+        # hidden buttons.
         self.send_header("X-Frame-Options", "DENY")
         self.send_header("Referrer-Policy", "no-referrer")
         super().end_headers()
@@ -73,7 +75,7 @@ class RunHandler(SiteHandler):
         picture = _PICTURE.fullmatch(path)
         content, kind = None, _JSON
         if site is None:
-            pass  # The site is being written.
+            pass  # The site does not exist yet, because it is still being written.
         elif path == "/run/status.json":
             content = site.status()
         elif path == "/run/curves.json":
@@ -97,11 +99,11 @@ class RunHandler(SiteHandler):
         return self.server.access.refusal(self.headers, self.server.cookie, given)
 
     def _keep_token(self, path: str, query: dict[str, list[str]]) -> None:
-        """Store the token in a cookie and open the same page without the token in its address, so that the token is not
-        in the history of the browser and in copied addresses."""
+        """Store the token in a cookie, and open the same page without the token in its address. The token then does not
+        appear in the browser's history or in copied addresses."""
         rest = urlencode(query, doseq=True)
         self.send_response(HTTPStatus.SEE_OTHER)
-        # Two leading slashes would name another server.
+        # A target with two leading slashes would redirect to another server.
         self.send_header("Location", f"/{path.lstrip('/')}" + (f"?{rest}" if rest else ""))
         cookie = f"{self.server.cookie}={self.server.access.token}; Path=/; HttpOnly; SameSite=Lax"
         self.send_header("Set-Cookie", cookie)
@@ -169,7 +171,7 @@ class RunServer(SiteServer):
 
 
 def _parse_query(query: str) -> dict[str, list[str]]:
-    """The fields of an address. Addresses with too many fields have none."""
+    """Return the query fields of an address. If an address has too many fields, none is returned."""
     try:
         return parse_qs(query, max_num_fields=8)
     except ValueError:
@@ -177,7 +179,7 @@ def _parse_query(query: str) -> dict[str, list[str]]:
 
 
 def _parse_request(content: bytes) -> tuple[str, str] | None:
-    """The session and the action of a request, or None."""
+    """Return the session and the action in the content of a request, or None if the content is not valid."""
     try:
         found = json.loads(content)
     except (ValueError, RecursionError):

@@ -30,11 +30,11 @@ from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, 
 from fourd.viewer.publish.site import copy_training_page
 
 STATUS_SECONDS = 1.0
-"""Time in seconds for which an answer is reused for all pages."""
+"""Time in seconds during which all pages get the same computed answer."""
 ASKED_SECONDS = 10.0
 """A scene is baked only if a page has requested it within this time, in seconds."""
 BAKING_SHARE = 0.02
-"""Maximum share of the machine's CPU time that baking uses while the run trains."""
+"""Maximum fraction of the machine's CPU time that baking uses while the run trains."""
 MAX_PICTURE_PIXELS = 1 << 26
 MAX_PICTURE_WIDTH = 1600
 _POLL_SECONDS = 0.5
@@ -42,12 +42,12 @@ _NICE = 19
 
 
 class Refused(Exception):
-    """A request to the training that cannot be fulfilled. The text is a sentence for the user."""
+    """Raised if a request to the training cannot be fulfilled. The message is a sentence for the user."""
 
 
 @dataclass(frozen=True)
 class _Answers:
-    """The answers that were computed last, and the time at which this was done."""
+    """The most recently computed answers, and the time at which they were computed."""
 
     active: ActiveRun
     status: bytes
@@ -61,9 +61,9 @@ class RunSite:
     Args:
         run: the run's folder.
         folder: the folder of the site. The folder must not exist.
-        tier: tier of the scene.
+        tier: tier with which the scene is packed.
         console: prints the progress of baking.
-        styles: the styles that the player offers, by name. If None, it offers the presets.
+        styles: the styles that the player offers, by name. If None, the player offers the presets.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class RunSite:
         return self._current().curves
 
     def picture(self, step: int, segment: int | None) -> bytes | None:
-        """A validation picture as JPEG, or None if there is no such picture.
+        """Return a validation picture as JPEG, or None if there is no picture of this step.
 
         Args:
             step: the training step of the picture.
@@ -115,7 +115,7 @@ class RunSite:
         return found
 
     def scene(self) -> bytes:
-        """The state of the scene as JSON. For some seconds after this call, new checkpoints are baked."""
+        """Return the state of the scene as JSON. For some seconds after this call, new checkpoints are baked."""
         self._asked = time.monotonic()
         version, error = self._scene.version, self._scene.error
         steps = [int(name.partition(".")[0]) for name in version.split()]
@@ -137,7 +137,7 @@ class RunSite:
 
     def watch(self) -> None:
         """Bake new checkpoints while pages request the scene, until :meth:`stop`. The calling thread gets the lowest
-        priority, so that it does not slow down training."""
+        priority, so that baking does not slow down training."""
         if sys.platform == "linux":
             with suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)
@@ -147,7 +147,7 @@ class RunSite:
                 self._bake()
 
     def stop(self) -> None:
-        """End :meth:`watch`."""
+        """Make :meth:`watch` return."""
         self._stopped.set()
 
     def _bake(self) -> None:
@@ -162,7 +162,7 @@ class RunSite:
         self._next_bake = time.monotonic() + (used / core_count() / BAKING_SHARE if is_busy else 0.0)
 
     def _current(self) -> _Answers:
-        """The answers, which are computed at most once per second."""
+        """Return the answers, which are computed again at most once per second."""
         with self._lock:
             now = time.monotonic()
             if self._answers is None or now - self._answers.seconds >= STATUS_SECONDS:
@@ -185,7 +185,7 @@ def _require_running(active: ActiveRun, session: str, action: Action) -> None:
 
 
 def _read_picture(path: Path) -> bytes | None:
-    """A validation picture as JPEG of moderate size, or None if there is none or it is damaged."""
+    """Return a validation picture as a JPEG of moderate size, or None if the picture is missing or damaged."""
     try:
         with open_regular(path) as stream, Image.open(stream, formats=("PNG",)) as picture:
             if picture.width * picture.height > MAX_PICTURE_PIXELS:

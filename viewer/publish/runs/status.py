@@ -13,18 +13,18 @@ from fourd.viewer.publish.runs.history import RunHistory
 MAX_PICTURES = 24
 """Number of validation pictures that the page offers."""
 _LEAST_SHARE = 1e-6
-"""Spent share of the budget from which the remaining time is estimated."""
+"""The remaining time is estimated only after this fraction of the budget has been spent."""
 _DIGITS = 12
-"""Maximum number of digits in the name of a validation picture."""
+"""Maximum number of digits of the step in the file name of a validation picture."""
 
 ShownPhase = Phase | Literal["ended", "idle"]
-"""The phase of a run. ``ended``: the training's process was killed before it wrote its last state. ``idle``: the
-run has no state."""
+"""The phase of a run. ``ended`` means that the training's process was killed before it wrote its last state. ``idle``
+means that the run has no state."""
 
 
 @dataclass(frozen=True)
 class ActiveRun:
-    """The run that trains or that trained last: the run itself, or one of its segments.
+    """The part of a run that trains or that trained last, which is the run itself or one of its segments.
 
     Attributes:
         folder: the folder of the run or the segment.
@@ -48,7 +48,7 @@ class ActiveRun:
 
 
 def find_active(run: Path) -> ActiveRun:
-    """The part of a run that trains. If nothing trains, the part whose state is the newest."""
+    """Return the part of a run that trains or, if nothing trains, the part with the newest state."""
     folders = segment_folders(run)
     parts = [_active(folder, index) for index, folder in enumerate(folders, 1)] or [_active(run, None)]
     known = [part for part in parts if part.state is not None]
@@ -58,7 +58,8 @@ def find_active(run: Path) -> ActiveRun:
 def picture_steps(run: Path, last: int) -> list[int]:
     """The steps of the newest validation pictures up to the step ``last``, in ascending order.
 
-    Pictures of later steps come from a training that was killed after its last checkpoint.
+    Pictures of later steps are left out. They come from a training that continued after its last checkpoint and was
+    then killed.
     """
     names = [path.stem for path in (run / VALIDATION).glob("*.png")]
     steps = sorted(int(name) for name in names if name.isdecimal() and len(name) <= _DIGITS)
@@ -66,7 +67,7 @@ def picture_steps(run: Path, last: int) -> list[int]:
 
 
 def describe(title: str, active: ActiveRun, history: RunHistory) -> dict[str, Any]:
-    """The state of a run, without its curves."""
+    """Return the state of a run, without its curves."""
     state, phase = active.state, active.phase
     seconds = (state.seconds if state else history.last("seconds")) or 0.0
     step = state.step if state else history.step

@@ -1,4 +1,5 @@
-// Fills the gaps between surfaces (fill_gaps of fourd/ops/stylize/reference.py). This text is also valid GLSL ES 3.00.
+// Fills the gaps between surfaces, as fill_gaps of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES
+// 3.00.
 
 uniform sampler2D inverse_depth;
 uniform sampler2D normal;
@@ -10,7 +11,7 @@ const int GAP = 3;  // Pixels are filled if surfaces on both sides are at most G
 
 ivec2 inside(ivec2 pixel) { return clamp(pixel, ivec2(0), textureSize(inverse_depth, 0) - 1); }
 
-// Returns the nearest surface within GAP pixels in a direction: its inverse depth, and its pixel.
+// Finds the nearest surface within GAP pixels in a direction, and returns its inverse depth and its pixel.
 float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     float best = 0.0;
     found = pixel;

@@ -1,4 +1,4 @@
-// Finds lines (find_lines of fourd/ops/stylize/reference.py). This text is also valid GLSL ES 3.00.
+// Finds lines, as find_lines of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES 3.00.
 
 uniform float ray[6];  // As in the class Numbers of fourd/ops/stylize/parameters.py.
 uniform sampler2D closed_depth;
@@ -12,15 +12,15 @@ uniform bool has_state;               // Whether the previous image has the same
 uniform float hysteresis;
 uniform float persistence;
 
-// The surface at a pixel counts as unchanged if the summed taps of this and the previous image have at most this
-// relative difference, as in csrc/stylize/cpu/lines.inc.
+// The surface at a pixel counts as unchanged if the sums of its taps in this image and in the previous image have a
+// relative difference of at most SAME_TAPS, as in csrc/stylize/cpu/lines.inc.
 const float SAME_TAPS = 0.03;
 
-// The strength of a line decreases from its full value to 0 while the largest dot product of a tap's normal and the ray
-// of the pixel increases from 0 to 1 / FRONT_SLOPE.
+// Let m be the largest dot product of a tap's normal and the pixel's ray. The strength of a line decreases from its
+// full value at m = 0 to 0 at m = 1 / FRONT_SLOPE.
 const float FRONT_SLOPE = 8.0;
 
-// Returns the ray of a pixel with depth 1, in the frame of the camera.
+// Returns the ray of a pixel in camera axes, scaled to depth 1.
 vec3 ray_of(ivec2 pixel) {
     vec2 position = vec2(pixel) + 0.5;
     return vec3(ray[0] * position.x + ray[1] * position.y + ray[2], ray[3] * position.x + ray[4] * position.y + ray[5], 1.0);
@@ -28,7 +28,7 @@ vec3 ray_of(ivec2 pixel) {
 
 vec4 unpack_normal(vec4 texel) { return vec4((floor(255.0 * texel.xyz + 0.5) - 128.0) / 127.0, texel.w); }
 
-// Linear ramp from 0 at the threshold to 1 at 1.5 times the threshold.
+// Returns a linear ramp, from 0 at the threshold to 1 at 1.5 times the threshold.
 float ramp(float value, float threshold) { return clamp(2.0 * (value / threshold - 1.0), 0.0, 1.0); }
 
 ivec2 tap_pixel(ivec2 pixel, ivec2 steps) {
@@ -69,7 +69,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
         ivec2 side = axis == 0 ? ivec2(0, 1) : ivec2(1, 0);
         vec2 first = tap(pixel, -side, normal), second = tap(pixel, side, normal);
         int at = axis == 0 ? pixel.y : pixel.x, count = axis == 0 ? size.y : size.x;
-        // A tap outside the image repeats the border, which would look like a bend of the surface.
+        // Taps outside the image repeat the border, so a second difference across the border would look like a bend of
+        // the surface.
         if (at >= thickness && at < count - thickness) bend += abs(first.x + second.x - 2.0 * depth);
         most = max(most, max(first.x, second.x));
         flatness *= 1.0 - ramp(coverage - first.y, normal_threshold * scale);
@@ -78,8 +79,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
     return 1.0 - flatness * (1.0 - ramp(bend / (2.0 * most), depth_threshold * scale));
 }
 
-// Returns the share of the strength that a line keeps: 0 where a tap shows the back of a surface, which is visible through
-// a hole in the points, unless another tap shows no surface.
+// Returns the factor by which a line's strength is multiplied. The factor is 0 where a tap shows the back of a surface,
+// which is visible through a hole between points. If another tap shows no surface, the factor is 1.
 float kept_line(ivec2 pixel) {
     vec3 towards = ray_of(pixel);
     float away = 0.0, coverage = 1.0;
@@ -95,8 +96,8 @@ float kept_line(ivec2 pixel) {
     return max(1.0 - FRONT_SLOPE * away, 1.0 - coverage);
 }
 
-// Returns the strength of the line at a pixel in [0, 1], as if there were no previous image. `scale` multiplies the
-// thresholds.
+// Returns the strength, in [0, 1], of the line at a pixel, without regard to the previous image. The thresholds are
+// multiplied by `scale`.
 float fresh_line(ivec2 pixel, float scale) {
     vec4 own = unpack_normal(texelFetch(closed_normal, pixel, 0));
     vec3 normal = own.xyz * own.w;

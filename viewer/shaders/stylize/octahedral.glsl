@@ -1,5 +1,5 @@
-// Decodes normals (decode_octahedral of fourd/stylize/normals.py) and weighs points by the side that faces the camera
-// (front_weight of fourd/ops/stylize/reference.py). This text is also valid GLSL ES 3.00.
+// Decodes normals, as decode_octahedral of fourd/stylize/normals.py does. Also weighs points by whether their surface
+// faces the camera, as front_weight of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES 3.00.
 
 // Returns the unit normal of a texel, whose components are bytes / 255.
 vec3 decode_octahedral(vec2 texel) {
@@ -11,8 +11,8 @@ vec3 decode_octahedral(vec2 texel) {
 
 const float BACK_WEIGHT = 0.1;
 
-// Returns the weight of a point in the depth and the normal of a visible surface. `normal` and `position` are in the
-// frame of the camera.
+// Returns the weight of a point in the depth and the normal of a visible surface. `normal` and `position` are in camera
+// axes.
 float front_weight(vec3 normal, vec3 position) {
     float cosine = -dot(normal, position) / max(length(position), 1e-10);
     return BACK_WEIGHT + (1.0 - BACK_WEIGHT) * clamp(0.5 + 5.0 * cosine, 0.0, 1.0);

@@ -1,5 +1,5 @@
-// Draws lines over a shaded picture, without specks (remove_specks of fourd/ops/stylize/reference.py). This text is also
-// valid GLSL ES 3.00.
+// Draws lines over a shaded picture. Specks are left out, as in remove_specks of fourd/ops/stylize/reference.py. This
+// text is also valid GLSL ES 3.00.
 
 uniform sampler2D shaded;
 uniform highp usampler2D lines;  // The state of the lines, in the layout of csrc/stylize/stylize.h.
@@ -9,7 +9,7 @@ uniform vec3 line_colour;
 
 out vec4 picture;
 
-// Least strength, of 255, of a line that continues other lines.
+// Minimum strength, from 0 to 255, at which a pixel's line counts as the continuation of other lines.
 const uint LEAST_STRENGTH = 32u;
 
 // Returns the strength of a line from 0 to 255. There are no lines outside the picture.
@@ -18,7 +18,7 @@ uint strength_at(ivec2 pixel) {
     return is_outside ? 0u : texelFetch(lines, pixel, 0).r & 255u;
 }
 
-// Returns whether a line continues on the square around a pixel. The sides of the square are 2 `reach` pixels long.
+// Returns whether a strong line reaches the sides of a square around a pixel. The sides are 2 `reach` pixels long.
 bool reaches_square(ivec2 pixel, int reach) {
     for (int along = -reach; along <= reach; ++along) {
         uint rows = max(strength_at(pixel + ivec2(along, -reach)), strength_at(pixel + ivec2(along, reach)));

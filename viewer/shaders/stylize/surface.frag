@@ -4,8 +4,8 @@
 
 uniform sampler2D colours;  // Premultiplied by alpha. The other inputs are also premultiplied.
 uniform sampler2D normals;    // Normals times front_weight.
-uniform sampler2D depths;     // Depth in units of depth_unit times front_weight, front_weight, 0, and alpha.
-uniform float depth_unit;     // Unit of `depths`, in world units.
+uniform sampler2D depths;     // Four channels: front_weight * depth / depth_unit, front_weight, 0, and alpha.
+uniform float depth_unit;     // Length, in world units, of the unit of `depths`.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
