@@ -12,7 +12,7 @@ from fourd.errors import UserError
 
 
 class Window:
-    """A window with a current OpenGL context. Use a Window as a context manager.
+    """A window whose OpenGL context is current. Use a Window as a context manager.
 
     Raises UserError if there is no display, or if OpenGL 3.3 is not available.
     """
@@ -54,7 +54,7 @@ class Window:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) in window coordinates, the units of mouse positions."""
+        """(width, height) in window coordinates, which are the units of mouse positions."""
         width, height = self._glfw.get_window_size(self.handle)
         return int(width), int(height)
 
@@ -76,7 +76,7 @@ class Window:
     def set_title(self, text: str) -> None:
         """Set the title if ``text`` differs from the current title.
 
-        An unnecessary change of the title would cause an event, and :meth:`wait_events` would return too early.
+        Setting the same title again would cause an event, so that :meth:`wait_events` would return too early.
         """
         if text != self._title:
             self._glfw.set_window_title(self.handle, text)
@@ -111,7 +111,8 @@ class Window:
         from imgui_bundle import imgui
         from OpenGL import GL
 
-        # No program stays bound: the backend binds the current program again later, which fails for a deleted program.
+        # No shader program may stay bound here. The backend of the user interface later binds the current program
+        # again, which fails if the program has been deleted.
         GL.glUseProgram(0)
         imgui.render()
         self._ui.render(imgui.get_draw_data())
@@ -119,8 +120,7 @@ class Window:
     def copy_framebuffer(self, framebuffer: int) -> None:
         """Copy a framebuffer to the window.
 
-        The framebuffer must have the window's size. ``framebuffer`` is the framebuffer's OpenGL name. The framebuffer
-        stays bound for reading.
+        ``framebuffer`` is the OpenGL name of a framebuffer of the window's size. It stays bound for reading.
         """
         from OpenGL import GL
 

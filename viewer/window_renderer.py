@@ -16,8 +16,8 @@ from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererN
 from fourd.viewer.window import Window
 
 _FAINT = 0.01
-"""Relative tolerance of the strength of lines. Drawing stops when the strength of each line differs from its final
-value by at most this share.
+"""Relative tolerance of the strength of lines. A paused image is drawn again until the strength of each line differs
+from its final value by at most this fraction.
 """
 
 
@@ -37,8 +37,8 @@ class WindowRenderer:
 
     @property
     def is_settling(self) -> bool:
-        """Whether lines of the last image gain strength if the image is drawn again. Lines fade in after a change of
-        the frame, but not after a change of the camera."""
+        """Whether lines of the last image would become stronger if the image were drawn again. Lines fade in after a
+        change of the frame, but not after a change of the camera."""
         return self._unsettled_images > 0
 
     @property
@@ -55,7 +55,7 @@ class WindowRenderer:
     def reset(self) -> None:
         """Create the current renderer again.
 
-        The textures and threads of the old instance may still contain frames of a closed scene.
+        The textures and threads of the old renderer may still hold frames of a closed scene.
         """
         self.renderer.release()
         self.renderer, self._drawn = make_renderer(self.choice.name, self.context), None
@@ -65,7 +65,7 @@ class WindowRenderer:
         self._drawn = None
 
     def needs_draw(self, request: RenderRequest) -> bool:
-        """Whether the canvas differs from the exact image of ``request``."""
+        """Whether ``request`` must be drawn, because the canvas does not show the exact image of ``request``."""
         return self.is_stale or not self._is_last(request)
 
     def draw(self, request: RenderRequest) -> None:
@@ -116,5 +116,5 @@ class WindowRenderer:
 
 
 def _images_to_settle(persistence: float) -> int:
-    """Number of further images of a frame until its lines have their final strength."""
+    """Return how many more times a frame must be drawn until its lines have their final strength."""
     return math.ceil(math.log(_FAINT) / math.log(persistence)) if persistence > 0 else 0

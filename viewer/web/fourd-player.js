@@ -15,10 +15,11 @@ import { VrSession, supportsVr } from "./xr/vr_session.js";
 
 const SPINNER_DELAY_MS = 300;
 const QUIET_MS = 3000;
-/** Time between two requests that check whether the scene has changed. */
+/** Time between two requests that ask the server whether the scene has changed. */
 const LIVE_MS = 2000;
 
-/** State that is kept when an element opens a changed scene. @typedef {{pose: Pose, seconds: number, isPlaying: boolean}} Kept */
+/** State that an element keeps when it opens a changed version of its scene.
+ * @typedef {{pose: Pose, seconds: number, isPlaying: boolean}} Kept */
 
 /**
  * The element `<fourd-player src="scene.4dv">`, which plays a packed scene.
@@ -50,11 +51,11 @@ export class FourdPlayer extends HTMLElement {
     /** @type {Pose | null} */
     this.initialPose = null;
     this.lastInput = performance.now();
-    /** Milliseconds from the start of loading to the first image. */
+    /** Time from the start of loading to the first image, in milliseconds. */
     this.firstImageMs = 0;
     this.styleMenu = new StyleMenu(this);
     this.controls = new Controls(this.panel.canvas, this, () => this.stage?.pose ?? null, (pose) => this.stage?.setPose(pose));
-    /** Follows links that the user opens while the page is shown. */
+    /** Shows the view of a link that the user opens while the page is already shown. */
     this.followLink = () => this.#follow(location.hash);
     this.#listen();
     addShortcuts(this);
@@ -97,7 +98,7 @@ export class FourdPlayer extends HTMLElement {
     }
   }
 
-  /** Moves the view to that of a camera of the capture.
+  /** Moves the view to a camera of the capture.
    * @param {number} index
    */
   moveToCamera(index) {
@@ -120,7 +121,7 @@ export class FourdPlayer extends HTMLElement {
   }
 
   /**
-   * Pauses at a frame.
+   * Seeks to a frame and pauses there.
    * @param {number} frame
    */
   seek(frame) {
@@ -130,7 +131,7 @@ export class FourdPlayer extends HTMLElement {
     this.stage.clock.seek(frame);
   }
 
-  /** A link to the current view and time. */
+  /** Returns a link to the current view and time. */
   get shareLink() {
     const link = new URL(location.href);
     if (this.stage) link.hash = toFragment(this.stage.pose, this.stage.clock.frame / this.stage.clock.fps);

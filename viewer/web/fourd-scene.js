@@ -55,19 +55,21 @@ export class FourdScene {
     this.points = new ProjectedPoints(gl, file.manifest);
     this.renderer = new HostRenderer(gl, file.manifest, this.points);
     this.playback = new Playback(file, pool, () => {}, failed);
-    /** Maps the scene's world to the host's world: a rotation, a translation and a uniform scale. */
+    /** The matrix that maps the scene's world to the host's world. It consists of a rotation, a translation and a
+     * uniform scale. */
     this.matrix = /** @type {ArrayLike<number>} */ (IDENTITY);
   }
 
-  /** The time: `seconds`, `speed`, `isPlaying`, `loops`, `frame`, `seek(frame)` and `toggle()`. */
+  /** The playback clock, with `seconds`, `speed`, `isPlaying`, `loops`, `frame`, `seek(frame)` and `toggle()`. */
   get clock() {
     return this.playback.clock;
   }
 
   /**
-   * Places the scene upright: its focus at the host's origin, the up direction of its cameras along +y, and the viewing
-   * direction of its first camera along -z.
-   * @param {number} distance Distance of the first camera from the origin in the host's units. It sets the scale.
+   * Places the scene upright. The focus of the scene is then at the host's origin, the up direction of its cameras is
+   * +y, and the viewing direction of its first camera is -z.
+   * @param {number} distance Distance of the first camera from the origin in the host's units, which determines the
+   *   scale.
    */
   placeUpright(distance) {
     const { cameras, focus } = this.manifest;
@@ -94,8 +96,8 @@ export class FourdScene {
   /**
    * Advances the time by `elapsed` seconds, loads frames and sorts their points for a view.
    *
-   * The views of both eyes of a headset share one depth order. The order is exact if both eyes look in the same
-   * direction, and neither is in front of the other.
+   * Both eyes of a headset share one depth order. The order is exact if both eyes look in the same direction, and no
+   * eye is in front of the other.
    * @param {number} elapsed
    * @param {View} view
    */
@@ -104,18 +106,18 @@ export class FourdScene {
   }
 
   /**
-   * Composites the points over the content of a framebuffer. Colours are sRGB, as in images. Points behind the
-   * host's objects are not drawn. At each pixel, the K nearest of the other points are composited.
+   * Composites the points over the content of a framebuffer. Colours are sRGB, as in images. Points behind the host's
+   * objects are not drawn. The K nearest of the remaining points are composited at each pixel.
    * @param {View} view
    * @param {object} [target]
    * @param {WebGLFramebuffer | null} [target.framebuffer] null, the default, is the canvas.
    * @param {WebGLTexture | null} [target.depthTexture] Depth of the host's objects, which hide the points behind them.
-   *   Its texels are the pixels of the framebuffer. It is not multisampled, has no filter other than NEAREST, and is not
-   *   attached to the framebuffer.
+   *   The texture has one texel per pixel of the framebuffer. It must have the filter NEAREST, must not be
+   *   multisampled, and must not be attached to the framebuffer.
    * @param {boolean} [target.writesDepth] Write the mean depth of the points into the framebuffer's depth buffer, where
    *   they cover at least half of a pixel. Objects that the host draws later are then hidden by the points.
-   * @param {View} [target.selectedFor] View for which source views are selected, the drawn view by default. The eyes of
-   *   a headset share one selection.
+   * @param {View} [target.selectedFor] View for which source views are selected. The default is the drawn view. The
+   *   eyes of a headset should share one selection.
    */
   draw(view, { framebuffer = null, depthTexture = null, writesDepth = false, selectedFor = view } = {}) {
     const { camera, depthRange } = this.#host(view);

@@ -6,16 +6,17 @@ import { damaged, inflate, inflateExactly } from "./inflate.js";
  * @typedef {object} CloudBase
  * @property {number} points
  * @property {Float32Array<ArrayBuffer>} xyz (N, 3) in world units.
- * @property {Uint32Array<ArrayBuffer>} sizes Radius code in the low 16 bits, density code in the next 8 bits.
+ * @property {Uint32Array<ArrayBuffer>} sizes One number per point: radius code in the low 16 bits, density code in the
+ *   next 8 bits.
  * @property {Int16Array<ArrayBuffer>} factors (K, N) factors of the rows of the spherical harmonics' basis.
  * @property {Uint8Array<ArrayBuffer>} mean (N, 4) mean colour over the source views; the fourth byte is 0.
- * @property {number} largestRadius In world units.
+ * @property {number} largestRadius Largest radius of a point in world units.
  */
 
-/** Radii are below this number in world units, so that projected radii are finite floats. */
+/** Upper limit of radii in world units, so that projected radii are finite floats. */
 const MAX_RADIUS = 1e18;
 
-/** Table over 12 bits of a Morton code. An entry has 4 bits of x, then 4 bits of y, then 4 bits of z. */
+/** Lookup table for 12 bits of a Morton code. An entry has the 4 bits of x, then those of y, then those of z. */
 const GATHERED = gatherTable();
 
 function gatherTable() {
@@ -114,8 +115,8 @@ function countNonzero(codes) {
 }
 
 /**
- * Sums the differences of Morton codes and gathers the bits of each coordinate. The codes have up to 63 bits, so a sum
- * is stored in three integers of 24 bits. Each integer has 8 bits of each coordinate.
+ * Adds up the differences of Morton codes, and gathers the bits of each coordinate. The codes have up to 63 bits, so a
+ * sum is stored in three integers of 24 bits. Each integer has 8 bits of each coordinate.
  * @param {Uint8Array} content
  * @param {number} points
  * @param {CloudEncoding} encoding

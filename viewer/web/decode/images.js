@@ -6,7 +6,7 @@ import { damaged, inflate } from "./inflate.js";
 /** @typedef {import("../scene/manifest.js").CloudEncoding} CloudEncoding */
 
 /**
- * The image of a source view. Plane 0 is Y, planes 1 and 2 are Cb and Cr with half the width and height.
+ * The decoded image of a source view. Plane 0 is Y. Planes 1 and 2 are Cb and Cr, with half the width and height.
  * @typedef {object} ViewImage
  * @property {number} left Texel of the camera's grid at which the image starts.
  * @property {number} top
@@ -17,11 +17,12 @@ import { damaged, inflate } from "./inflate.js";
 
 /** @typedef {{left: number, top: number, width: number, height: number, frame: Uint8Array}} StoredImage */
 
-/** Size of the header in bytes: left, top, width and height in texels (16 bits), and the size of the VP9 frame (32 bits). */
+/** Size of the header in bytes. The header has the left, top, width and height in texels (16 bits each), and the size
+ * of the VP9 frame (32 bits). */
 const HEADER = 12;
-/** A texel with this value encodes the difference 0. */
+/** The texel value that encodes a colour difference of 0. */
 const ZERO = 128;
-/** Profile 0, level 5.1, 8 bits. */
+/** The VP9 codec string: profile 0, level 5.1, 8 bits. */
 const CODEC = "vp09.00.51.08";
 const MAX_SIDE = 1 << 14;
 const SMALLEST_FRAME = 1024;
@@ -33,7 +34,7 @@ const GREEN_FROM_CR = -0.714136;
 const BLUE_FROM_CB = 1.772;
 
 /**
- * Decodes the views of a cloud whose colours are sampled from images, which docs/formats.md describes.
+ * Decodes the source views of a cloud whose colours are sampled from images. docs/formats.md describes the format.
  * @param {{view: number, member: Uint8Array, camera: Camera}[]} views
  * @param {{xyz: Float32Array, mean: Uint8Array}} base Positions (N, 3) and mean colours (N, 4).
  * @param {number} scale Texels per pixel of the cameras.
@@ -95,7 +96,7 @@ function parseImage(content, camera, scale, name) {
 }
 
 /**
- * Checks that a frame is one key frame of VP9 (profile 0) that is shown, with the declared size.
+ * Checks that a frame is a single, visible key frame of VP9 (profile 0) with the declared size.
  * @param {Uint8Array} frame
  * @param {number} width
  * @param {number} height
@@ -204,7 +205,7 @@ function toByte(value) {
 }
 
 /**
- * The columns of the matrix (3, 4) that maps world coordinates to texels of the grid, times the depth.
+ * Returns the columns of the (3, 4) matrix that maps world coordinates to (texel coordinates of the grid) * depth.
  * @param {Camera} camera
  * @param {number} scale
  */
@@ -219,7 +220,7 @@ function projection({ intrinsics: k, rotation: r, translation: t }, scale) {
 }
 
 /**
- * Samples a plane. Texel centres are at half-integers. Beyond the border, the plane continues with the texels of the border.
+ * Samples a plane. Texel centres are at half-integers. Beyond the border of the plane, the border texels are repeated.
  * @param {Plane} plane
  * @param {number} x
  * @param {number} y

@@ -7,7 +7,8 @@ import { SceneError } from "../scene/errors.js";
  * @typedef {{kind: "base", folder: string, points: number, encoding: CloudEncoding,
  *   members: {points: Uint8Array, sh: Uint8Array, colour: Uint8Array | null}}} BaseRequest
  * @typedef {{kind: "views", folder: string, encoding: CloudEncoding, mean: Uint8Array, xyz: Float32Array | null,
- *   views: {view: number, member: Uint8Array, camera: Camera}[]}} ViewsRequest `xyz` is needed for images.
+ *   views: {view: number, member: Uint8Array, camera: Camera}[]}} ViewsRequest `xyz` is only needed if colours are
+ *   sampled from images.
  * @typedef {{kind: "shadow" | "normals", size: number, name: string, member: Uint8Array}} BytesRequest
  * @typedef {(BaseRequest | ViewsRequest | BytesRequest) & {id?: number}} DecodeRequest
  * @typedef {CloudBase | [number, Uint8Array<ArrayBuffer>][] | Uint8Array<ArrayBuffer>} DecodeResult
@@ -44,7 +45,7 @@ export class DecodePool {
   }
 
   /**
-   * Decompresses a member of bytes.
+   * Decompresses a member that is a plain array of bytes.
    * @param {BytesRequest} request
    * @returns {Promise<Uint8Array<ArrayBuffer>>}
    */

@@ -15,8 +15,8 @@ const NONE = 1e9;
 
 /**
  * Composites up to K discs per pixel in one pass. The discs are drawn from the nearest to the farthest. Each disc is
- * blended behind the discs drawn before it. The stencil buffer counts the discs of each pixel, so that exactly the K
- * nearest discs are composited.
+ * blended behind the earlier discs. The stencil buffer counts the discs of each pixel, so that exactly the K nearest
+ * discs are composited.
  * @implements {Compositor}
  */
 export class SortedCompositor {
@@ -49,7 +49,7 @@ export class SortedCompositor {
   }
 
   /**
-   * Like `draw`, but returns the textures of all outputs.
+   * Does the same as `draw`, but returns the textures of all outputs.
    * @param {number} width
    * @param {number} height
    * @param {number} layers

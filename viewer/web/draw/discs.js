@@ -7,8 +7,8 @@ import { MAX_BLENDED, NO_FRAGMENT, SHADE_VERTEX, quadVertex, spriteVertex } from
 const BYTES_PER_DISC = 32;
 
 /**
- * The programs of a pass that draws discs. Sprites need a quarter of the vertices of quads, but their size is limited.
- * The pass of a style has its own vertex arrays, which also contain normals.
+ * The programs of a pass that draws discs. Sprites need a quarter of the vertices of quads, but drivers limit the size
+ * of sprites. The pass of a style has its own vertex arrays, which also contain normals.
  * @typedef {{sprite: import("./gl.js").Program, quad: import("./gl.js").Program, arrays?: DiscArrays}} DiscPass
  */
 
@@ -82,7 +82,7 @@ export class Discs {
   }
 
   /**
-   * Runs the vertex shader in use for the points in depth order, and stores its outputs.
+   * Runs the current vertex shader for all points, in depth order, and stores the outputs of the shader.
    * @param {WebGLTransformFeedback} feedback
    * @param {WebGLBuffer} buffer
    */
@@ -120,7 +120,7 @@ export class Discs {
     program.floats({ ...floats, size: [width, height] });
     if (isSprite) {
       program.floats({ margin });
-      // Sprites whose centre is outside the viewport are dropped, so the viewport extends past the image.
+      // WebGL drops sprites whose centre is outside the viewport, so the viewport extends past the image.
       gl.viewport(-margin, -margin, width + 2 * margin, height + 2 * margin);
       gl.bindVertexArray(arrays.sprite);
       gl.drawArrays(gl.POINTS, 0, this.count);
@@ -153,7 +153,7 @@ export class Discs {
   }
 
   /**
-   * Makes `disc` and `paint` the attributes 0 and 1 of a vertex array.
+   * Sets up a vertex array with `disc` as attribute 0 and `paint` as attribute 1.
    * @param {WebGLVertexArrayObject} array
    * @param {number} divisor 0 for one disc per vertex, 1 for one disc per instance.
    */

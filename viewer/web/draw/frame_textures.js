@@ -7,7 +7,8 @@ import { FULL_SCREEN_VERTEX, HARMONICS_FRAGMENT, TEXELS_PER_ROW } from "./shader
 /** @typedef {import("../decode/cloud.js").CloudBase} CloudBase */
 
 /**
- * A decoded cloud: its points, its colours in some source views, and its octahedral normals (N, 2) if they are needed.
+ * A decoded cloud: the points, their colours in some source views, and, if they are needed, their octahedral normals
+ * (N, 2).
  * @typedef {{base: CloudBase, views: Map<number, Uint8Array<ArrayBuffer>>, normals: Uint8Array<ArrayBuffer> | null}} Cloud
  */
 
@@ -15,8 +16,8 @@ const BLOCKS = 6;
 const BASIS_FLOATS = 4 * (SH_NUMBERS * 12 + 12);
 
 /**
- * The points of one frame and of the background in textures. Dynamic points come first. The background starts at a new
- * row of the textures, so that it is uploaded only once.
+ * Textures with the points of one frame and of the background. Dynamic points come first. The background starts at a
+ * new row of the textures, so that it is uploaded only once.
  */
 export class FrameTextures {
   /**
@@ -65,7 +66,7 @@ export class FrameTextures {
    * @param {(Cloud | null)[]} clouds Dynamic points and background.
    * @param {Uint8Array | null} shadow
    * @param {number[]} selected Source views to blend.
-   * @returns {Map<number, number>} For each selected view whose colours are loaded for all clouds: its texture layer.
+   * @returns {Map<number, number>} The texture layer of each selected view whose colours are loaded for all clouds.
    */
   load(clouds, shadow, selected) {
     const { gl } = this;
@@ -91,7 +92,7 @@ export class FrameTextures {
    */
   loadNormals(clouds) {
     const { gl } = this;
-    gl.activeTexture(gl.TEXTURE0); // New textures are bound to the active unit.
+    gl.activeTexture(gl.TEXTURE0); // Creating a texture binds it to the active unit.
     const texture = this.normals ?? makeTexture(gl, gl.RG8, TEXELS_PER_ROW, this.rows);
     this.normals = texture;
     clouds.forEach((cloud, index) => {
@@ -232,7 +233,7 @@ export class FrameTextures {
 }
 
 /**
- * Index of the first background point among the points of a frame and the background.
+ * Returns the index of the first background point in the numbering of all points of a frame and the background.
  * @param {Manifest} manifest
  */
 export function backgroundFirst(manifest) {

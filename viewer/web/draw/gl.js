@@ -51,7 +51,7 @@ export class Program {
   }
 
   /**
-   * Sets floats, vectors of 2 to 4 floats, or arrays of more floats. The program must be in use.
+   * Sets uniforms that are floats, vectors of 2 to 4 floats, or longer arrays of floats. The program must be in use.
    * @param {Record<string, number | number[]>} values
    */
   floats(values) {
@@ -66,7 +66,7 @@ export class Program {
   }
 
   /**
-   * Sets integers, booleans and texture units. The program must be in use.
+   * Sets uniforms that are integers, booleans or texture units. The program must be in use.
    * @param {Record<string, number | boolean>} values
    */
   integers(values) {
@@ -143,7 +143,7 @@ export function makeFramebuffer(gl, textures, depth) {
 }
 
 /**
- * Sets the state of WebGL that the player's drawing depends on, after another program has changed it.
+ * Sets all WebGL state on which the drawing of the player depends, because another program may have changed it.
  * @param {GL} gl
  */
 export function setInitialState(gl) {

@@ -8,12 +8,14 @@ import { FULL_SCREEN_VERTEX } from "./shaders.js";
 /** @typedef {import("./projected_points.js").ProjectedPoints} ProjectedPoints */
 
 /**
- * Where an image is drawn in the framebuffer of another program.
+ * Describes where an image is drawn in the framebuffer of another program (the host).
  * @typedef {object} HostTarget
  * @property {WebGLFramebuffer | null} framebuffer Null stands for the canvas.
  * @property {[number, number]} corner Pixel (x, y) of the framebuffer at the image's bottom left corner.
- * @property {[number, number]} depthRange A point at depth z has the normalised device coordinate a + b / z.
- * @property {WebGLTexture | null} depthTexture Depth of the host's objects. Its texels are the framebuffer's pixels.
+ * @property {[number, number]} depthRange Numbers a and b: a point at depth z has the normalised device coordinate
+ *   a + b / z.
+ * @property {WebGLTexture | null} depthTexture Depth of the host's objects, with one texel per pixel of the
+ *   framebuffer.
  * @property {boolean} writesDepth
  */
 
@@ -22,7 +24,7 @@ export class HostRenderer {
   /**
    * @param {WebGL2RenderingContext} gl
    * @param {Manifest} manifest
-   * @param {ProjectedPoints} points Belongs to the caller.
+   * @param {ProjectedPoints} points The caller must release them.
    */
   constructor(gl, manifest, points) {
     this.gl = gl;
@@ -31,7 +33,8 @@ export class HostRenderer {
     this.colour = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_COLOUR_FRAGMENT);
     this.depth = makeProgram(gl, FULL_SCREEN_VERTEX, HOST_DEPTH_FRAGMENT);
     this.emptyArray = gl.createVertexArray();
-    /** By number of outputs: colour, or colour and depth. @type {Map<number, SortedCompositor>} */
+    /** Compositors by their number of outputs: 1 for colour, 2 for colour and depth. @type {Map<number,
+     * SortedCompositor>} */
     this.compositors = new Map();
   }
 
@@ -49,7 +52,7 @@ export class HostRenderer {
     const top = [target.corner[0], target.corner[1] + height - 1];
     const depth = { depth_range: target.depthRange, unit_depth: this.#distanceToFocus(picture) };
     bindTexture(gl, 1, target.depthTexture);
-    gl.activeTexture(gl.TEXTURE0); // New textures are bound to the active unit.
+    gl.activeTexture(gl.TEXTURE0); // Creating a texture binds it to the active unit.
     const images = this.#compositor(target.writesDepth ? 2 : 1).drawAll(
       width,
       height,

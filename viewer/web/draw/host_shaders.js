@@ -26,7 +26,7 @@ void main() {
 }
 `;
 
-/** Outputs the filtered premultiplied image. Row 0 of the image is its top. */
+/** Outputs the filtered premultiplied image. Row 0 is the top of the image. */
 export const HOST_COLOUR_FRAGMENT = `${HEADER}
 uniform sampler2D image;
 uniform vec2 corner;  // Pixel of the target at the image's top left pixel.
@@ -40,7 +40,7 @@ void main() {
 }
 `;
 
-/** Outputs the mean depth of the points where they cover at least half of a pixel of the filtered image. */
+/** Outputs the mean depth of the points at pixels where the filtered image has an alpha of at least 0.5. */
 export const HOST_DEPTH_FRAGMENT = `${HEADER}
 uniform sampler2D weighted_depth;
 uniform vec2 corner;

@@ -5,7 +5,7 @@ import { FrameTextures } from "./frame_textures.js";
 /** @typedef {import("./frame_textures.js").Cloud} Cloud */
 
 /**
- * What an image shows.
+ * A picture to draw: points, camera, and blending settings.
  * @typedef {object} Picture
  * @property {(Cloud | null)[]} clouds Dynamic points and background.
  * @property {Uint8Array | null} shadow
@@ -35,7 +35,7 @@ export class ProjectedPoints {
     const layers = this.textures.load(picture.clouds, picture.shadow, views);
     const loaded = views.map((view, index) => ({ layer: layers.get(view), weight: weights[index] }));
     const usable = /** @type {{layer: number, weight: number}[]} */ (loaded.filter(({ layer }) => layer !== undefined));
-    // Until the first view has arrived, points have their mean colours, which are in layer 0.
+    // Until the colours of the first view are loaded, the points have their mean colours, which are in layer 0.
     const blended = usable.length ? usable : views.length ? [{ layer: 0, weight: 1 }] : [];
     this.discs.project(
       this.textures,

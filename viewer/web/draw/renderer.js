@@ -40,8 +40,8 @@ export class CanvasRenderer {
    * @param {Picture} picture
    * @param {Mode} mode
    * @param {[number, number, number]} background Colour in [0, 1].
-   * @param {ReadyStyle | null} [style] Ignored until the normals of all points are loaded. A style is always composited
-   *   in one pass.
+   * @param {ReadyStyle | null} [style] Ignored until the normals of all points are loaded. Pictures in a style are
+   *   always composited in one pass.
    */
   draw(picture, mode, background, style = null) {
     const { gl } = this;

@@ -1,5 +1,6 @@
 /**
- * GLSL ES 3.00 sources. The formulas are those of viewer/shaders/, which draw the same scenes in the viewer's window.
+ * GLSL ES 3.00 sources. The formulas are those of the shaders in viewer/shaders/, which draw the same scenes in the
+ * viewer's window.
  */
 
 /** Width in texels of the textures that store arrays. */
@@ -171,9 +172,9 @@ out vec4 nothing;
 void main() { nothing = vec4(0.0); }
 `;
 
-/** GLSL expression of the depth of a disc, if discs are peeled by their rank. */
+/** GLSL expression of the depth of a disc for depth peeling, which peels discs by their rank. */
 export const RANK_DEPTH = "2.0 * (rank - 0.5) / 16777216.0 - 1.0";
-/** GLSL expression of the depth of a disc, if depths are neither tested nor stored. */
+/** GLSL expression of the depth of a disc for passes that neither test nor store depths. */
 export const NO_DEPTH = "0.0";
 
 /** @param {boolean} hasNormals */
@@ -270,14 +271,14 @@ void main() {
 }
 `;
 
-/** Copies an image of the target's size. */
+/** Copies an image that has the target's size. */
 export const COPY_FRAGMENT = `${HEADER}
 uniform sampler2D image;
 out vec4 colour;
 void main() { colour = texelFetch(image, ivec2(gl_FragCoord.xy), 0); }
 `;
 
-/** Scales an image to the target. Row 0 of the image is its top. */
+/** Scales an image to the target. Row 0 is the top of the image. */
 export const SCALE_FRAGMENT = `${HEADER}
 uniform sampler2D image;
 uniform vec2 target;
@@ -289,8 +290,8 @@ void main() {
 `;
 
 /**
- * The pixel filter: a weighted mean of 3 x 3 values. A shader defines `vec4 tap(T)` before this text, and `+` and `-` of
- * T move by whole pixels.
+ * The pixel filter: a weighted mean of 3 x 3 values. A shader must define `vec4 tap(T)` before this text. Adding 1 to a
+ * position of type T must move it by one pixel.
  * @param {"vec2" | "ivec2"} type T, the type of positions.
  */
 export const pixelFilter = (type) => `
@@ -308,8 +309,8 @@ vec4 filtered(${type} position, ${type} right, ${type} down) {
 `;
 
 /**
- * Composites a premultiplied image over a uniform background, filtered and scaled to the target. Row 0 of the image is
- * its top. Texels outside the image equal the nearest texel of the image.
+ * Composites a premultiplied image over a uniform background, filtered and scaled to the target. Row 0 is the top of
+ * the image. Beyond the border of the image, the nearest texel is repeated.
  */
 export const OVER_BACKGROUND_FRAGMENT = `${HEADER}
 uniform sampler2D image;

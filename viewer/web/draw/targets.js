@@ -1,7 +1,7 @@
 import { SceneError } from "../scene/errors.js";
 import { makeFramebuffer, makeTexture } from "./gl.js";
 
-/** Textures of one size, with a framebuffer that draws into them. */
+/** Textures of one size, with a framebuffer that draws into all of them. */
 export class Target {
   /**
    * @param {WebGL2RenderingContext} gl

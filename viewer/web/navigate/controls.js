@@ -44,7 +44,7 @@ export class Controls {
 
   /**
    * Applies the keys that are held down.
-   * @param {number} seconds Since the last call.
+   * @param {number} seconds Time since the last call.
    */
   update(seconds) {
     const pose = this.getPose();
@@ -76,7 +76,7 @@ export class Controls {
   }
 
   /**
-   * One finger orbits. Two fingers pan, and dolly by their distance.
+   * One finger orbits. Two fingers pan, and a change of the distance between them dollies.
    * @param {Pose} pose
    * @param {number} right
    * @param {number} down

@@ -2,18 +2,19 @@ import { SceneError } from "../scene/errors.js";
 import { cross, dot, length } from "./math.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
-/** Maximum relative error of the axes that is accepted for a rotation with uniform scale. */
+/** A matrix counts as a rotation with uniform scale if the relative error of its axes is at most this value. */
 const TOLERANCE = 1e-3;
 
 /**
- * Converts matrices of OpenGL, as in three.js and WebXR, to a camera and to the depths of its points.
+ * Converts OpenGL matrices, as in three.js and WebXR, to a camera and to the mapping of depths to normalised device
+ * coordinates.
  * @param {ArrayLike<number>} modelView (16,) column-major. It maps the scene's world to OpenGL's camera coordinates, by
  *   a rotation, a translation and a uniform scale.
  * @param {ArrayLike<number>} projection (16,) column-major, a perspective projection to the depths -1 to 1.
- * @param {number} width Of the viewport in pixels.
+ * @param {number} width Width of the viewport in pixels.
  * @param {number} height
- * @returns {{camera: Camera, depthRange: [number, number]}} The camera, and a and b: a point at depth z in the scene's
- *   units has the normalised device coordinate a + b / z.
+ * @returns {{camera: Camera, depthRange: [number, number]}} The camera, and numbers a and b: a point at depth z in the
+ *   scene's units has the normalised device coordinate a + b / z.
  */
 export function hostCamera(modelView, projection, width, height) {
   const m = modelView;
@@ -33,7 +34,7 @@ export function hostCamera(modelView, projection, width, height) {
     const expected = "expected a rotation, a translation and a uniform scale";
     throw new SceneError(`modelView: ${expected}, got another transformation; change the scene's matrix`);
   }
-  // The y and z axes of OpenGL's camera are opposite to those of the scene's cameras.
+  // The y and z axes of an OpenGL camera point in the opposite directions to those of the scene's cameras.
   const rotation = [0, 1, 2].flatMap((row) => columns.map((axis) => ((row ? -1 : 1) * axis[row]) / scale));
   const translation = [m[12] / scale, -m[13] / scale, -m[14] / scale];
   const [halfWidth, halfHeight] = [width / 2, height / 2];
@@ -46,7 +47,7 @@ export function hostCamera(modelView, projection, width, height) {
 }
 
 /**
- * The product of two matrices of OpenGL.
+ * Returns the product of two OpenGL matrices.
  * @param {ArrayLike<number>} a (16,) column-major.
  * @param {ArrayLike<number>} b
  * @returns {number[]}

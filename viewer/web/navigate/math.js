@@ -1,4 +1,4 @@
-/** Vectors (3,) and 3 x 3 matrices as lists of rows. */
+/** Functions on vectors (3,), and on 3 x 3 matrices, which are lists of rows. */
 
 /** @typedef {number[]} Vector */
 /** @typedef {number[]} Matrix */
@@ -83,7 +83,7 @@ export function multiply(a, b) {
 }
 
 /**
- * The rotation about a unit axis by an angle in radians (Rodrigues' formula).
+ * Returns the rotation about a unit axis by an angle in radians (Rodrigues' formula).
  * @param {Vector} axis
  * @param {number} angle
  * @returns {Matrix}
@@ -100,7 +100,7 @@ export function rotationAbout([x, y, z], angle) {
 }
 
 /**
- * Returns a rotation matrix without rounding errors. The direction of the last row does not change.
+ * Removes rounding errors from a rotation matrix. The direction of the last row does not change.
  * @param {Matrix} m
  * @returns {Matrix}
  */

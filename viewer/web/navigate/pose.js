@@ -4,7 +4,8 @@ import {
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
 /**
- * A viewpoint: an eye, and a pivot on the eye's viewing axis. The fields are those of the pose in viewer/navigation/pose.py.
+ * A viewpoint, which consists of an eye and of a pivot on the eye's viewing axis. The fields are those of the class
+ * Pose in viewer/navigation/pose.py.
  * @typedef {object} Pose
  * @property {number[]} pivot Point (3,) that the eye orbits around, in world units.
  * @property {number[]} rotation 3 x 3, R_camera_world.
@@ -131,7 +132,8 @@ export function poseFromCamera(camera, focus, up, width, height) {
 }
 
 /**
- * The mean of the cameras' up directions. If the directions cancel out, the up direction of the first camera.
+ * Returns the mean of the cameras' up directions. If the directions cancel out, returns the up direction of the first
+ * camera.
  * @param {Camera[]} cameras At least one.
  * @returns {number[]}
  */

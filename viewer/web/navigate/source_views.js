@@ -2,7 +2,7 @@ import { addScaled, apply, cross, dot, length, normalize, transpose } from "./ma
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 
-/** If all source views are selected, the limit angle is the largest angle times this factor. */
+/** If all source views are selected, the limit angle b (see below) is the largest angle times this factor. */
 const FADE_MARGIN = 1.25;
 
 /**
@@ -24,8 +24,8 @@ export function selectSourceViews(camera, manifest) {
 }
 
 /**
- * A view at the angle a has the weight 1 - a / b. To find b, take the views that are not selected and whose angle is at
- * least that of every selected view: b is the smallest of their angles.
+ * A view at the angle a has the weight 1 - a / b. The limit angle b is the smallest angle of the views that are not
+ * selected and are at least as far away as every selected view.
  * @param {number[]} views
  * @param {number[]} angles
  */

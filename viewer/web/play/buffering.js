@@ -1,19 +1,20 @@
-/** With a stride s, playback shows every s-th frame. A larger stride needs a lower data rate. */
+/** Plans playback over slow connections. With a stride s, playback shows every s-th frame, so a larger stride needs a
+ * lower data rate. */
 const STRIDES = [1, 2, 3, 4, 5, 6];
-/** Largest time in seconds that playback waits so that it can show all frames. */
+/** Playback waits at most this time, in seconds, in order to show all frames. */
 export const LONGEST_WAIT = 3;
 /** Playback is planned with this fraction of the measured data rate, because the rate varies. */
 const RATE_MARGIN = 0.9;
 /** A change to a smaller stride is planned with this fraction of the measured data rate. */
 const FINER_MARGIN = 0.8;
-/** If playback would pause within this time in seconds, it changes to a larger stride. */
+/** Playback changes to a larger stride if it would otherwise pause within this time, in seconds. */
 const FORESIGHT = 2;
-/** Pauses that are shorter than this time in seconds do not change the stride. Such pauses occur when the view moves
- * and needs a source view that is not loaded. */
+/** Pauses shorter than this time, in seconds, do not change the stride. Short pauses occur when the view moves and
+ * needs a source view that is not loaded. */
 const SHORT_PAUSE = 0.25;
 
 /**
- * The frames that are due, and their data that has not been downloaded.
+ * The frames that are due next, and the amount of their data that has not been downloaded.
  * @typedef {object} Buffer
  * @property {number[]} frames Successive frames in the order of playback.
  * @property {number[]} missing For each frame, the number of bytes that have not been downloaded.
@@ -22,7 +23,7 @@ const SHORT_PAUSE = 0.25;
  */
 
 /**
- * The time in seconds to wait before playback starts, so that each frame arrives before it is due.
+ * Returns the time in seconds to wait before playback starts, so that each frame arrives before it is due.
  * @param {Buffer} buffer
  * @param {number} stride Only frames whose numbers are multiples of the stride are shown.
  */
@@ -51,7 +52,7 @@ export function planStart(buffer, patience) {
 }
 
 /**
- * The stride for the next frames during playback.
+ * Returns the stride for the next frames during playback.
  * @param {Buffer} buffer
  * @param {number} stride The current stride.
  */

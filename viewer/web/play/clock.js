@@ -1,4 +1,4 @@
-/** The time of playback. */
+/** The clock of playback. */
 export class Clock {
   /**
    * @param {number} frames
@@ -25,7 +25,7 @@ export class Clock {
     return this.isPlaying ? exactFrame - (exactFrame % this.stride) : exactFrame;
   }
 
-  /** Index of the frame at the current time, without regard to the stride. */
+  /** Index of the frame at the current time with a stride of 1. */
   get exactFrame() {
     return Math.min(Math.floor(this.seconds * this.fps + 1e-6), this.frames - 1);
   }

@@ -5,7 +5,7 @@ import { BACKGROUND } from "../scene/members.js";
 const MOST_BYTES = 512 << 20;
 const BYTES_PER_GB = 64 << 20;
 const SUPPOSED_GB = 4;
-/** The simultaneous requests together contain the amount of data that arrives in this time. */
+/** Enough requests run at the same time that their data together takes this time to arrive. */
 const SECONDS_IN_FLIGHT = 0.3;
 /** Minimum number of simultaneous requests. With a single request, the connection is idle between the last byte of a
  * response and the first byte of the next response. */
@@ -65,12 +65,12 @@ export class Downloads {
     return names.every((name) => found?.has(name));
   }
 
-  /** Allows failed requests to be repeated. */
+  /** Forgets which requests failed, so that they are sent again. */
   retry() {
     this.failures.clear();
   }
 
-  /** Drops the members of a frame from memory, such as members that cannot be decoded. @param {number} number */
+  /** Drops the members of a frame from memory, for example because they cannot be decoded. @param {number} number */
   forget(number) {
     for (const member of this.members.get(number)?.values() ?? []) this.bytes -= member.length;
     this.members.delete(number);
@@ -147,7 +147,7 @@ export class Downloads {
     }
   }
 
-  /** Whether members fit into memory without dropping a frame that is due earlier. @param {number} number @param
+  /** Whether members fit into memory without dropping a frame that is due before them. @param {number} number @param
    * {string[]} names */
   #hasRoom(number, names) {
     const excess = this.bytes + this.#bytesInFlight() + this.#sizeOf(names) - this.limit;

@@ -9,12 +9,12 @@ const CACHE_BYTES = 256 << 20;
 const CONCURRENT = 4;
 
 /**
- * A decoded frame, or the background. Parts are null or missing until they are decoded.
+ * A frame, or the background. Parts that are not decoded yet are null or missing.
  * @typedef {object} Entry
  * @property {CloudBase | null} base
  * @property {Map<number, Uint8Array<ArrayBuffer>>} views
  * @property {Uint8Array | null} shadow
- * @property {Uint8Array<ArrayBuffer> | null} normals (N, 2) Decoded only for styles.
+ * @property {Uint8Array<ArrayBuffer> | null} normals (N, 2) octahedral normals, which are decoded only for styles.
  * @property {boolean} isBusy
  * @property {boolean} hasFailed A failed entry is decoded again only after a call of `retry`.
  * @property {number} used Counter value of the last request for the entry.
@@ -24,10 +24,11 @@ const CONCURRENT = 4;
  * What to load.
  * @typedef {object} Demand
  * @property {number[]} decoded Frames to decode, in order of urgency.
- * @property {number[]} downloaded Frames to download, in order of urgency. They begin with those of `decoded`.
+ * @property {number[]} downloaded Frames to download, in order of urgency. The list starts with the frames of
+ *   `decoded`.
  * @property {number[]} views Source views whose colours are needed.
  * @property {boolean} normals Whether the normals are needed.
- * @property {boolean} isPlaying Otherwise, the first frame is downloaded before all others.
+ * @property {boolean} isPlaying If false, the first frame is downloaded before all others.
  */
 
 /** Downloads and decodes frames in the order in which they are due, and keeps the most recently used frames in decoded
@@ -70,7 +71,7 @@ export class FrameStore {
     this.needsNormals = normals;
     this.turn++;
     for (const number of this.wanted) this.#entry(number).used = this.turn;
-    // Until the first image, and after a jump in time, other frames would delay the frame that is due.
+    // Before the first image, and after a jump in time, downloads of other frames would delay the frame that is due.
     const isUrgent = decoded.length > 0 && !(isPlaying && this.hasDecoded) && !this.isDrawable(decoded[0]);
     const namesOf = (/** @type {number} */ number) => this.#missing(number, isUrgent ? [] : views);
     this.downloads.want([...background, ...downloaded], namesOf, isUrgent);
@@ -78,7 +79,7 @@ export class FrameStore {
     this.#evict();
   }
 
-  /** Allows failed frames to be loaded again. */
+  /** Forgets which frames failed to load, so that they are loaded again. */
   retry() {
     this.downloads.retry();
     for (const entry of this.entries.values()) entry.hasFailed = false;
@@ -90,7 +91,7 @@ export class FrameStore {
   }
 
   /**
-   * Whether a frame can be drawn, if necessary with mean colours.
+   * Whether a frame can be drawn, at least with mean colours.
    * @param {number} frame
    */
   isDrawable(frame) {
@@ -208,7 +209,7 @@ export class FrameStore {
   }
 
   /**
-   * Wanted views that are downloaded, but not decoded.
+   * Wanted views that are downloaded but not decoded yet.
    * @param {number} number
    * @param {Entry} entry
    */

@@ -8,9 +8,9 @@ import { FrameStore } from "./frame_store.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../draw/projected_points.js").Picture} Picture */
 
-/** Playback starts when this number of frames after the current frame are decoded. */
+/** Playback starts once this number of frames after the current frame are decoded. */
 const BUFFERED_FRAMES = 3;
-/** Memory limits for the frames that follow the current frame: for decoded frames, and for compressed frames. */
+/** Memory limits for decoded frames, and for compressed frames, that follow the current frame. */
 const DECODED_BYTES = 96 << 20;
 const DOWNLOADED_BYTES = 64 << 20;
 const MAX_DECODED = 24;
@@ -20,7 +20,7 @@ const MAX_PLANNED = 3000;
 /** Time between two changes of the stride during playback, in seconds. */
 const ADAPT_SECONDS = 0.5;
 
-/** Loads the frames that are due and sorts their points for a camera. Draws nothing. */
+/** Loads the frames that are due, and sorts their points for a camera, but does not draw them. */
 export class Playback {
   /**
    * @param {import("../scene/scene_file.js").SceneFile} file
@@ -54,7 +54,7 @@ export class Playback {
   }
 
   /**
-   * Advances the time, requests frames and starts to sort if needed.
+   * Advances the time, requests frames, and starts to sort the points if a new depth order is needed.
    * @param {number} elapsed Seconds since the last call.
    * @param {Camera} camera
    */
@@ -73,7 +73,7 @@ export class Playback {
   }
 
   /**
-   * Whether the depth order is that of the current frame and of a camera, and all source views have arrived.
+   * Whether the depth order was computed for the current frame and the given camera, and all source views are loaded.
    * @param {Camera} camera
    */
   isSettled(camera) {
@@ -81,7 +81,7 @@ export class Playback {
   }
 
   /**
-   * Whether the depth order is that of the current frame and of a camera.
+   * Whether the depth order was computed for the current frame and the given camera.
    * @param {Camera} camera
    */
   isSorted(camera) {
@@ -91,7 +91,8 @@ export class Playback {
   }
 
   /**
-   * What an image from a camera shows. The frame is that of the newest depth order. Null if nothing can be drawn.
+   * Returns the picture to draw from a camera, with the frame of the newest depth order. Returns null if nothing can be
+   * drawn.
    * @param {Camera} camera
    * @param {{views: number[], weights: number[]}} selection
    * @returns {Picture | null}
@@ -144,7 +145,8 @@ export class Playback {
   }
 
   /**
-   * The frames up to the end of the scene, or those of one loop. Null if the rate of the connection is not known.
+   * Returns the frames up to the end of the scene, or of one loop. Returns null if the data rate of the connection is
+   * not known.
    * @returns {import("./buffering.js").Buffer | null}
    */
   #buffer() {
@@ -194,7 +196,8 @@ export class Playback {
 }
 
 /**
- * Numbers of a camera that determine the depth order and the visible points. They do not depend on the resolution.
+ * Returns the numbers of a camera that determine the depth order and the visible points. The numbers do not depend on
+ * the resolution.
  * @param {Camera} camera
  */
 function signature({ rotation, translation, intrinsics, width, height }) {

@@ -7,7 +7,7 @@ const IMAGES = 6;
 /** Chooses the resolution of the images from their drawing times, while the view moves or the scene plays. */
 export class Quality {
   constructor() {
-    /** Fraction of the full width and height. */
+    /** Width and height of the image, as a fraction of the full width and height. */
     this.scale = 1;
     this.mean = 0;
     this.count = 0;
@@ -18,7 +18,7 @@ export class Quality {
    * @param {number} ms
    */
   report(ms) {
-    if (ms > 1000) return; // The page was probably hidden, so this time is ignored.
+    if (ms > 1000) return; // Times above one second are ignored, because the page was probably hidden.
     this.count++;
     this.mean += (ms - this.mean) / Math.min(this.count, IMAGES);
     if (this.count < IMAGES) return;

@@ -9,7 +9,7 @@ import { Quality } from "./quality.js";
 /** Time without motion after which the image is drawn at full resolution. */
 const REST_MS = 250;
 
-/** Plays a scene into a canvas, and draws when something has changed. */
+/** Plays a scene in a canvas, and draws only if something has changed. */
 export class Stage {
   /**
    * @param {HTMLCanvasElement} canvas
@@ -37,8 +37,8 @@ export class Stage {
     this.background = [0, 0, 0];
     /** @type {import("../draw/renderer.js").ReadyStyle | null} */
     this.style = null;
-    /** Number of further images to draw of a paused frame. Lines fade in over these images while the camera does not
-     * move. */
+    /** Number of images that are still to be drawn of a paused frame. The lines of a style fade in over these
+     * images. */
     this.fading = 0;
     this.isDirty = true;
     /** Whether another program draws the scene, so that nothing is drawn into the canvas. */
@@ -67,7 +67,7 @@ export class Stage {
     this.isDirty = true;
   }
 
-  /** The depth order that is drawn. */
+  /** The depth order with which the last image was drawn. */
   get order() {
     return this.playback.order;
   }
@@ -115,7 +115,7 @@ export class Stage {
   }
 
   /**
-   * The camera for a fraction of the canvas' width and height.
+   * Returns the camera for an image with a fraction of the canvas' width and height.
    * @param {number} scale
    * @returns {Camera}
    */
@@ -152,7 +152,7 @@ export class Stage {
 }
 
 /**
- * Number of images until lines that fade in differ by less than 1/255 from their full strength.
+ * Returns the number of images after which a line that fades in differs by less than 1/255 from its full strength.
  * @param {import("../draw/renderer.js").ReadyStyle | null} ready
  */
 function imagesOfFade(ready) {

@@ -10,12 +10,13 @@ const WHOLE_FILE_LIMIT = 2 ** 30;
  * Reads byte ranges of a file over HTTP.
  *
  * If the server ignores ranges and sends the whole file, the file is kept in memory, and ranges are read from it while
- * it arrives. Reads fail with a SceneError if the server stalls, if the file ends early, or if the file changes.
+ * the data arrives. A read fails with a SceneError if the server stalls, if the file ends early, or if the file
+ * changes.
  */
 export class ByteSource {
   /**
    * @param {string} url
-   * @param {number} stallMs Time without data after which a request is repeated, in milliseconds.
+   * @param {number} stallMs A request is repeated after this time in milliseconds without data.
    */
   constructor(url, stallMs) {
     this.url = url;
@@ -34,7 +35,7 @@ export class ByteSource {
    * @param {number} offset
    * @param {number} size
    * @param {AbortSignal} [signal]
-   * @returns {Promise<Uint8Array>} The bytes of the range; fewer bytes if the file ends inside the range.
+   * @returns {Promise<Uint8Array>} The bytes of the range. If the file ends inside the range, there are fewer bytes.
    */
   async read(offset, size, signal) {
     if (size === 0) return new Uint8Array(0);

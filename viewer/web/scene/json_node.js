@@ -1,6 +1,6 @@
 import { SceneError } from "./errors.js";
 
-/** Checked access to a JSON object of a manifest, which is untrusted input. */
+/** Reads values of a JSON object of a manifest, and checks each value, because a manifest is untrusted input. */
 export class JsonNode {
   /**
    * @param {unknown} content
@@ -59,7 +59,8 @@ export class JsonNode {
 
   /**
    * @param {string} key
-   * @param {boolean} [missing] Value of a missing key. Without it, the key is required.
+   * @param {boolean} [missing] Value that is returned if the key is missing. Without this argument, the key is
+   *   required.
    * @returns {boolean}
    */
   flag(key, missing) {
@@ -73,7 +74,7 @@ export class JsonNode {
    * @param {string} key
    * @param {number} low
    * @param {number} high
-   * @param {number} [missing] Value of a missing key. Without it, the key is required.
+   * @param {number} [missing] Value that is returned if the key is missing. Without this argument, the key is required.
    * @returns {number}
    */
   number(key, low, high, missing) {
@@ -111,7 +112,7 @@ export class JsonNode {
   }
 
   /**
-   * The rows of a 3 x 3 matrix as one list.
+   * Returns the rows of a 3 x 3 matrix, joined into one list.
    * @param {string} key
    * @returns {number[]}
    */
@@ -131,7 +132,7 @@ function isUsable(value) {
 }
 
 /**
- * A key of the file as text of one line.
+ * Converts a key of the file to text on one line, for error messages.
  * @param {string} key
  */
 function printable(key) {

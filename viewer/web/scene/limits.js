@@ -1,4 +1,4 @@
-/** The largest ratio of the sizes of a deflate stream after and before decompression (zlib, technical details). */
+/** The largest possible ratio of decompressed size to compressed size of a deflate stream (zlib, technical details). */
 const LARGEST_RATIO = 1032;
 const SLACK_BYTES = 64;
 

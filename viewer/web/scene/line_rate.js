@@ -1,7 +1,8 @@
-/** Measurements that are older than this time are dropped. Only milliseconds in which a request is running count. */
+/** Measurements older than this time, in milliseconds, are dropped. The clock for this age runs only while a request is
+ * running. */
 const WINDOW_MS = 2000;
 
-/** Measures the data rate of a connection, over the times in which requests are running. */
+/** Measures the data rate of a connection. Times without a running request are left out. */
 export class LineRate {
   /** @param {() => number} [now] A clock in milliseconds. */
   constructor(now = () => performance.now()) {
@@ -33,7 +34,7 @@ export class LineRate {
     this.running--;
   }
 
-  /** The rate, or null if nothing has been received. */
+  /** The data rate, or null if nothing has been received. */
   get bytesPerSecond() {
     this.#pass();
     return this.bytes > 0 && this.ms > 0 ? (1000 * this.bytes) / this.ms : null;

@@ -29,7 +29,8 @@ import { largestContent } from "./limits.js";
  * @property {number} weightSteps
  * @property {number} colourStep
  * @property {boolean} everyPointHasColours
- * @property {number | null} imageScale Texels per pixel of the images of source views; null if points have own colours.
+ * @property {number | null} imageScale Resolution of the source views' images in texels per camera pixel, or null if
+ *   colours are stored per point.
  */
 
 /**
@@ -46,7 +47,7 @@ import { largestContent } from "./limits.js";
  * @property {number} shRange
  * @property {number} shBase
  * @property {number} near
- * @property {number} pixelFilter Weight of a neighbouring pixel in the filter of images, from 0 to 0.25.
+ * @property {number} pixelFilter Weight of a neighbouring pixel in the pixel filter, from 0 to 0.25.
  * @property {{points: number, shadow: boolean} | null} background
  * @property {boolean} hasNormals
  * @property {CloudEncoding} dynamicEncoding
@@ -56,7 +57,7 @@ import { largestContent } from "./limits.js";
 
 export const SH_NUMBERS = 48;
 const VERSION = 4;
-/** Version of packed scenes without images. */
+/** Version of packed scenes whose colours are not stored as images. */
 const PACKED_VERSION = 3;
 const MAX_POINTS = 1 << 24;
 const MAX_FRAMES = 1_000_000;
@@ -110,7 +111,8 @@ function hasNormals(root) {
 }
 
 /**
- * Checks that the members can contain the declared numbers of points, before memory is reserved for them.
+ * Checks that the members are large enough for the declared numbers of points, before memory is reserved for these
+ * points.
  * @param {Manifest} manifest
  */
 function checkCounts({ points, background, members, dynamicEncoding, backgroundEncoding }) {

@@ -7,7 +7,8 @@ import { missingDecoder } from "./support.js";
 const FIRST_READ = 1 << 16;
 const LOCAL_HEADER = 30;
 const MAX_MANIFEST = 64 << 20;
-/** If at most this many bytes lie between two members, one request is faster than two. */
+/** Two members are read with one request if at most this number of bytes lies between them, because one request is then
+ * faster than two. */
 const MERGE_GAP = 1 << 15;
 
 /** A packed scene on a server. */
@@ -89,7 +90,7 @@ export class SceneFile {
 }
 
 /**
- * Checks that the members end inside the file, if the server has sent its size.
+ * If the server has sent the size of the file, checks that all members end inside the file.
  * @param {Manifest} manifest
  * @param {ByteSource} source
  */

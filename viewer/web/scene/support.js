@@ -1,4 +1,4 @@
-/** The message for browsers that cannot decode the images, or null. */
+/** Returns an error message if the browser cannot decode the images of a scene, and null otherwise. */
 export function missingDecoder() {
   if (typeof VideoDecoder !== "undefined") return null;
   const secure = globalThis.isSecureContext ? "" : " over an address without https";

@@ -1,5 +1,5 @@
 /**
- * Defines the region in which points are kept: the view frustum with a border. Points outside this region are not
+ * A camera whose view frustum, enlarged by a border, contains the points to keep. Points outside this region are not
  * drawn.
  * @typedef {object} SortCamera
  * @property {number[]} rotation 3 x 3, R_camera_world.
@@ -11,8 +11,8 @@
  * @property {number} border Pixels around the image in which points are also kept.
  */
 
-/** Factor on the bound of radius divided by depth, because the camera can move nearer to the points before the next
- * sort. */
+/** Factor by which the bound of radius / depth is multiplied, because the camera can move nearer to the points before
+ * the next sort. */
 const RATIO_MARGIN = 1.1;
 const BITS = 11;
 const BUCKETS = 1 << BITS;
@@ -29,7 +29,7 @@ export class DepthOrder {
 
   /**
    * @param {{xyz: Float32Array, first: number, radius: number}[]} clouds For each cloud: positions (N, 3), the index of
-   * the first point, and the largest radius in world units.
+   *   the first point, and the largest radius in world units.
    * @param {SortCamera} camera
    * @returns {import("./sorter.js").SortedPoints}
    */
@@ -69,7 +69,7 @@ export class DepthOrder {
     const right = camera.width + border - cx;
     const top = -border - cy;
     const bottom = camera.height + border - cy;
-    const reach = fy * radius; // A disc can reach into the image although its centre is outside.
+    const reach = fy * radius; // A disc can reach into the image even if its centre is outside the image.
     const { keys, indices } = this;
     const depth = new Float32Array(1);
     const bits = new Uint32Array(depth.buffer);
@@ -93,7 +93,7 @@ export class DepthOrder {
   }
 
   /**
-   * The smallest depth among the keys from `first` to `end`.
+   * Returns the smallest depth among the keys from `first` to `end`.
    * @param {number} first
    * @param {number} end
    */

@@ -6,7 +6,7 @@ import { DISC, HEADER, NO_FRAGMENT, quadVertex, spriteVertex } from "../draw/sha
 const BYTES_PER_NORMAL = 16;
 
 /**
- * Rotates the normal of one point to the frame of the camera, and computes the weight of the point.
+ * Rotates the normal of one point to camera axes, and computes the weight of the point.
  * @param {string} octahedral
  */
 const normalVertex = (octahedral) => `${HEADER}
@@ -34,7 +34,7 @@ void main() {
 /** Outputs the colour, the normal, the depth and the weight of a disc, premultiplied by alpha. */
 export const SURFACE_FRAGMENT = `${HEADER}${DISC}
 flat in vec4 disc_normal;
-uniform float depth_unit;  // In world units. It keeps depths in the range of float16.
+uniform float depth_unit;  // Unit of depths, in world units, which keeps depths in the range of float16.
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 weighted_normal;
 layout(location = 2) out vec4 weighted_depth;

@@ -2,12 +2,13 @@ import { inflateExactly } from "../decode/inflate.js";
 import { SceneError } from "../scene/errors.js";
 
 /**
- * A style without its numbers for a camera (viewer/publish/styles.py). Lengths are in pixels of an image with 1080 rows.
+ * A style without the numbers that depend on the camera (viewer/publish/styles.py). Lengths are in pixels of an image
+ * with 1080 rows.
  * @typedef {object} Style
  * @property {string} name
  * @property {number[]} light Unit vector towards the light.
  * @property {"camera" | "world"} light_frame Axes of `light`.
- * @property {[number, number, number] | null} paper Null for the background of the player.
+ * @property {[number, number, number] | null} paper Colour of the paper, or null if the player's background is used.
  * @property {number} persistence
  * @property {number} thickness
  * @property {number} hatch_spacing

@@ -18,13 +18,13 @@ import { distanceTo, viewStyle } from "./view_style.js";
 const TONES = 256;
 
 /**
- * Draws pictures in a style, with the fragment shaders of the viewer's window. In successive pictures from one camera,
- * lines do not flicker.
+ * Draws pictures in a style, with the same fragment shaders as the viewer's window. Lines do not flicker in successive
+ * pictures from one camera.
  */
 export class StyledDrawing {
   /**
    * @param {WebGL2RenderingContext} gl
-   * @param {ProjectedPoints} points Belongs to the caller.
+   * @param {ProjectedPoints} points The caller must release them.
    * @param {number[]} focus Centre of the scene.
    * @param {ShaderTexts} shaders
    */
@@ -64,7 +64,7 @@ export class StyledDrawing {
   }
 
   /**
-   * Draws a picture, whose points are already projected.
+   * Draws a picture. The points of the picture must already be projected.
    * @param {Picture} picture
    * @param {ReadyStyle} ready
    * @param {[number, number, number]} background Colour in [0, 1].
@@ -158,7 +158,7 @@ export class StyledDrawing {
   /**
    * @param {Program} program
    * @param {Target} target
-   * @param {Record<string, WebGLTexture>} textures By the names of the samplers.
+   * @param {Record<string, WebGLTexture>} textures The textures, by the names of their samplers.
    */
   #use(program, target, textures) {
     const { gl } = this;
@@ -179,7 +179,7 @@ export class StyledDrawing {
     const { gl } = this;
     if (this.closed && this.closed.width === width && this.closed.height === height) return;
     this.#releaseTargets();
-    gl.activeTexture(gl.TEXTURE0); // New textures are bound to the active unit.
+    gl.activeTexture(gl.TEXTURE0); // Creating a texture binds it to the active unit.
     this.surfaces = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R32F, gl.RGBA8]));
     this.shaded = [0, 1].map(() => new Target(gl, width, height, [gl.RGBA8, gl.R32UI]));
     this.picture = new Target(gl, width, height, [gl.RGBA8]);

@@ -2,13 +2,14 @@ import { apply, length } from "../navigate/math.js";
 /** @typedef {import("./style_file.js").Style} Style */
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
-/** Lengths in a style are pixels of an image with this number of rows. */
+/** Lengths in a style are in pixels of an image with this number of rows. */
 const REFERENCE_ROWS = 1080;
 const MAX_THICKNESS = 8;
 const LEAST_SPACING = 3;
 
 /**
- * The uniforms of viewer/shaders/stylize/picture.frag for a camera, as `view_style` of fourd/stylize/view.py.
+ * Returns the uniforms of viewer/shaders/stylize/picture.frag for a camera, as `view_style` of fourd/stylize/view.py
+ * does.
  * @param {Style} style
  * @param {Camera} camera
  * @param {number[]} focus Centre of the scene.

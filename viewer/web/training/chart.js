@@ -9,7 +9,7 @@ const COLOURS = 8;
  * @typedef {{label: string, colour: number, isThin?: boolean, hasDots?: boolean, step: number[], value: number[]}} Curve
  */
 
-/** Curves over the training steps, with axes, a legend, and the values under the pointer. */
+/** A chart of curves over the training steps, with axes, a legend, and the values at the pointer. */
 export class Chart {
   /**
    * @param {string} title
@@ -98,7 +98,7 @@ export class Chart {
   }
 
   /**
-   * The part of a curve that the axes can show.
+   * Returns the part of a curve that the axes can show.
    * @param {Curve} curve
    * @returns {Curve}
    */
@@ -216,7 +216,7 @@ function readSetting(key) {
   try {
     return localStorage.getItem(`fourd ${key}`);
   } catch {
-    return null; // The user has switched off the storage of the browser.
+    return null; // The user may have switched off the storage of the browser.
   }
 }
 
@@ -228,7 +228,7 @@ function keepSetting(key, value) {
   try {
     localStorage.setItem(`fourd ${key}`, value);
   } catch {
-    // Without storage, the setting is kept until the page is loaded again.
+    // If storage is switched off, the setting is kept only until the page is loaded again.
   }
 }
 

@@ -1,5 +1,5 @@
 /**
- * State of a run as the server describes it.
+ * State of a run, as the server sends it.
  * @typedef {object} Status
  * @property {string} title
  * @property {number | null} segment Number of the segment from 1, in a run with segments.
@@ -20,7 +20,7 @@
 /** The values of a measurement. @typedef {{step: number[], value: number[]}} Series */
 /** State of the scene. @typedef {{state: "none" | "baking" | "ready" | "failed", step: number, message: string}} SceneState */
 
-/** An answer of the server that the page shows to the user. */
+/** An error answer of the server, which the page shows to the user. */
 export class Refusal extends Error {}
 
 /** @returns {Promise<Status>} */
@@ -34,7 +34,7 @@ export async function fetchCurves() {
 }
 
 /**
- * Requests the scene of the newest checkpoint. The server bakes it only while a page requests it.
+ * Requests the scene of the newest checkpoint. The server bakes new checkpoints only while a page requests the scene.
  * @returns {Promise<SceneState>}
  */
 export async function fetchScene() {
@@ -46,7 +46,7 @@ export async function fetchScene() {
  * @param {"pause" | "resume" | "save" | "stop"} action
  */
 export async function sendRequest(session, action) {
-  // Pages of other sites cannot send this header.
+  // The server requires this header, because pages of other sites cannot send it.
   const headers = { "Content-Type": "application/json", "X-Fourd-Request": "control" };
   await fetchText("run/control", { method: "POST", headers, body: JSON.stringify({ session, action }) });
 }

@@ -25,7 +25,7 @@ export class Controls {
     this.refresh = refresh;
     /** @type {Status | null} */
     this.status = null;
-    /** Request without an effect so far. @type {{phase: string, until: number} | null} */
+    /** The request that has had no effect yet. @type {{phase: string, until: number} | null} */
     this.pending = null;
     this.pause.addEventListener("click", () => this.#send(this.status?.phase === "paused" ? "resume" : "pause"));
     this.save.addEventListener("click", () => this.#send("save"));
@@ -67,7 +67,7 @@ export class Controls {
 }
 
 /**
- * What the user can do about a run that does not train.
+ * Returns what the user can do about a run that does not train.
  * @param {Status} status
  */
 function explain(status) {

@@ -31,7 +31,7 @@ export class Curves {
 }
 
 /**
- * A list with one curve, or without curves if the series has no values.
+ * Returns a list with one curve, or an empty list if the series has no values.
  * @param {Series | undefined} series
  * @param {Omit<Curve, "step" | "value">} style
  * @returns {Curve[]}

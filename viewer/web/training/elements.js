@@ -1,5 +1,5 @@
 /**
- * The element with an identifier, which the page must have.
+ * Returns the element with this identifier, which must exist in the page.
  * @param {string} id
  * @returns {HTMLElement}
  */
@@ -10,7 +10,7 @@ export function byId(id) {
 }
 
 /**
- * The button with an identifier.
+ * Returns the button with this identifier.
  * @param {string} id
  * @returns {HTMLButtonElement}
  */
@@ -19,7 +19,7 @@ export function buttonById(id) {
 }
 
 /**
- * The first descendant of an element with a tag name, which must exist.
+ * Returns the first descendant of an element that has this tag name. The descendant must exist.
  * @template {keyof HTMLElementTagNameMap} Name
  * @param {HTMLElement} parent
  * @param {Name} name
@@ -32,7 +32,7 @@ export function within(parent, name) {
 }
 
 /**
- * Changes a text only if it differs, so that selected text stays selected.
+ * Sets the text of an element only if the text differs, so that selected text stays selected.
  * @param {Element} target
  * @param {string} text
  */

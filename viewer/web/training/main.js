@@ -17,11 +17,11 @@ class TrainingPage {
     this.pictures = new Pictures(byId("pictures"));
     this.controls = new Controls(() => this.#poll());
     this.scene = new SceneTab();
-    /** State for which the curves are shown. */
+    /** The state for which the current curves were requested. */
     this.shown = "";
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.timer = undefined;
-    // Hidden pages send no requests. A page that is shown again sends a request at once.
+    // A hidden page sends no requests. When the page is shown again, it sends a request at once.
     document.addEventListener("visibilitychange", () => document.hidden || this.#poll());
   }
 

@@ -44,7 +44,7 @@ function makeLogAxis(least, largest, length, count) {
 }
 
 /**
- * The smallest of 1, 2 and 5 times a power of ten that is at least `step`.
+ * Returns the smallest number of the form 1, 2 or 5 times a power of ten that is at least `step`.
  * @param {number} step
  */
 function niceStep(step) {
@@ -54,7 +54,7 @@ function niceStep(step) {
 }
 
 /**
- * A number with up to four significant digits. Large numbers have a suffix.
+ * Formats a number with up to four significant digits. Large numbers get a suffix such as k.
  * @param {number} value
  */
 export function formatNumber(value) {
@@ -66,7 +66,7 @@ export function formatNumber(value) {
 }
 
 /**
- * A duration as h:mm:ss.
+ * Formats a duration as h:mm:ss.
  * @param {number} seconds
  */
 export function formatDuration(seconds) {

@@ -2,8 +2,8 @@ import { SPEEDS } from "./panel.js";
 /** @typedef {import("../fourd-player.js").FourdPlayer} FourdPlayer */
 
 /**
- * Handles the keys that control playback and the view. For actions that the viewer's window also has, the keys are the
- * same as in that window.
+ * Handles the keys that control playback and the view. Actions that also exist in the viewer's window have the same
+ * keys there.
  * @param {FourdPlayer} player
  */
 export function addShortcuts(player) {

@@ -12,7 +12,7 @@ export class StyleMenu {
     this.player = player;
     /** @type {import("../stylize/style_file.js").StyleFile | null} */
     this.file = null;
-    /** Name of the style that the user has selected last, or of the attribute. */
+    /** Name of the style that was set last, by the user or by the attribute. */
     this.name = NONE;
     this.list.hidden = true;
     this.list.addEventListener("change", () => this.choose(this.list.value));
@@ -35,7 +35,7 @@ export class StyleMenu {
   }
 
   /**
-   * Draws the scene in a style. If this is impossible, the page shows a note, and the scene has no style.
+   * Draws the scene in a style. If this fails, the page shows a note, and the scene is drawn without a style.
    * @param {string} name
    */
   async choose(name) {

@@ -26,9 +26,9 @@ const MODE = "immersive-vr";
 /** Distance in metres from the viewer to the pivot of the view at the start. */
 const PIVOT_DISTANCE = 1.5;
 const TURN_PER_SECOND = Math.PI / 2;
-/** Each second, the thumbstick multiplies the distance to the pivot by up to this factor. */
+/** A fully deflected thumbstick multiplies the distance to the pivot by this factor per second. */
 const DOLLY_PER_SECOND = 2;
-/** Deflection below which a thumbstick is at rest. */
+/** A thumbstick with a smaller deflection counts as at rest. */
 const DEAD_ZONE = 0.15;
 
 /** Whether the browser and a connected headset can show virtual reality. */
@@ -41,13 +41,13 @@ export async function supportsVr() {
 }
 
 /**
- * Shows a stage in a headset. The viewer starts at the eye of the page's view. The pivot of this view is 1.5 m away. The
- * trigger plays and pauses. A thumbstick orbits, and moves nearer or farther.
+ * Shows a stage in a headset. The viewer starts at the eye of the page's view. The pivot of this view is 1.5 m away.
+ * The trigger starts and pauses playback. A thumbstick orbits the pivot, and moves the viewer nearer or farther.
  */
 export class VrSession {
   /**
    * Starts a session. Browsers allow this only while they handle a click.
-   * @param {Stage} stage Draws nothing into its canvas until the session ends.
+   * @param {Stage} stage The stage does not draw into its canvas until the session ends.
    * @param {(error: unknown) => void} ended Called when the session has ended, with an error or null.
    * @returns {Promise<VrSession>} Rejected if the browser refuses the session.
    */
@@ -98,7 +98,7 @@ export class VrSession {
 
   end() {
     this.isEnding = true;
-    this.session.end().catch(() => {}); // The session may have ended already.
+    this.session.end().catch(() => {}); // An error is ignored, because the session may have ended already.
   }
 
   /**
@@ -136,7 +136,7 @@ export class VrSession {
       return viewport && viewport.width > 0 && viewport.height > 0 ? [{ view, viewport }] : [];
     });
     if (eyes.length === 0) return;
-    // Both eyes use the depth order and the selection of source views of the head's pose.
+    // The depth order and the source views are chosen for the pose of the head, and both eyes use them.
     const { view, viewport } = eyes[0];
     const headMatrix = multiply4(viewer.transform.inverse.matrix, matrix);
     const head = hostCamera(headMatrix, view.projectionMatrix, viewport.width, viewport.height).camera;

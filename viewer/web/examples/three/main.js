@@ -39,7 +39,7 @@ function addObjects() {
   transparent.add(glass);
 }
 
-/** The view of the points: the unchanged matrices of three.js. */
+/** The view of the points, which has the unchanged matrices of three.js. */
 function view() {
   const { width, height } = canvas;
   const viewport = /** @type {[number, number, number, number]} */ ([0, 0, width, height]);
@@ -93,7 +93,7 @@ async function start() {
   return { THREE, renderer, camera, opaque, transparent, points, draw, view, gl };
 }
 
-/** The parts of the page, for programs that drive it. */
+/** The parts of the page, for test programs that control it. */
 export const example = start().catch((error) => {
   message.textContent = String(error);
   throw error;
