@@ -6,8 +6,8 @@
 
 Without --update, the program fails if a count is more than 5% above the accepted count. With --update, the current
 counts become the accepted counts. Unlike times, instruction counts do not depend on the load of the machine. The counts
-depend on the compiler. Without accepted counts for a compiler, nothing is compared. The counts are those of the AVX2
-kernels, because valgrind does not support AVX-512.
+depend on the compiler. If there are no accepted counts for a compiler, nothing is compared. The AVX2 kernels are
+counted, because valgrind does not support AVX-512.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Arguments:
     """Compare the instruction counts, or accept the current counts."""
 
     update: bool = False
-    """Make the current counts the accepted counts, instead of comparing them."""
+    """Store the current counts as the accepted counts, instead of comparing."""
     build: Path = ROOT / "build" / "count"
     """Folder in which the workloads are built."""
 
@@ -89,7 +89,7 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Return the number of instructions of one repetition of the workload. The workload's setup does not count."""
+    """Return the number of instructions of one repetition of the workload, without the setup of the workload."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 

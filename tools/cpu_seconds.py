@@ -1,6 +1,6 @@
 """Run a command of fourd on one thread, with time limits in CPU seconds of the process.
 
-Unlike limits in wall-clock time, such limits make the results nearly independent of other programs on the machine.
+With time limits in CPU seconds, other programs on the machine hardly change the results.
 
 python tools/cpu_seconds.py fit-triangles CAPTURE -o mesh.ply --max-seconds 45
 """

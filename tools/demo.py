@@ -24,7 +24,7 @@ class Arguments:
     """Options of the demonstration."""
 
     folder: Path = Path("demo")
-    """Folder for all files. Finished stages in this folder are skipped."""
+    """Folder for all files. Stages that are already finished in this folder are skipped."""
     seconds: int = 320
     """Time limit of training in seconds."""
 

@@ -7,11 +7,11 @@ Each variant is a run in OUT/NAME. A variant reuses the hull points and backgrou
 the variant changes these points. Finished runs are not trained again.
 
 The two variants with a perturbed calibration use the capture OUT/disturbed. In OUT/disturbed, each camera is rotated by
-0.5 degrees and moved by 1 cm. For the two variants with a perturbed calibration, each held-out camera is fitted to its
-own images before evaluation. Even without any other change, this fit raises the scores slightly.
+0.5 degrees and moved by 1 cm. Before these two variants are evaluated, each held-out camera is fitted to its own
+images. The fit alone raises the scores slightly.
 
-The program prints a Markdown table and writes the image OUT/pictures.png. For the middle frame of each held-out view,
-the image shows the ground truth and the result of every variant.
+The program prints a Markdown table and writes the image OUT/pictures.png. OUT/pictures.png shows the middle frame of
+each held-out view: the ground truth, and the result of every variant.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Variant:
     Attributes:
         label: row title in the table.
         changes: the config keys that differ from the defaults.
-        own_seeds: whether the run computes its own hull and background points.
+        own_seeds: whether the run computes its own hull and background points, instead of reusing those of the first
+            variant.
         disturbed: whether the run uses the perturbed calibration.
     """
 

@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
-# Build fourd for this machine's NVIDIA GPU, run every parity and gradient test on it, and print the benchmark table.
-# No network is needed. Requirements: CUDA's nvcc, and Python 3.11+ with torch, numpy, opencv, pyyaml, rich,
-# safetensors, cachetools, zstandard, trimesh, scipy, pytest, scikit-build-core, nanobind, cmake and ninja.
-# Variables: PYTHON is the interpreter (default python3), ARCHITECTURES the GPU architectures (default: this GPU's).
+# Build fourd for this machine's NVIDIA GPU, run every parity and gradient test on the GPU, and print the benchmark
+# table. No network is needed. Requirements: CUDA's nvcc, and Python 3.11+ with torch, numpy, opencv, pyyaml, rich,
+# safetensors, cachetools, zstandard, trimesh, scipy, pytest, scikit-build-core, nanobind, cmake and ninja. Variables:
+# PYTHON is the interpreter (default python3), ARCHITECTURES the GPU architectures (default: this GPU's).
 #
 #   tools/gpu_check.sh              tests and table
 #   tools/gpu_check.sh sanitize     the tests under compute-sanitizer
@@ -38,7 +38,7 @@ tests=(tests/ops/test_points_cuda.py tests/ops/test_planes.py tests/ops/test_sou
   tests/ops/antialias tests/ops/edge_gradients tests/ops/test_splat_triangles.py
   tests/ops/test_soft_triangles.py)
 if [ "${1:-}" = sanitize ]; then
-  # Without torch's memory pool, compute-sanitizer checks each allocation separately.
+  # torch's memory pool is switched off, so that compute-sanitizer checks each allocation separately.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 \
     "$python" -m pytest -q -k "cuda" "${tests[@]}"
   exit

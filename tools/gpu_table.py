@@ -1,6 +1,6 @@
 """Print the benchmark table of this machine's CUDA device.
 
-The script gpu_check.sh runs this program. The program needs only the packages torch and rich.
+The script gpu_check.sh runs this program, which needs only the packages torch and rich.
 """
 
 from __future__ import annotations

@@ -42,7 +42,8 @@ def copy_package() -> None:
 
 
 def _not_python(folder: str, names: list[str]) -> list[str]:
-    """Return the entries to skip: files that are not Python, caches, and the link fourd/viewer."""
+    """Return the entries of a folder that are not copied: files that are not Python, caches, and the link
+    fourd/viewer."""
     entries = (Path(folder) / name for name in names)
     return [
         entry.name

@@ -49,13 +49,13 @@ def main() -> None:
 
 
 def back_and_forth(count: int, length: int) -> list[int]:
-    """Return ``length`` frame indices that play ``count`` frames alternately forwards and backwards."""
+    """Return ``length`` frame indices, which run through ``count`` frames alternately forwards and backwards."""
     period = max(1, 2 * (count - 1))
     return [min(place % period, period - place % period) for place in range(length)]
 
 
 def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], fps: int) -> None:
-    """Write an H.264 video atomically. ``shown`` contains the index into ``pictures`` of each video frame.
+    """Write an H.264 video atomically. For each video frame, ``shown`` contains an index into ``pictures``.
 
     ``pictures`` are images (H, W, 3) with even sides.
     """

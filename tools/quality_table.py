@@ -45,8 +45,8 @@ class Arguments:
     frames: int = 6
     """Number of frames to measure, spread evenly over the run's frames. 0 measures all frames."""
     orbit: int = 0
-    """Number of images on a full orbit around the subject at the middle frame. The largest difference between
-    neighbouring images is divided by the median difference (column `jump`). 0 skips this measurement."""
+    """Number of images on a full orbit around the subject at the middle frame, or 0 to skip this measurement. The
+    column `jump` has the largest difference between neighbouring images, divided by the median difference."""
     pictures: Path | None = None
     """Folder for images: the rendered and the true image of each held-out view at the middle frame, and the error."""
     json: Path | None = None
@@ -55,7 +55,8 @@ class Arguments:
 
 @dataclass(frozen=True)
 class ViewQuality:
-    """Measured values of one image, inside the matte's bounding box. ``specks`` is a share of the box's pixels."""
+    """Measured values of one image, inside the matte's bounding box. ``specks`` is the fraction of the box's pixels
+    that are specks."""
 
     psnr: float
     ssim: float | None
@@ -73,7 +74,7 @@ class ViewQuality:
 class RunQuality:
     """Mean values of a run. :func:`markdown` names the columns.
 
-    Radii are in multiples of the point spacing, over the measured frames.
+    Radii are in multiples of the point spacing, and are measured over all measured frames.
     """
 
     unseen: ViewQuality
@@ -124,7 +125,8 @@ def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
 
 
 def render(trained: TrainedRun, frame: int, view: int) -> tuple[RenderedView, Image, NDArray[np.uint8]]:
-    """Rendered view, true image, and matte of a view. The view is not among the source views of its rendered image."""
+    """Return the rendered image, the true image and the matte of a view. A view is not a source view of its own
+    rendered image."""
     capture, layers = trained.run.capture, trained.run.config.train.layers
     points = trained.frames.get(frame)
     picture = trained.renderer.render(points, frame, capture.cameras[view], layers, exclude=view)
@@ -150,8 +152,8 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 
 
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
-    """Flicker of successive frames from a held-out camera, as a share of the true changes. For a single frame, the
-    share is 0."""
+    """Return the flicker of successive frames from a held-out camera, as a fraction of the true changes. For a single
+    frame, the result is 0."""
     first = max(0, (trained.run.capture.frame_count - frames) // 2)
     shown = range(first, min(first + frames, trained.run.capture.frame_count))
     if len(shown) < 2:
@@ -174,7 +176,7 @@ def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
 
 
 def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float, float, float]:
-    """Median, 90% and 99% quantiles of the radii, in spacings."""
+    """Return the median, 90% and 99% quantiles of the radii, in multiples of the point spacing."""
     ratios = torch.cat([points.radius / points.spacing for points in map(trained.frames.get, frames)]).numpy()
     median, most, nearly_all = np.quantile(ratios, [0.5, 0.9, 0.99])
     return float(median), float(most), float(nearly_all)
@@ -190,7 +192,8 @@ def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
 
 
 def markdown(results: dict[str, RunQuality]) -> str:
-    """The table. Error columns are shares of the squared error inside the matte's box of held-out views."""
+    """Return the table. The error columns are fractions of the squared error inside the matte's bounding box, over
+    held-out views."""
     heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside", "excess", "missing"]
     heads += ["specks, per 10,000 pixels", "flicker / true change", "jump", "radii p50 / p90 / p99"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
@@ -212,7 +215,8 @@ def rows(results: dict[str, RunQuality]) -> Iterator[str]:
 
 
 def write_pictures(trained: TrainedRun, folder: Path) -> None:
-    """Write, for each held-out view at the middle frame, rendered image, true image and error, side by side."""
+    """For each held-out view at the middle frame, write the rendered image, the true image and the error side by
+    side."""
     folder.mkdir(parents=True, exist_ok=True)
     frame = trained.run.capture.frame_count // 2
     for view in trained.run.test:

@@ -1,4 +1,4 @@
-"""Compute digests of fourd's results, to check that a code change does not change any bit of the results.
+"""Compute digests of fourd's results, to check that a code change leaves every bit of the results unchanged.
 
     python tools/same_bits.py --fourd OLD/.venv/bin/fourd --json before.json
 
@@ -50,7 +50,7 @@ def main() -> int:
 def compare(before: dict[str, str], after: dict[str, str]) -> int:
     """Print every file whose digest differs, and every file that is missing on one side.
 
-    Returns 1 if a file was printed, else 0.
+    Returns 1 if a file was printed, and 0 otherwise.
     """
     names = sorted(before.keys() | after.keys())
     different = [name for name in names if before.get(name) != after.get(name)]

@@ -40,7 +40,7 @@ TURN = 1e-4
 
 @dataclass(frozen=True)
 class Arguments:
-    """The scene to draw, and how long to time each renderer."""
+    """The scene to draw, and the time to spend on each renderer."""
 
     scene: tyro.conf.Positional[Path | None] = None
     """A .4dv file. The default is the synthetic benchmark scene."""
@@ -56,7 +56,7 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Measured:
-    """Median time of a renderer in ms per image, and the renderer's image (H, W, 3) in [0, 1]."""
+    """The median time of a renderer in milliseconds per image, and the renderer's image (H, W, 3) in [0, 1]."""
 
     ms: float
     picture: NDArray[np.float32]

@@ -36,7 +36,7 @@ class Arguments:
     test_views: str
     """Names of held-out cameras, separated by commas."""
     frames: str = "0:1"
-    """Range of frames, as A:B."""
+    """Range of frames as A:B, without frame B."""
     seconds: float = 180.0
     """Training time of each ablation in seconds."""
     every: float = 10.0
@@ -66,7 +66,8 @@ def _marks(arguments: Arguments) -> list[float]:
 def _curve(arguments: Arguments, name: str) -> list[tuple[float, float]]:
     """Return one pair per validation of an ablation.
 
-    Each pair contains the training time in seconds, and the held-out PSNR in the matte's box.
+    A pair contains the training time in seconds, and the PSNR of the held-out views inside the bounding box of the
+    matte.
     """
     folder = arguments.work / name
     base = TrainConfig()

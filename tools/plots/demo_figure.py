@@ -25,7 +25,7 @@ BACKGROUND = 244
 TEXT_COLOUR = (60, 60, 60)
 FRAMES = (2, 6, 10)
 AZIMUTHS = (0.09, 0.41, 0.72)
-"""Viewpoints of the new views, as shares of a full circle that starts at the first camera."""
+"""Azimuths of the new views, as fractions of a full circle that starts at the first camera."""
 
 Picture = NDArray[np.uint8]
 
@@ -39,7 +39,7 @@ class Arguments:
     out: Path = Path("docs/figures/demo.png")
     """PNG file to write."""
     camera: str = "03"
-    """A camera that `make demo` holds out."""
+    """Name of a camera that `make demo` holds out."""
     width: int = 240
     """Width of a panel in pixels."""
 

@@ -1,4 +1,4 @@
-"""Draw the hulls of broken captures: docs/figures/guide/failures.jpg.
+"""Draw the hulls that are carved from captures with errors (docs/figures/guide/failures.jpg).
 
 python tools/plots/failures_figure.py docs/figures/guide/failures.jpg
 """
@@ -25,7 +25,7 @@ Picture = NDArray[np.uint8]
 
 FRAMES, CAMERAS, SIZE = 12, 12, 320
 SHOWN, BROKEN, OTHER = 0, 4, 9
-"""Indices of the camera that is drawn, of the camera that is broken, and of a second broken camera."""
+"""Indices of the camera that the figure shows, of the camera with an error, and of a second camera with an error."""
 LATE_FRAMES = 3
 POINT_BGR = (60, 160, 255)
 
@@ -85,7 +85,7 @@ def matte(capture: Capture, camera: int, frame: int) -> Picture:
 
 
 def draw(picture: Picture, case: Case, bounds: Bounds) -> Picture:
-    """The image of the camera SHOWN in grey, with the hull's points on top. Returns (H, W, 3) BGR."""
+    """Draw the hull's points over the grey image of the camera SHOWN. Returns (H, W, 3) BGR."""
     grey = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2BGR)
     canvas = np.asarray(grey // 2 + 40, np.uint8)
     note = ""

@@ -1,4 +1,5 @@
-"""Draw meshes of fourd fit-triangles in a held-out view: photo, separate triangles, connected mesh and its shape.
+"""Draw meshes of `fourd fit-triangles` in a held-out view: the photo, separate triangles, the connected mesh, and its
+shape.
 
 python tools/plots/fitted_mesh_figure.py CAPTURE VIEW SEPARATE.ply MESH.ply [CAPTURE VIEW ...] -o fitted_mesh.jpg
 """
@@ -38,7 +39,7 @@ def shaded(mesh: ColouredMesh, camera: Camera) -> NDArray[np.float32]:
 
 
 def images_of(folder: Path, view: str, separate: Path, connected: Path) -> list[NDArray[np.float32]]:
-    """The images of one capture, cropped to the subject and of the same height."""
+    """Return the images of one capture, cropped to the subject and scaled to the same height."""
     capture = open_capture(folder)
     index = capture.names.index(view)
     camera, matte = capture.cameras[index], capture.mask(index, 0)
@@ -53,7 +54,7 @@ def images_of(folder: Path, view: str, separate: Path, connected: Path) -> list[
 
 
 def centred(image: NDArray[np.float32], width: int) -> NDArray[np.float32]:
-    """The image in the middle of a black image of the given width."""
+    """Return a black image of the given width with the image in its middle."""
     left = (width - image.shape[1]) // 2
     return np.pad(image, ((0, GAP_PX), (left, width - image.shape[1] - left), (0, 0)))
 

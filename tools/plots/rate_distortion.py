@@ -2,11 +2,11 @@
 
     python tools/plots/rate_distortion.py scene.4dv CAPTURE --views 03,09,14 -o rates/ --transform splat-transform
 
-The program packs the scene in all levels. It also exports 3DGS PLY files and converts them with splat-transform
-(npm: @playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws all results, and
-the images are compared with those of cameras that were not used in training. PSNR is measured inside the subject's
-box, or in the whole image if the scene has a background. The program writes rates/rows.json and prints a Markdown
-table. tools/plots/rate_plot.py draws the rows.
+The program packs the scene in all levels. It also exports 3DGS PLY files and converts them with splat-transform (npm:
+@playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws all results. The images
+are compared with the captured images of held-out cameras. PSNR is measured inside the subject's box, or in the whole
+image if the scene has a background. The program writes rates/rows.json and prints a Markdown table.
+tools/plots/rate_plot.py draws the rows.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from fourd.training.evaluation.metrics import mask_box, psnr
 from fourd.training.evaluation.scores import BOX_MARGIN_PX
 
 CONVERTED = {"compressed PLY": ".compressed.ply", "SPZ": ".spz", "SOG": ".sog"}
-"""Formats of splat-transform, and the suffixes that select them."""
+"""Formats of splat-transform, and the file suffix that selects each format."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Arguments:
     views: str
     """Names of the cameras to compare with, separated by commas."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for rows.json and for the files. Rows that exist are not measured again."""
+    """Folder for rows.json and for the files. Existing rows are not measured again."""
     every: int = 8
     """Every n-th frame is exported to other formats, because the conversion to SOG is slow."""
     levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
@@ -54,16 +54,16 @@ class Arguments:
     transform: Path | None = None
     """The program splat-transform. Without it, the formats of other programs are not measured."""
     degrees: tuple[int, ...] = (0, 1, 2, 3)
-    """Degrees of the spherical harmonics of exported splats."""
+    """Degrees of spherical harmonics with which splats are exported."""
 
 
 @dataclass(frozen=True)
 class Row:
     """One point of a rate-distortion curve.
 
-    ``size`` is in bytes per frame. ``fetched`` is the size of the data that a player needs for one viewer. ``psnr`` has
-    the mean over the cameras in dB, by frame. ``background`` is the size of the background in bytes. A scene stores the
-    background once.
+    ``size`` is in bytes per frame. ``fetched`` is the part of ``size`` that a player downloads for one viewer. ``psnr``
+    has the mean over the cameras in dB, by frame. ``background`` is the size of the background in bytes. A scene stores
+    the background once.
     """
 
     curve: str

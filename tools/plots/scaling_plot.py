@@ -42,7 +42,8 @@ class Arguments:
 
 @dataclass(frozen=True)
 class Series:
-    """Time in milliseconds of every kind of work, as a function of one quantity: points, pixels or layers.
+    """Time in milliseconds of each kind of work, such as rendering, as a function of the number of points, pixels or
+    layers.
 
     ``axis`` is the name of the quantity, and ``positions`` are the values of the quantity.
     """

@@ -41,11 +41,11 @@ class Arguments:
     out: tyro.conf.Positional[Path]
     """Folder for stages.jpg and orbit.jpg."""
     view: int = 0
-    """Index of the camera of stages.jpg."""
+    """Index of the camera from which stages.jpg is drawn."""
     frame: int = 4
-    """Index of the frame in the scene."""
+    """Index of the shown frame in the scene."""
     stride: int = 10
-    """Step between the frames of the scene, in frames of the capture."""
+    """Step between successive frames of the scene, counted in frames of the capture."""
     height: int = 360
     """Height of a panel in pixels."""
 

@@ -58,7 +58,7 @@ def shade(mesh: TexturedMesh, camera: Camera, light: NDArray[np.float64]) -> NDA
 
 
 def world_up(path: Path) -> NDArray[np.float64]:
-    """The up direction in world coordinates, from the rotation of the file's root node."""
+    """Return the up direction in world coordinates, computed from the rotation of the file's root node."""
     x, y, z, w = read_glb(path).document["nodes"][0]["rotation"]
     return np.array([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)])
 

@@ -2,7 +2,7 @@
 
     python tools/rays/scaling.py -o docs/figures/rays_scaling.png
 
-Times are CPU times of one thread, medians of five calls, so that other programs change them little.
+Times are medians of five calls in CPU seconds of one thread, so other programs hardly change them.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
     fourd mesh CAPTURE -o meshes/ --frames 0:1 --test-views 03,09,14
     python tools/rays/texture_visibility.py CAPTURE meshes/000000.glb --test-views 03,09,14
 
-The program textures the mesh of the first frame in each way and compares it with the held-out views. Times are CPU
-times of the visibility tests with one thread.
+The program textures the mesh of the first frame with each method, and compares the result with the held-out views.
+Times are CPU times of the visibility tests with one thread.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ class Untested(Rays):
 
 @dataclass(frozen=True, eq=False)
 class Rasterized(Rays):
-    """A point is visible if it is at most TOLERANCE_PX, divided by the cosine, behind the smallest depth of the 3 x 3
-    pixels around it."""
+    """A point is visible if it is behind the smallest depth of the 3 x 3 pixels around it by at most
+    TOLERANCE_PX / cosine."""
 
     nearest: dict[Camera, Floats] = field(default_factory=dict)
 
@@ -85,7 +85,7 @@ def weld(mesh: TexturedMesh) -> tuple[Floats, NDArray[np.int64]]:
 
 
 def texture(mesh: TexturedMesh, views: list[MeshView], occluder: Occluder) -> TexturedMesh:
-    """Compute the texture of a mesh again."""
+    """Compute a new texture for a mesh."""
     size = len(mesh.texture)
     welded, source = weld(mesh)
     corners = source[mesh.triangles]

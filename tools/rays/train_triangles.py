@@ -2,8 +2,9 @@
 
     python tools/rays/train_triangles.py CAPTURE --test-views 03,09,14 --method raster|rays|fisheye
 
-The program scores held-out views. All methods start with the same triangles, which are neither removed nor split, and
-take the same steps. The fisheye images are resampled from the images of the capture, with a known equidistant lens.
+The program scores held-out views. All methods start with the same triangles and take the same number of steps.
+Triangles are neither removed nor split. The fisheye images are resampled from the images of the capture, with a known
+equidistant lens.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def fisheye_target(camera: Camera, image: np.ndarray, matte: np.ndarray, rays: R
     directions = np.tile(camera.forward, (camera.height * camera.width, 1))
     directions[bundle.pixels] = bundle.directions
     pixels, depth = camera.project(camera.centre + directions)
-    # OpenCV has pixel centres at whole numbers. Directions outside the image get the matte 0.
+    # In OpenCV, pixel centres are at whole numbers. For directions outside the image, the matte is 0.
     at = np.where(depth[:, None] > 1e-6, pixels - 0.5, -10).astype(np.float32).reshape(camera.height, camera.width, 2)
     warped = cv2.remap(np.dstack([image, matte]), at, None, cv2.INTER_LINEAR, borderValue=(0, 0, 0, 0))
     inside = np.zeros(len(directions), bool)

@@ -2,9 +2,10 @@
 
     python tools/scale/cost_model.py --cameras 60 --frames 18000 --size 3840 2160 --nodes 16 --cores 16
 
-The coefficients in tools/scale/costs.json were measured with tools/scale/measure_costs.py. They are CPU seconds of one
-core of that machine. Those of import and mattes are the constants of fourd.pipeline.plan. Use --speed for other
-machines: a core that is twice as fast has --speed 2. The price of an hour is the reader's own number.
+The coefficients in tools/scale/costs.json were measured with tools/scale/measure_costs.py. The coefficients are CPU
+seconds of one core of the machine on which they were measured. The coefficients of import and mattes are the constants
+of fourd.pipeline.plan. For other machines, use --speed: if a core is twice as fast, pass --speed 2. Pass the
+price of one hour of a node with --price.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from fourd.training.config import SegmentConfig, TrainConfig
 from fourd.training.segments.plan import SegmentPlan
 
 BYTES_PER_PIXEL = 4
-"""Bytes of a pixel in the cache of decoded images: RGB and matte."""
+"""Bytes per pixel in the cache of decoded images, which stores RGB and the matte."""
 COSTS = Path(__file__).with_name("costs.json")
 
 
 @dataclass(frozen=True)
 class Costs:
-    """Coefficients. Times are CPU seconds of one core. A point is a point of one frame, and a colour is a point of one
-    frame in one training camera.
+    """Coefficients of the cost model. Times are CPU seconds of one core. Each point of each frame counts as one point.
+    Each point of each frame counts as one colour per training camera.
 
     Attributes:
         stage_start_s: start of the process of a stage.
@@ -75,9 +76,9 @@ class Capture:
         video_mbits: megabits per second of each video.
         fps: frames per second.
         has_mattes: whether the capture has mattes.
-        has_videos: whether the capture is imported from videos. Otherwise it has image files.
+        has_videos: whether the capture is imported from videos. If not, it has image files.
         scale: scale of the images in training.
-        points: points of a frame.
+        points: number of points per frame.
         segment: maximum number of frames of a segment.
         steps: training steps of a segment.
     """
@@ -101,15 +102,15 @@ class Capture:
 
     @property
     def decoded_mp(self) -> float:
-        """Megapixels that are decoded in each training step. Image files and images that fit into the cache of decoded
-        images cost little and count as 0."""
+        """Return the megapixels that are decoded in each training step. Image files count as 0, because decoding them
+        costs little. Images that fit into the cache of decoded images also count as 0."""
         image_bytes = BYTES_PER_PIXEL * 1e6 * self.image_mp * self.scale**2
         fits = self.segment * self.cameras * image_bytes <= TrainConfig().memory_mb * 2**20
         return 0.0 if fits or not self.has_videos else (1 + ModelConfig().neighbours) * self.image_mp
 
     @property
     def frame_points(self) -> int:
-        """Points of all frames."""
+        """Number of points of all frames together."""
         return self.frames * self.points
 
 
@@ -119,8 +120,8 @@ class Machines:
 
     Attributes:
         nodes: number of nodes.
-        cores: cores of a node, as Ray counts them.
-        real_cores: cores that the machine of all nodes really has, or None if each node has its own cores.
+        cores: number of cores per node, as Ray counts them.
+        real_cores: number of physical cores if one machine simulates all nodes, or None if each node has its own cores.
         speed: speed of a core, relative to the measured one.
     """
 
@@ -131,12 +132,12 @@ class Machines:
 
     @property
     def total_cores(self) -> float:
-        """Cores of all nodes that really exist."""
+        """Number of physical cores of all nodes together."""
         return min(self.nodes * self.cores, self.real_cores or float("inf"))
 
     @property
     def node_cores(self) -> float:
-        """Cores of one node that really exist."""
+        """Number of physical cores of one node."""
         return min(self.cores, self.real_cores or float("inf"))
 
 
@@ -149,7 +150,7 @@ class StageCost:
         core_s: CPU seconds of one core.
         wall_s: duration on the cluster.
         read_bytes: bytes that the stage reads from the shared storage.
-        written_bytes: bytes that the stage writes to it.
+        written_bytes: bytes that the stage writes to the shared storage.
     """
 
     name: str
@@ -182,7 +183,7 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
 
     sampled_mp = min(SAMPLED_FRAMES, capture.frames) * capture.cameras * capture.image_mp
     if capture.has_videos:
-        # The capture has links to the videos.
+        # An imported capture contains only links to the videos, so no video data is copied.
         add("import", IMPORT_S_PER_MP * sampled_mp, 1, videos, 0)
     if not capture.has_mattes:
         add("mattes", MATTE_S_PER_MP * whole_mp, machines.node_cores, videos, mattes)
@@ -211,12 +212,12 @@ def segment_core_s(costs: Costs, capture: Capture) -> float:
 
 
 def makespan(works: Sequence[float], slots: int, cores: float) -> float:
-    """Seconds until all works are done.
+    """Return the time in seconds until all tasks are done.
 
     Args:
-        works: core seconds of each work, in the order in which the works start. A work uses at most one core.
-        slots: number of works that run at the same time.
-        cores: number of cores, which the running works share equally.
+        works: core seconds of each task, in the order in which the tasks start. A task uses at most one core.
+        slots: number of tasks that run at the same time.
+        cores: number of cores, which the running tasks share equally.
     """
     waiting, running, now = list(works), list[float](), 0.0
     while waiting or running:

@@ -2,12 +2,12 @@
 
     python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
 
-The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. In every second window,
-it sends requests to the server at the rate of the page. In the other windows, the server's process is stopped
-(SIGSTOP). The results are the ratios of the speeds of neighbouring windows, in two units: in steps per second of
-training time, and in steps per second of the training's CPU time, which depends less on other programs. With
---browser, Chromium shows the page on the same machine instead, and an empty page in the other windows. With --scene,
-the tab with the scene is also open.
+The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. Time is divided into
+windows. In every second window, the program sends requests to the server at the rate of the page. In the other windows,
+the server's process is stopped (SIGSTOP). The program prints the ratios of the training speeds in neighbouring windows,
+in two units: steps per second of training time, and steps per second of the training's CPU time. The second unit
+depends less on other programs. With --browser, Chromium shows the page on the same machine in every second window, and
+an empty page in the other windows. With --scene, the tab with the scene is also open.
 """
 
 from __future__ import annotations
@@ -141,7 +141,7 @@ def asking(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
 
 
 def ask(url: str, with_scene: bool, is_asking: threading.Event, ended: threading.Event) -> None:
-    """Send requests every two seconds while ``is_asking`` is set."""
+    """Send the requests of the page every two seconds while ``is_asking`` is set."""
     seen: list[int] = []
     while not ended.wait(PAGE_SECONDS):
         if not is_asking.is_set():

@@ -15,17 +15,18 @@ STORE_BYTES = 80 << 20
 TRAINED = "train "
 """Prefix of the names of the stages that train segments."""
 PATIENT = 200
-"""Patience of clusters whose nodes are not removed."""
+"""The argument ``patience`` for clusters from which no node is removed."""
 TITLE = "ray::"
 """Prefix of the titles of the processes of a node."""
 OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
-"""Beginnings of the titles of processes that run no stage. A node ends if its agents end."""
+"""Prefixes of the titles of processes that run no stage, such as the agents of a node. If the agents end, the node
+ends."""
 ATTEMPTS = 5
-"""Number of times that the start of a node is tried."""
+"""Maximum number of attempts to start a node."""
 
 
 class LocalNodes:
-    """The nodes of a cluster, apart from the head. The head has no core, so that it runs no stages."""
+    """The nodes of a cluster, apart from the head node. The head node has no core, so that it runs no stages."""
 
     def __init__(self, cluster: Any, cores: int) -> None:
         """Use ``cluster``, a ray.cluster_utils.Cluster. Each node has ``cores`` cores."""
@@ -38,7 +39,8 @@ class LocalNodes:
         return str(self._cluster.address)
 
     def add(self) -> None:
-        """Start one more node. On a busy machine, its processes may not answer in time. They are then started again."""
+        """Start one more node. On a busy machine, the processes of the node may not answer in time, and are then
+        started again."""
         for attempt in range(ATTEMPTS):
             try:
                 self._cluster.add_node(num_cpus=self._cores, object_store_memory=STORE_BYTES, include_dashboard=False)
@@ -52,7 +54,8 @@ class LocalNodes:
         self._cluster.remove_node(sorted(self._cluster.worker_nodes, key=id)[index], allow_graceful=False)
 
     def stages(self) -> dict[int, str]:
-        """Process identifiers of the running stages -> names of the stages. Needs Linux."""
+        """Return a mapping from the process identifiers of the running stages to the names of the stages. Needs
+        Linux."""
         raylets = {node.all_processes["raylet"][0].process.pid for node in self._cluster.worker_nodes}
         found = {}
         for folder in Path("/proc").glob("[0-9]*"):
@@ -76,10 +79,11 @@ class LocalNodes:
 def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalNodes]:
     """Start a cluster of ``count`` nodes with ``cores`` cores each for the duration of the ``with`` block.
 
-    A node is lost if it does not answer ``patience`` times, every three seconds. On a busy machine, nodes that live may
-    not answer for half a minute.
+    Ray asks each node every three seconds whether it is alive. A node that does not answer ``patience`` times counts as
+    lost. On a busy machine, a running node may not answer for half a minute.
 
-    The cores may be more than the machine has. Ray then starts as many tasks, which share the machine's cores.
+    The nodes may have more cores than the machine. Ray then runs one task per core of the nodes, and the tasks share
+    the machine's cores.
     """
     from ray._private.utils import get_ray_address_file
     from ray.cluster_utils import Cluster
@@ -94,7 +98,8 @@ def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalN
     }
     cluster = Cluster(initialize_head=True, head_node_args=head)
     try:
-        # Otherwise, programs that use "--ray auto" on this machine would join this cluster.
+        # The address file is removed, because programs that use "--ray auto" on this machine would otherwise join this
+        # cluster.
         Path(get_ray_address_file(None)).unlink(missing_ok=True)
         nodes = LocalNodes(cluster, cores)
         for _ in range(count):
@@ -105,7 +110,7 @@ def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalN
 
 
 def store_bytes(ray: Any) -> int:
-    """Bytes in the object stores of all nodes of the cluster to which ``ray`` is connected."""
+    """Return the number of bytes in the object stores of all nodes of the cluster to which ``ray`` is connected."""
     from ray._private.internal_api import get_memory_info_reply, get_state_from_address
 
     state = get_state_from_address(ray.get_runtime_context().gcs_address)
@@ -113,7 +118,7 @@ def store_bytes(ray: Any) -> int:
 
 
 def resident_bytes() -> int:
-    """Memory of this process. Needs Linux."""
+    """Return the memory of this process. Needs Linux."""
     if sys.platform != "linux":
         sys.exit("expected Linux, whose /proc has the memory of this process")
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -2,9 +2,9 @@
 
     python tools/scale/measure_costs.py CAPTURE -o tools/scale/costs.json
 
-CAPTURE has image files and masks. Each stage runs several times with other numbers of frames, cameras, pixels and
-points, on one core. The coefficients are fitted to the CPU seconds, which depend little on other programs, with
-non-negative least squares of the relative errors. The largest relative error of each fit is printed.
+CAPTURE has image files and masks. Each stage runs several times on one core, with different numbers of frames, cameras,
+pixels and points. The coefficients are fitted to CPU seconds, which depend little on other programs. The fit is
+non-negative least squares on the relative errors. The program prints the largest relative error of each fit.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from tools.scale.cost_model import Costs
 VIDEO_SIZE = (3840, 2160)
 VIDEO_FRAMES = 60
 STEPS = (20, 140)
-"""Numbers of steps of the short and the long training. Their difference gives the seconds of a step."""
+"""Numbers of steps of a short and a long training. The difference of their times gives the time of one step."""
 START = "import fourd.pipeline.graph"
-"""What the process of a stage imports before it works."""
+"""The imports of a stage's process before the stage starts its work."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Frames, number of cameras, scale of the images and points of a run."""
+    """Frames, number of cameras, scale of the images, and number of points of a run."""
 
     frames: int
     cameras: int
@@ -100,8 +100,8 @@ def main() -> None:
 
 
 def measure_decoding(capture: Path, copy: Path) -> tuple[float, float]:
-    """CPU seconds to decode a megapixel of a video, in the order of the frames and in random order. The video shows
-    images of the capture with another size."""
+    """Return the CPU seconds to decode a megapixel of a video, in the order of the frames and in random order. The
+    video shows resized images of the capture."""
     cv2.setNumThreads(1)
     paths = sorted((capture / "images").glob("*/*"))[:8]
     pictures = [cv2.cvtColor(cv2.resize(cv2.imread(str(path)), VIDEO_SIZE), cv2.COLOR_BGR2RGB) for path in paths]
@@ -121,7 +121,7 @@ def measure_decoding(capture: Path, copy: Path) -> tuple[float, float]:
 
 
 def matte_bytes_per_mp(capture: Path) -> float:
-    """Bytes of the masks for each megapixel."""
+    """Return the number of bytes of the masks per megapixel."""
     with open_capture(capture) as opened:
         megapixels = opened.frame_count * sum(camera.width * camera.height for camera in opened.cameras) / 1e6
     return bytes_in(capture / "masks") / megapixels
@@ -140,7 +140,7 @@ def measure(capture: Path, run: Path, case: Case) -> Measured:
     for steps in STEPS:
         longer = replace(config, max_steps=steps)
         seconds.append(cpu_seconds(lambda longer=longer: train_stage(files, longer).run(Context())))
-    # The second training resumes the first one, so it makes only the steps that are missing.
+    # The second training resumes the first, so it runs only the missing steps.
     step_s = max(seconds[1] - seconds[0], 0) / (STEPS[1] - 2 * STEPS[0])
     scene = run / "scene.4dv"
     bake_s = cpu_seconds(lambda: bake_stage(BakeFiles(run, scene), BakeSettings()).run(Context()))
@@ -206,9 +206,10 @@ def fit(measured: Sequence[Measured], start_s: float) -> dict[str, float]:
 
 
 def _fit(what: str, features: Sequence[Sequence[float]], values: Sequence[float]) -> list[float]:
-    """Non-negative coefficients whose linear combination of the features has the smallest relative errors."""
+    """Return the non-negative coefficients with which a linear combination of the features has the smallest relative
+    errors."""
     matrix, target = np.array(features, float), np.array(values, float)
-    scaled = matrix / target[:, None]  # residuals are then relative errors
+    scaled = matrix / target[:, None]  # after this division, the residuals are relative errors
     # The features differ by orders of magnitude, so each column is divided by its largest value.
     sizes = np.abs(scaled).max(axis=0)
     found = nnls(scaled / sizes, np.ones(len(target)))[0] / sizes

@@ -4,12 +4,13 @@
     python tools/scale/measure_workers.py CAPTURE --workers 1 2 4 --rounds 3 \\
         --segment 48 --points 2000 --steps 100
 
-Each worker is a core of a Ray node on this machine, which may have fewer cores. The stages before training run once.
-The numbers of workers then alternate. For each of them, a new run trains all segments with ``fourd make --ray``.
+Each worker is a core of a Ray node on this machine. There may be more workers than the machine has cores. The stages
+before training run once. Then, in each round, a new run trains all segments with ``fourd make --ray``, once for each
+number of workers.
 
-The times are those from the start of the first segment to the end of the last one. They depend on other programs of the
-machine. CPU seconds hardly do: the column "on whole cores" is the duration that the measured CPU seconds of the
-segments give on a machine without other programs. Needs Linux.
+Times are measured from the start of the first segment to the end of the last segment, and depend on other programs on
+the machine. CPU seconds hardly depend on other programs. The column "on whole cores" is computed from the CPU seconds
+of the segments: it is the duration on a machine without other programs. Needs Linux.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ def prepare(command: Sequence[str], folder: Path) -> None:
 def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) -> Timing:
     """Train all segments of a copy of the prepared folder on a cluster with some workers."""
     shutil.rmtree(folder, ignore_errors=True)
-    # The stages compare the times of the files, which the copy keeps.
+    # The copy keeps the modification times of the files, because stages compare them.
     shutil.copytree(prepared, folder, copy_function=shutil.copy2)
     spent: dict[str, float] = {}
     start = end = 0.0
@@ -136,7 +137,7 @@ def report(timings: Sequence[Timing], capture: Capture) -> None:
 
 
 def _segment_seconds(nodes: LocalNodes) -> dict[str, float]:
-    """CPU seconds, up to now, of the processes that train a segment."""
+    """Return the CPU seconds that the processes that train segments have used so far."""
     found = {}
     for pid, name in nodes.stages().items():
         if name.startswith(TRAINED):

@@ -3,11 +3,10 @@
     fourd synth CAPTURE --frames 84 --cameras 4 --size 48
     python tools/scale/random_kills.py CAPTURE --workers 20 --drivers 20 -- --segment 12 --points 500 --max-steps 20
 
-The command is repeated until all kills are done. A killed worker is the process of a running stage, and Ray starts the
-stage again. After the driver (the process of the command) was killed, the same command is started again at once. All
-kills are kill -9. The cluster is one node with two
-cores on this machine. The program ends with the exit code 1 if a scene differs from that of the uninterrupted command,
-or if a segment was trained again that had been finished before the kill.
+The command is repeated until all kills are done, and all kills are kill -9. If a worker (the process of a running
+stage) is killed, Ray starts the stage again. If the driver (the process of the command) is killed, the program starts
+the same command again at once. The cluster is one node with two cores on this machine. The exit code is 1 if a scene
+differs from the scene of the uninterrupted command, or if a segment that was finished before a kill was trained again.
 """
 
 from __future__ import annotations
@@ -64,12 +63,13 @@ class Command:
             )
 
     def finish(self, process: subprocess.Popen[str]) -> None:
-        """Wait until the command has ended. It must succeed."""
+        """Wait until the command has ended, and check that it has succeeded."""
         if process.wait() != 0:
             sys.exit(f"exit code {process.returncode}\n{(self.folder / 'output').read_text()[-2000:]}")
 
     def finished_segments(self) -> dict[str, dict[str, int]]:
-        """Names of the finished stages that train -> time of the last change of each checkpoint file."""
+        """Return a mapping from the names of the finished training stages to the time of the last change of each
+        checkpoint file."""
         record = self.work / "stages.json"
         names = json.loads(record.read_text()) if record.exists() else {}
         trained = [name for name in names if name.startswith(TRAINED) and not name.endswith(" started")]
@@ -114,8 +114,8 @@ def run_with_kills(
 ) -> list[str]:
     """Run the command until it has succeeded, and kill a process after each interval in seconds.
 
-    ``kinds`` are the kinds of all kills. Each kill is described in ``killed``. Returns the names of the finished
-    segments that were repeated.
+    ``kinds`` has the kind of each kill. A description of each kill is added to ``killed``. Returns the names of the
+    finished segments that were trained again.
     """
     process, deadline = command.start(), time.monotonic() + interval()
     kept: dict[str, dict[str, int]] = {}
@@ -127,7 +127,7 @@ def run_with_kills(
         running = {pid: name for pid, name in nodes.stages().items() if victims.count(name) < RETRIES}
         if not running:
             continue
-        # A segment that finishes while its process is killed is no error.
+        # If a segment finishes at the moment at which its process is killed, a repetition of the segment is no error.
         kept = {**command.finished_segments(), **kept}
         pid, name = min(running.items(), key=lambda item: (victims.count(item[1]), item))
         if kinds[len(killed)] == "worker":

@@ -2,9 +2,10 @@
 
     python tools/scale/segment_jumps.py RUN SCENE.4dv
 
-The frame step is the mean absolute difference between the images of two successive frames, averaged over the held-out
-cameras of the run. A step is between segments if it starts or ends in a frame that two segments share. The same steps
-are also measured in the captured images, because the subject does not move by the same amount in every frame.
+A frame step is the mean absolute difference between the images of two successive frames, averaged over the held-out
+cameras of the run. A frame step counts as a step between segments if it starts or ends at a frame that two segments
+share. The same steps are also measured in the captured images, because the subject does not move by the same amount in
+every frame.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ def main(run_path: Path, scene_path: Path) -> None:
 
 
 def _steps(frame_images: Callable[[int], list[NDArray[np.float32]]], count: int) -> NDArray[np.float64]:
-    """Frame steps, (F - 1,), of images that ``frame_images`` returns by frame."""
+    """Return the frame steps, (F - 1,), of the images that ``frame_images`` returns for each frame."""
     steps, before = [], frame_images(0)
     for frame in range(1, count):
         after = frame_images(frame)

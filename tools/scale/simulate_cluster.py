@@ -1,9 +1,9 @@
-"""Simulate ``fourd make --ray`` on a cluster of several nodes, whose nodes fail while it runs.
+"""Simulate ``fourd make --ray`` on a cluster of several nodes, some of which fail during the run.
 
     python tools/scale/simulate_cluster.py --nodes 16 --failures 8
     python tools/scale/simulate_cluster.py --nodes 2 --frames 18000 --seconds 0.2
 
-The stages wait instead of working (:mod:`tools.scale.simulated_stages`). The graph, the runner, the tasks and the
+The simulated stages only wait (:mod:`tools.scale.simulated_stages`). The stage graph, the runner, the tasks and the
 retries are those of ``fourd make``, and each node has the processes of a Ray node. A failure kills all processes of a
 random node and adds a new node. The program compares the scene with that of an uninterrupted run without a cluster,
 counts the units that were lost and repeated, and watches the memory and the progress bar.
@@ -37,7 +37,7 @@ from tools.scale.simulated_stages import Simulation, UnitCounts
 
 MEGABYTE = 1 << 20
 BAR = re.compile(r"stages on the cluster[^\n]*?(\d+)/(\d+)")
-"""The progress bar: finished stages, and all stages."""
+"""The state of the progress bar: the number of finished stages, and the number of all stages."""
 
 
 @dataclass
@@ -120,7 +120,7 @@ def report_memory(samples: list[tuple[int, int]]) -> None:
 
 
 def report_bar(text: str) -> None:
-    """Print whether the progress bar of the segments grew steadily and ended at its full length."""
+    """Print whether the progress bar of the segments never moved backwards, and whether it ended at its full length."""
     shown = [(int(done), int(count)) for done, count in BAR.findall(text)]
     steady = all(before <= after for (before, _), (after, _) in itertools.pairwise(shown))
     whole = bool(shown) and shown[-1][0] == shown[-1][1]
@@ -130,7 +130,7 @@ def report_bar(text: str) -> None:
 
 
 def _expected_scene(simulation: Simulation) -> str:
-    """The scene of a run in this process, whose units do not wait."""
+    """Return the scene of a run in this process, in which units do not wait."""
     here = replace(simulation, folder=simulation.folder.with_name("here"), seconds=0.0)
     shutil.copytree(simulation.folder, here.folder)
     here.run(Runner(Context(), here.folder / "stages.json"))

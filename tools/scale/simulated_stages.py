@@ -1,10 +1,11 @@
 """Stages of ``fourd make`` whose work is replaced by waiting, for simulations of clusters and captures that are larger
 than the machine.
 
-The graph, the runner, its record and the tasks of the cluster are those of ``fourd make``. The work of a stage is a
-number of units. A unit stands for the work between two checkpoints: it waits, and is then recorded in a file. A
-repeated stage continues after the last recorded unit. The output of a stage is a hash of its name, its units and the
-outputs of the stages before it, so the scene has the expected bytes only if all stages ran on complete results.
+The stage graph, the runner, its record and the tasks of the cluster are those of ``fourd make``. The work of a stage is
+a number of units. A unit stands for the work between two checkpoints: the stage waits, and then records the unit in a
+file. A repeated stage continues after the last recorded unit. The output of a stage is a hash of its name, its units
+and the outputs of the earlier stages. The scene therefore has the expected bytes only if each stage ran on complete
+results.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class Simulation:
         segment: maximum number of frames of a segment.
         units: number of units of each segment. Mattes and plates have one unit for each camera, and carving has one for
             each segment. The other stages have one unit.
-        seconds: seconds that a unit waits.
+        seconds: waiting time of a unit in seconds.
     """
 
     folder: Path
@@ -109,11 +110,11 @@ class Simulation:
                 runner.run(group)
 
     def started_units(self) -> int:
-        """Number of starts of units. A unit that was lost and repeated counts twice."""
+        """Return the number of units that were started. A unit that was lost and repeated counts twice."""
         return sum(counts.units + counts.repeated for counts in self.counts().values())
 
     def counts(self) -> dict[str, UnitCounts]:
-        """Name of each stage -> what happened to its units."""
+        """Return, for each stage by name, how many units were finished, repeated or lost."""
         stages = [stage for group in self.groups() for stage in group]
         return {stage.name: _count(stage.files.log, stage.settings.units) for stage in stages}
 
@@ -122,8 +123,8 @@ class Simulation:
         return self.folder / "capture"
 
     def _simulated(self, stages: Sequence[AnyStage], before: list[str]) -> list[AnyStage]:
-        """Replace the work of stages. Stages that run alone read all earlier outputs. Segments read those of the stages
-        that they name."""
+        """Replace the work of stages. A stage that runs alone reads all earlier outputs. A segment reads only the
+        outputs of the stages on which it depends."""
         simulated = []
         for stage in stages:
             inputs = stage.after if stage.is_parallel else tuple(before)

@@ -28,7 +28,7 @@ class SimulatedFiles:
 
     @property
     def log(self) -> Path:
-        """One line for each start and each end of a unit, with the process. A unit that was lost is started again."""
+        """File with one line for each start and each end of a unit, and its process. A lost unit is started again."""
         return self.folder / f"{self.name}.log"
 
     @property
@@ -39,14 +39,14 @@ class SimulatedFiles:
 
 @dataclass(frozen=True)
 class SimulatedSettings:
-    """Number of units, and seconds that a unit waits."""
+    """Number of units, and waiting time of a unit in seconds."""
 
     units: int
     seconds: float
 
 
 def work(files: SimulatedFiles, settings: SimulatedSettings, context: Context) -> None:
-    """Work all units that are not finished, and write the output."""
+    """Run all units that are not finished, and write the output."""
     done = int(files.count.read_text()) if files.count.exists() else 0
     for unit in range(done, settings.units):
         _log(files.log, STARTED, unit)

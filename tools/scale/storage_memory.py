@@ -1,4 +1,5 @@
-"""Peak memory of uploads and copies of files of several sizes, with a local S3 server in a process of its own.
+"""Measure the peak memory of uploads and copies of files of several sizes, with a local S3 server in a separate
+process.
 
 python tools/scale/storage_memory.py --megabytes 32 512
 """
@@ -31,13 +32,13 @@ def main() -> None:
         measure(arguments.megabytes)
     elif arguments.child[0] == "serve":
         print(S3Server.start().endpoint, flush=True)
-        sys.stdin.read()  # until the parent ends
+        sys.stdin.read()  # returns when the parent process ends
     else:
         transfer(*arguments.child)
 
 
 def transfer(work: str, url: str, path: str) -> None:
-    """Upload or copy, and print the peak memory of this process in MB."""
+    """Upload or copy a file, and print the peak memory of this process in MB."""
     if work == "upload":
         upload(Path(path), StorageUrl(url))
     else:
@@ -46,7 +47,7 @@ def transfer(work: str, url: str, path: str) -> None:
 
 
 def measure(sizes: list[int]) -> None:
-    """Print one row for each size in MB."""
+    """Print one table row for each file size."""
     this = [sys.executable, __file__, "--child"]
     server = subprocess.Popen(
         [*this, "serve", "", ""], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True

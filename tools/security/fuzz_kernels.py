@@ -1,5 +1,5 @@
 """Fuzz the kernels' bound functions with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer. With
---threads, three threads of Python call the functions at once with the stored inputs, under ThreadSanitizer.
+--threads, three Python threads call the functions at the same time with the stored inputs, under ThreadSanitizer.
 
     python tools/security/fuzz_kernels.py --seconds 60
 
@@ -9,7 +9,7 @@
 
 libFuzzer is a part of Clang (apt-get install clang). The first call builds csrc/fuzz, which takes some minutes. The
 corpus, which grows, is in build/fuzz/kernels/. An input that crashes, hangs or needs 2 GB is written to
-build/fuzz/kernels-KIND-HASH. Call build/fuzz-native/bindings with this file to repeat the crash.
+build/fuzz/kernels-KIND-HASH. To repeat the failure, call build/fuzz-native/bindings with this file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from fourd.files import write_text_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "csrc" / "fuzz" / "corpus.txt"
-"""The smallest inputs that were found to reach all code. A line is one input in hexadecimal digits."""
+"""The smallest known set of inputs that reaches all code that was ever reached. Each line is one input in hexadecimal
+digits."""
 FOLDER = ROOT / "build" / "fuzz"
 COMPILERS = ("clang++", *(f"clang++-{version}" for version in range(24, 13, -1)))
 MAX_BYTES = 512
@@ -42,14 +43,15 @@ class Arguments:
     """Build the fuzzer and run it."""
 
     seconds: int = 60
-    """Time in seconds, without the time of the build."""
+    """Fuzzing time in seconds. The time of the build is not included."""
     keep: bool = False
-    """Afterwards, replace csrc/fuzz/corpus.txt by the smallest inputs that reach all code reached now."""
+    """After fuzzing, replace csrc/fuzz/corpus.txt by the smallest inputs that reach all code that this run has
+    reached."""
     threads: bool = False
-    """Call the functions in three threads at once, with the stored inputs. No other inputs are tried, because the
-    counters of coverage, which all threads change, would be reported as data races."""
+    """Call the functions in three threads at the same time, with the stored inputs only. New inputs would need coverage
+    counters, and ThreadSanitizer would report these counters as data races."""
     optional: bool = False
-    """Only print a note, and do not fail, if there is no Clang."""
+    """If there is no Clang, print a note and do not fail."""
 
 
 def main(arguments: Arguments) -> int:

@@ -2,9 +2,10 @@
 
     .venv/bin/python tools/security/lock.py [UV]
 
-Run it after a change of the dependencies in pyproject.toml or of constraints.txt. UV is the program uv
-(https://docs.astral.sh/uv), by default the one on PATH. torch is left out, because its builds for CPU and CUDA are
-different files of the same version. The packages of CUDA are left out, because only the builds for CUDA need them.
+Run this program after the dependencies in pyproject.toml or constraints.txt have changed. UV is the path of the program
+uv (https://docs.astral.sh/uv). By default, uv is searched on PATH. torch is left out, because its builds for CPU and
+CUDA are different files of the same version. The CUDA packages are left out, because only the CUDA builds of torch need
+them.
 """
 
 from __future__ import annotations
@@ -17,12 +18,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 LOCK = "requirements.lock"
 PYTHON = "3.11"
-"""The oldest Python of pyproject.toml."""
+"""The oldest Python version that pyproject.toml allows."""
 EXTRAS = ("train", "dev", "docs")
 BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")
 """Packages that build the kernels, which `make` installs in the same environment."""
 OF_TORCH = ("torch", "triton", "cuda-", "nvidia-")
-"""Packages that are left out, or the beginnings of their names."""
+"""Names, or prefixes of names, of packages that are left out."""
 HEADER = """\
 # All packages that `make` installs, except torch and the packages of CUDA, for all platforms and versions of Python.
 # tools/security/lock.py writes this file. pip installs only files with one of these hashes (--require-hashes).
@@ -42,7 +43,8 @@ def main() -> int:
 
 
 def without_torch(text: str) -> str:
-    """The lock without torch and the packages of CUDA. A package is one line and the indented lines of its hashes."""
+    """Return the lock without torch and the CUDA packages. In a lock, each package is one line, followed by indented
+    lines with hashes."""
     kept, is_kept = [], True
     for line in text.splitlines(keepends=True):
         if not line.startswith(" "):

@@ -81,7 +81,7 @@ def repository_page(name: str) -> str:
     """Return a Markdown file from the top of the repository, with links made relative to docs/."""
     text = (ROOT / name).read_text(encoding="utf-8")
     text = re.sub(r"\]\(docs/", "](", text)
-    # Files outside docs/ are not part of the site, so links to files outside docs/ become plain names.
+    # Files outside docs/ are not part of the site, so links to such files are replaced by the plain name of the file.
     return re.sub(r"\[([^\]]+)\]\((?!https?:|#)([^)#]+\.(?:py|yaml|toml|h|sh))\)", r"\1", text)
 
 

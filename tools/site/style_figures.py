@@ -37,7 +37,7 @@ WINDOW = (1120, 960)
 LINES_HEADING = (60, 514)
 """Position of the heading "Lines" of the panel's section "Style" in pixels."""
 ZOOM_WHEEL_PX = -300
-"""Distance that the mouse wheel turns on the web page, to move towards the subject."""
+"""Scroll distance of the mouse wheel on the web page, which moves the view towards the subject."""
 WARM_UP_SECONDS = 8.0
 """Seconds to wait before the screenshot, so that lines have their full strength."""
 
@@ -66,7 +66,7 @@ def _window(scene: Path, folder: Path) -> NDArray[np.uint8]:
         viewer = Viewer(display, folder, *words)
         time.sleep(2.0)
         viewer.click(*LINES_HEADING)
-        viewer.drag((700, 480), (860, 480), button=3)  # moves the subject to the right of the panel
+        viewer.drag((700, 480), (860, 480), button=3)  # move the subject to the right of the panel
         time.sleep(WARM_UP_SECONDS)
         picture = viewer.picture()
         viewer.close()
@@ -84,7 +84,7 @@ def _page(scene: Path, frame: int, folder: Path) -> NDArray[np.uint8]:
         page.page.mouse.wheel(0, ZOOM_WHEEL_PX)
         for style in STYLES:
             page.run("await player.styleMenu.choose(argument); await player.settled();", style)
-            for _ in range(12):  # lines fade in
+            for _ in range(12):  # draw further images, so that the lines fade in
                 page.run("stage.isDirty = true; await player.settled(); stage.redraw();")
             pictures.append(_screenshot(page.page, folder / f"{style}.png"))
     return _side_by_side(pictures)

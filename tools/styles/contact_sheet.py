@@ -1,8 +1,10 @@
-"""Draw scenes in all preset styles: a contact sheet with one row for each scene, and a video that changes the style.
+"""Draw scenes in all preset styles: a contact sheet with one row for each scene, and a video in which the style
+changes.
 
     python tools/styles/contact_sheet.py SHEET.jpg --scenes fox.4dv:03 full.4dv:09 --video styles.mp4
 
-Each scene is a `.4dv` file, a colon and the name of a camera. The video circles the first scene while it plays.
+Each scene is a `.4dv` file, a colon and the name of a camera. In the video, the camera circles the first scene while
+the scene plays.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from fourd.viewer.output.video import write_video
 
 BACKGROUND = (0.93, 0.93, 0.93)
 STEADY_PICTURES = 12
-"""Number of pictures that are drawn from the same camera before the picture in the sheet. Lines then have their full
+"""Number of pictures that are drawn from the same camera before the picture in the sheet, so that lines have their full
 strength.
 """
 
@@ -46,7 +48,7 @@ class Arguments:
     video: Path | None = None
     """MP4 file."""
     seconds: float = 10.0
-    """Duration of the video."""
+    """Duration of the video in seconds."""
     video_size: tuple[int, int] = (480, 360)
     """Width and height of the video in pixels."""
 
@@ -84,7 +86,7 @@ def _row(text: str, size: tuple[int, int]) -> NDArray[np.uint8]:
 
 
 def _zoom(scene: Scene, index: int, camera: Camera, size: tuple[int, int]) -> Camera:
-    """Return the camera for an image of ``size`` that the subject fills."""
+    """Return a camera for an image of ``size``, such that the subject fills the image."""
     alpha = Player().draw(scene.frame(index), camera, scene.manifest)[..., 3]
     left, top, width, height = cv2.boundingRect((alpha > 8).astype(np.uint8))
     side = 1.1 * max(width / size[0], height / size[1], 1e-3)

@@ -3,13 +3,13 @@
     python tools/styles/cost.py                      # 262,144 points at 1920 x 1080
     python tools/styles/cost.py scene.4dv --frame 3
 
-Each round draws one image without a style and one image in the style, from a static camera. The rounds of one style end
-before those of the next style start, because playback keeps its style, so that its data stay in the caches. The program
-prints the median time of an image without a style, and for each style
+Each round draws one image without a style and one image in the style, from a static camera. All rounds of one style are
+run before those of the next style. During playback, the style does not change either, so its data stay in the caches.
+The program prints the median time of an image without a style. For each style, the program also prints
 
 - the median of the time that the style adds, over the rounds,
 - the median of the ratio of the times with and without the style, over the rounds,
-- the time of the stylizer. The rest of the added time is for the depths and normals of the points,
+- the time of the stylizer (the rest of the added time is for the depths and normals of the points),
 - the median of the CPU time that the style adds, summed over all threads. This time depends less on other programs.
 """
 
@@ -53,7 +53,7 @@ class Arguments:
     threads: int = 2
     """Number of threads."""
     rounds: int = 40
-    """Number of images of each kind."""
+    """Number of rounds, each with one image without the style and one image in the style."""
 
 
 @dataclass
@@ -80,7 +80,7 @@ def main(arguments: Arguments) -> int:
     for name in arguments.styles:
         style, player = load_style(name), StyledPlayer()
         for index in range(arguments.rounds + 1):
-            if index < 2:  # the times of the first round, which fills caches, are dropped
+            if index < 2:  # the first round fills the caches, so its times are dropped
                 plain[name], styled[name] = Times(), Times()
             plain[name].measure(lambda: plain_player.draw(frame, camera, manifest, threads=threads, out=picture))
             styled[name].measure(

@@ -8,8 +8,8 @@ The meshes give the true depth and normal of each pixel. A pixel is unchanged ov
 and the normal change little at every pixel within ``--reach`` pixels of it. The limits are 2% of the true depth and 15
 degrees for the true normal.
 An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. An edge pixel flickers if its
-line is on, off and on, or off, on and off. Without meshes, the program compares with the depth and normals that fourd
-draws if lines and surfaces are not averaged over time.
+line is on, off and on, or off, on and off. Without meshes, the depth and normals that fourd draws without averaging
+over time are used as the true depth and normals.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from fourd.viewer.rendering.renderers import Renderer, RendererName, make_render
 SAME_DEPTH = 0.02
 SAME_NORMAL = float(np.cos(np.radians(15)))
 VISIBLE = 128
-"""A pixel counts as a line pixel if the strength of the line there is at least this value, from 0 to 255."""
+"""A pixel counts as a line pixel if its line strength, from 0 to 255, is at least this value."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Truth:
 
 @dataclass
 class Count:
-    """Numbers of edge pixels and of flickering pixels among them."""
+    """Number of edge pixels, and number of edge pixels that flicker."""
 
     edges: int = 0
     flickering: int = 0
@@ -175,7 +175,8 @@ def _truths(scene: Scene, meshes: Path | None, camera: Camera) -> Iterator[Truth
 
 
 def _normals_of_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Unit normals of the surface through the depths, or 0 beside jumps to infinity."""
+    """Return the unit normals of the surface that the depths describe. Next to pixels without a surface, the result is
+    0."""
     y, x = np.mgrid[: camera.height, : camera.width] + 0.5
     rays = np.stack([x, y, np.ones_like(x)], 2) @ np.linalg.inv(camera.intrinsics).T
     with np.errstate(invalid="ignore"):

@@ -48,7 +48,8 @@ PAGES = {
         ("playcanvas/build", "playcanvas/scripts", "@playcanvas/supersplat-viewer/dist"),
     ),
 }
-"""Viewers of the exported file: the name of the page in this folder, and the folders of packages that it loads."""
+"""For each viewer of the exported file: the name of its page in this folder, and the folders of the packages that the
+page loads."""
 NEAR, FAR = 0.05, 50.0
 PATH_STEPS, STEP_DEGREES = 90, 0.5
 PLAYER = """
@@ -67,12 +68,12 @@ PLAYER = """
         return {draw, canvas: player.panel.canvas};
     })();
 """
-"""Gives a page with <fourd-player> the interface that loop.js describes."""
+"""A script that gives a page with <fourd-player> the interface that loop.js describes."""
 
 
 @dataclass(frozen=True)
 class Arguments:
-    """The frame to show, and how long to measure."""
+    """The frame to show, and the duration of the measurements."""
 
     scene: tyro.conf.Positional[Path]
     """A .4dv file with source views."""
@@ -85,7 +86,7 @@ class Arguments:
     rounds: int = 5
     """Number of measurements of each viewer. The viewers are measured alternately."""
     seconds: float = 5.0
-    """Time of one measurement."""
+    """Duration of one measurement in seconds."""
 
 
 def main() -> None:
@@ -140,13 +141,14 @@ def write_pages(arguments: Arguments, scene: Any) -> None:
 
 
 def path_of(camera: Camera, focus: NDArray[np.float64]) -> list[Camera]:
-    """Cameras on an arc around the focus, back and forth. The axis is the up direction of ``camera``."""
+    """Return cameras that move back and forth on an arc around the focus. The axis of the arc is the up direction of
+    ``camera``."""
     steps = np.concatenate([np.arange(PATH_STEPS), np.arange(PATH_STEPS)[::-1]])
     return [turned(camera, focus, np.radians(STEP_DEGREES * step)) for step in steps]
 
 
 def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
-    """The camera after the scene was rotated around the focus."""
+    """Return the camera that shows the same image after the scene was rotated around the focus."""
     x, y, z = camera.rotation[1]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -179,7 +181,7 @@ def describe(camera: Camera) -> dict[str, Any]:
 def print_table(
     pictures: dict[str, NDArray[np.uint8]], subject: NDArray[np.bool_], speeds: dict[str, list[float]]
 ) -> None:
-    """Print the errors of the whole pictures, those of the pixels that show the subject, and the speeds."""
+    """Print the errors of the whole pictures, the errors of the pixels that show the subject, and the speeds."""
     print("| picture | PSNR to the scene | subject | PSNR to the file | subject | images per second | range |")
     print("|---|---|---|---|---|---|---|")
     for name, picture in pictures.items():

@@ -59,7 +59,7 @@ PREPARE = """async () => {
 
 @dataclass(frozen=True)
 class Arguments:
-    """The scenes to decode, and how often."""
+    """The scenes to decode, and the number of repetitions."""
 
     scenes: tyro.conf.Positional[tuple[Path, ...]]
     """Packed scenes."""
@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def measure(name: str, site: Path, rounds: int) -> str:
-    """Return the row of a scene."""
+    """Return the table row of a scene."""
     reader = SceneReader(site / SCENE_NAME)
     manifest = reader.manifest
     reader.close()
@@ -92,7 +92,7 @@ def measure(name: str, site: Path, rounds: int) -> str:
             for frame in range(manifest.frame_count):
                 worker.append(page.evaluate("(frame) => decodeFrame(frame)", frame))
                 native.append(decode_natively(archive, manifest, frame, views))
-    # The first round compiles the JavaScript.
+    # The first round is not measured, because the browser compiles the JavaScript in it.
     worker, native = worker[manifest.frame_count :], native[manifest.frame_count :]
     steps = statistics.quantiles(worker, n=10)
     median, other = statistics.median(worker), statistics.median(native)

@@ -1,6 +1,6 @@
 /**
- * Functions that compare_viewers.py adds to each page. A page has `window.viewer`, a promise of {draw, canvas}: `draw`
- * draws an image from a camera, as {camera, view, projection}.
+ * Functions that compare_viewers.py adds to each page. A page has `window.viewer`, a promise of {draw, canvas}. The
+ * function `draw` draws an image from a camera, which is passed as {camera, view, projection}.
  */
 
 const nextImage = () => new Promise((resolve) => requestAnimationFrame(resolve));
@@ -18,7 +18,8 @@ window.picture = async (camera) => {
   return canvas.toDataURL("image/png").split(",")[1];
 };
 
-/** Images per second while the camera moves along a path. Each image is finished before the next image is started. */
+/** Returns the number of images per second while the camera moves along a path. Each image is finished before the next
+ * image is started. */
 window.imagesPerSecond = async (cameras, seconds) => {
   const { draw, canvas } = await window.viewer;
   const gl = canvas.getContext("webgl2");

@@ -15,7 +15,7 @@ from fourd.viewer.publish.server import SiteServer
 
 FLAGS = ("--headless", "--no-sandbox", "--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl")
 DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
-"""Flags of Playwright that would choose another graphics driver."""
+"""Default flags of Playwright that are left out, because they would select another graphics driver."""
 
 
 @contextmanager
@@ -32,7 +32,7 @@ def open_browser() -> Iterator[Any]:
 
 @contextmanager
 def serving(server: SiteServer) -> Iterator[SiteServer]:
-    """Serve while the block runs."""
+    """Serve a folder until the ``with`` block ends."""
     with server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         try:

@@ -3,11 +3,11 @@
     python tools/web/playback_rate.py scene.4dv --mbps 50
     python tools/web/playback_rate.py scene.4dv --mbps 50 --tier stream --repeat 25
 
-The program opens the page of the scene with an empty cache, through a server that sends at this rate. The program
-prints the time from the opening of the page to the start of playback. It also prints the pauses, the images per second
-and the amount of received data during playback. Without --tier, the program chooses a level as `fourd web --max-mbps`
-does. With --repeat, the frames are repeated under other numbers, so that the scene is longer. The program needs
-Chromium and the package playwright.
+The program opens the page of the scene with an empty browser cache. The server limits the data rate to --mbps. The
+program prints the time from the opening of the page to the start of playback. For playback, the program prints the
+pauses, the images per second and the amount of received data. Without --tier, the program chooses a level as `fourd web
+--max-mbps` does. With --repeat, the frames are repeated under other numbers, so that the scene is longer. The program
+needs Chromium and the package playwright.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from fourd.viewer.publish.site import SCENE_NAME, write_site
 
 CHUNK = 1 << 14
 LOCAL_HEADER, SIZES_AT, NAME_LENGTH_AT = 30, 18, 26
-"""Size of a local file header in a ZIP archive, and the offsets of two fields in it (ZIP appnote 4.3.7)."""
+"""Size of a local file header in a ZIP archive, and the offsets of two of its fields (ZIP appnote 4.3.7)."""
 CREDIT_SECONDS = 0.05
-"""Maximum delay for which the server compensates by sending faster. Delays occur if the operating system wakes the
-server late."""
+"""If the operating system wakes the server late, the server sends faster to make up for the delay, but only for delays
+up to this time."""
 PLAY = """
 async (milliseconds) => {
   const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));
@@ -94,13 +94,13 @@ class Arguments:
     latency: float = 0.02
     """Delay of each response in seconds."""
     seconds: float = 10.0
-    """Seconds of playback."""
+    """Duration of measured playback in seconds."""
     tier: Tier | None = None
-    """Use the default level of this tier. The default is the level that fits the connection."""
+    """Tier whose default level is used. Without a tier, the program uses the level that fits the connection."""
     repeat: int = 1
     """Number of times that the frames are repeated."""
     rounds: int = 5
-    """Number of measurements. Each one starts with an empty cache."""
+    """Number of measurements. Each measurement starts with an empty browser cache."""
     size: tuple[int, int] = (256, 256)
     """Width and height of the page in pixels."""
 
@@ -176,7 +176,7 @@ def play(url: str, arguments: Arguments) -> dict[str, float]:
 def repeat_frames(scene: Path, times: int) -> None:
     """Repeat the frames of a packed scene. The new frames have their own numbers, but share the bytes of the file.
 
-    The result can be read by the web player, but the ZIP directory at its end is not correct.
+    The web player can read the resulting file, but the ZIP directory at the end of the file is not correct.
     """
     content = scene.read_bytes()
     name, extra = struct.unpack_from("<2H", content, NAME_LENGTH_AT)

@@ -5,7 +5,7 @@ import { Mat4 } from "playcanvas";
 const size = Number(new URLSearchParams(location.search).get("size"));
 
 async function start() {
-  // The pictures are read from the canvas after they are shown.
+  // The canvas keeps its content, because pictures are read from it after they are shown.
   const { getContext } = HTMLCanvasElement.prototype;
   HTMLCanvasElement.prototype.getContext = function (kind, options) {
     return getContext.call(this, kind, { ...options, preserveDrawingBuffer: true });
@@ -20,11 +20,11 @@ async function start() {
   return { draw: drawing(viewer.app), canvas: container.querySelector("canvas") };
 }
 
-/** A function that draws one image with the viewer's renderer, instead of the viewer's own loop. */
+/** A function that draws one image with the viewer's renderer. It replaces the viewer's own drawing loop. */
 function drawing(app) {
   cancelAnimationFrame(app.frameRequestId);
   const { camera } = app.root.findComponent("camera").entity;
-  // The viewer turns the file by 180 degrees.
+  // The viewer rotates the loaded splats by 180 degrees.
   const turn = app.root.findComponent("gsplat").entity.getWorldTransform();
   const pose = new Mat4();
   let projection;
