@@ -114,7 +114,7 @@ class Simulation:
         return sum(counts.units + counts.repeated for counts in self.counts().values())
 
     def counts(self) -> dict[str, UnitCounts]:
-        """Return, for each stage by name, how many units were finished, repeated or lost."""
+        """Return the counts of the units of each stage, by the name of the stage."""
         stages = [stage for group in self.groups() for stage in group]
         return {stage.name: _count(stage.files.log, stage.settings.units) for stage in stages}
 
