@@ -1,4 +1,5 @@
-// Compiler-specific spellings of forced inlining, non-aliasing pointers, bit operations and prefetching.
+// Macros and functions for forced inlining, non-aliasing pointers, bit operations and prefetching, which compilers
+// spell differently.
 //
 // Dispatched files (common/dispatch.h) depend on forced inlining. If a function is not inlined, the linker can replace
 // the function by a copy that was compiled for another instruction set.

@@ -24,7 +24,7 @@ __global__ void __launch_bounds__(kThreads) run_for_each(const Kernel kernel, co
     }
 }
 
-// count is a multiple of kWarpSize, so that every warp is complete.
+// `count` must be a multiple of kWarpSize, so that every warp is complete.
 template <typename Kernel>
 __global__ void __launch_bounds__(kThreads) run_warps(const Kernel kernel, const std::size_t count) {
     const std::size_t stride = static_cast<std::size_t>(gridDim.x) * kThreads;
@@ -39,7 +39,7 @@ inline void check(cudaError_t status, const char* what) {
 
 class Executor {
   public:
-    // stream is a cudaStream_t of the current device.
+    // `stream` is a cudaStream_t of the current device.
     explicit Executor(void* stream) : stream_(static_cast<cudaStream_t>(stream)) {}
 
     // Calls kernel(index) for each index below count, in any order.
@@ -50,7 +50,8 @@ class Executor {
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // Calls kernel(index, lane). count is a multiple of kWarpSize, and kWarpSize consecutive indices form a warp.
+    // Calls kernel(index, lane) for each index below `count`. `count` must be a multiple of kWarpSize. kWarpSize
+    // consecutive indices form a warp.
     template <typename Kernel>
     void for_each_in_warps(std::size_t count, const Kernel& kernel) const {
         if (count == 0) return;
@@ -58,7 +59,7 @@ class Executor {
         check(cudaGetLastError(), "a kernel's launch");
     }
 
-    // Sorts (key, value) pairs stably by the `bits` lowest bits of their keys. count is below 2^31.
+    // Sorts (key, value) pairs stably by the `bits` lowest bits of their keys. `count` must be below 2^31.
     void sort(const std::uint32_t* keys, std::uint32_t* sorted_keys, const std::uint32_t* values,
               std::uint32_t* sorted_values, std::size_t count, int bits, void* scratch,
               std::size_t scratch_bytes) const {
@@ -67,7 +68,7 @@ class Executor {
               "a sort");
     }
 
-    // Sets out[i] to the sum of counts[0] to counts[i - 1]. count is below 2^31.
+    // Sets out[i] to the sum of counts[0] to counts[i - 1]. `count` must be below 2^31.
     void exclusive_sum(const std::uint64_t* counts, std::uint64_t* out, std::size_t count, void* scratch,
                        std::size_t scratch_bytes) const {
         check(cub::DeviceScan::ExclusiveSum(scratch, scratch_bytes, counts, out, static_cast<int>(count), stream_),

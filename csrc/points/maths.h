@@ -39,9 +39,9 @@ FOURD_HD static inline TileRange tile_range_of(const Splat& splat) {
             static_cast<std::uint16_t>(splat.top / blocks), static_cast<std::uint16_t>(splat.bottom / blocks)};
 }
 
-// Sums over the pixels of a point. Let g be the gradient of the loss with respect to the point's alpha at a pixel. The
-// members dx, dy, square and falloff are the sums over pixels of g dx, g dy, g distance^2 and g falloff. The member z
-// is the sum of the gradients with respect to the camera depth of the point.
+// Sums of gradients over the pixels that a point hits. Let g be the gradient of the loss with respect to the point's
+// alpha at a pixel. The members dx, dy, square and falloff are the sums over pixels of g dx, g dy, g distance^2 and g
+// falloff. The member z is the sum of the gradients with respect to the camera depth of the point.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };

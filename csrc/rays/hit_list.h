@@ -1,4 +1,4 @@
-// Keeps the nearest hits of a ray in order. This code is shared by every backend.
+// Keeps the nearest hits of a ray in order. Every backend uses this code.
 #pragma once
 
 #include <cstddef>

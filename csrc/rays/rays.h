@@ -103,7 +103,7 @@ void trace(const TreeView& tree, const Rays& rays, const Hits& hits);
 // Writes 1 for each ray that has a hit with t in [t_min, t_max], and 0 for all other rays.
 void occluded(const TreeView& tree, const Rays& rays, std::uint8_t* out);
 
-// Gradients of `count` x `layers` hits.
+// The gradients for `count` rays with `layers` hits each.
 struct HitGradients {
     const float* origins;
     const float* directions;

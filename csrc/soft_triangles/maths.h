@@ -76,7 +76,7 @@ struct Projection {
     Condition visible;
 };
 
-// Projects a triangle. Triangles with NaN are not visible, because all comparisons with NaN are false.
+// Projects a triangle. A triangle with a NaN coordinate is not visible, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, const Softness& softness,
                                     const Corners<Number>& at) {

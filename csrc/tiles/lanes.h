@@ -370,6 +370,6 @@ inline float max_lane(Lanes a) {
     return v[0];
 }
 
-// The overload of constant() for Lanes. With such overloads, templates work on floats and on Lanes. The pointer
-// argument only selects the overload.
+// The overload of constant() for Lanes. With overloads for floats and Lanes, the same template works on both types. The
+// pointer argument only selects the overload.
 inline Lanes constant(float value, const Lanes*) { return broadcast(value); }

@@ -80,7 +80,7 @@ class Discs:
     ) -> None:
         """Project and shade points for the camera of ``request``.
 
-        ``order`` contains the indices of the points, nearest first. Normals can be painted only if the frame has them.
+        ``order`` contains the indices of the points, nearest first. Normals can be drawn only if the frame has normals.
         Depths are in multiples of ``depth_unit``, which is in world units. Raises UserError if the frame has 2^24
         points or more.
         """

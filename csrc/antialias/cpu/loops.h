@@ -21,8 +21,8 @@ struct Loops {
     // Counts the crossings between the pixels of some rows and their right and lower neighbours.
     std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
 
-    // Writes the gradient of the colours of some rows. If `contributions` is not null, also writes two contributions to
-    // the gradient of the positions for each crossing.
+    // Writes the gradient with respect to the colours of some rows. If `contributions` is not null, also writes, for
+    // each crossing, two contributions to the gradient with respect to the positions.
     void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
 
     // Adds the contributions to vertices [begin, end) to `positions`, in the order of the contributions.

@@ -9,7 +9,8 @@
 namespace fourd::interpolate::FOURD_SIMD {
 namespace {
 
-// Channels is the number of channels if it is known at compile time. If Channels is 0, query.channels is used.
+// The template argument Channels is the number of channels if it is known at compile time, and 0 otherwise. If Channels
+// is 0, the number of channels is query.channels.
 template <int Channels>
 void forward(const Query& query, const float* attr, std::size_t begin, std::size_t end, float* out, float* out_da) {
     const std::size_t channels = Channels > 0 ? Channels : query.channels, diffs = query.diff_count;

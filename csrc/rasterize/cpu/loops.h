@@ -10,7 +10,7 @@ namespace fourd::rasterize {
 constexpr int kTile = 32;  // Side of a tile in pixels.
 constexpr int kTilePixels = kTile * kTile;
 
-// Plane equations of the triangles in one tile, as a structure of arrays. Each array has `capacity` elements.
+// The plane equations of the triangles in one tile, as a structure of arrays. There are `capacity` elements per array.
 struct Records {
     static constexpr int kFields = 3 * kPlanes + 4;
     float* values;  // (kFields, capacity): c, x and y of the planes, range of z/w, encoded id, and scale.

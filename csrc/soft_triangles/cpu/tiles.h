@@ -28,7 +28,7 @@ struct Tile {
     int width, height;  // Size of the image.
 };
 
-// Scratch memory. A visit is an entry that hits pixels of a block.
+// Scratch memory. A visit is a pair of an entry and a block in which the entry's triangle hits at least one pixel.
 struct Visits {
     std::uint16_t* blocks;   // (count,): mask of the blocks that each entry may hit.
     std::uint32_t* entries;  // (count,): entry of each visit of a block.

@@ -63,8 +63,8 @@ struct View {
     }
 };
 
-// Selects the nearest triangles of a pixel, at most `layers`: all triangles in front of the depth `last`, and the first
-// `ties` triangles at this depth.
+// Selects at most `layers` nearest triangles of a pixel. These are all triangles in front of the depth `last`, and the
+// first `ties` triangles at the depth `last`.
 struct Nearest {
     float depth;  // The smallest depth of the triangles and the background.
     float last;

@@ -121,7 +121,8 @@ FOURD_INLINE void find_texels_of(const Query& query, Batch& b, int slot) {
     }
 }
 
-// Finds the texels of one of the two levels. `with_slopes` states whether the derivatives of the weights are needed.
+// Finds the texels of one of the two mip levels that a lookup blends. `with_slopes` states whether the derivatives of
+// the weights are needed.
 template <Boundary boundary, bool with_slopes>
 FOURD_INLINE void find_texels(const Query& query, Batch& b, int slot) {
     if (query.filter == Filter::nearest) {

@@ -41,8 +41,9 @@ export async function supportsVr() {
 }
 
 /**
- * Shows a stage in a headset. The viewer starts at the eye of the page's view. The pivot of this view is 1.5 m away.
- * The trigger starts and pauses playback. A thumbstick orbits the pivot, and moves the viewer nearer or farther.
+ * Shows a stage in a headset. The viewer starts at the eye of the page's view. At the start, the pivot of the view is
+ * 1.5 m away from the viewer. The trigger starts and pauses playback. A thumbstick orbits the pivot, and moves the
+ * viewer nearer or farther.
  */
 export class VrSession {
   /**
