@@ -92,8 +92,8 @@ struct Plane {
     }
 };
 
-// Whether the two triangles intersect between the pixel centres, and the owner's triangle is the nearer one at the
-// owner. As with silhouettes, an intersection line whose angle to the segment is below 45 degrees is ignored.
+// Whether the two triangles intersect between the pixel centres, with the owner's triangle nearer at the owner. As with
+// silhouettes, an intersection line whose angle to the segment is below 45 degrees is ignored.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);

@@ -97,7 +97,7 @@ FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<N
 }
 
 // The range of tiles along one axis that contains the pixel centres between low - margin and high + margin. Returns
-// false for triangles without such tiles.
+// false if there is no such tile.
 template <typename Number>
 FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number margin, Number* first, Number* last) {
     const Number* const tag = nullptr;

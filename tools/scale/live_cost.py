@@ -157,7 +157,7 @@ def ask(url: str, with_scene: bool, is_asking: threading.Event, ended: threading
 
 @contextmanager
 def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
-    """Show the page in Chromium. The yielded function opens the page or an empty page."""
+    """Show the page in Chromium. The yielded function opens the page of the run, or an empty page instead."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

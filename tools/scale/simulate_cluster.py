@@ -138,8 +138,8 @@ def _expected_scene(simulation: Simulation) -> str:
 
 
 def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.Namespace) -> Watched:
-    """Call ``run`` in a thread. Meanwhile, this thread replaces nodes and measures. Ray starts nodes only in the main
-    thread."""
+    """Call ``run`` in a thread. While ``run`` works, the main thread replaces nodes and measures, because Ray starts
+    nodes only in the main thread."""
     import ray
 
     rng, watched = random.Random(arguments.seed), Watched()

@@ -148,9 +148,9 @@ class DualDepthPeeling:
     remaining layers.
 
     In each pixel, the first K // 2 passes find up to two layers per pass. If a pixel has further layers after these
-    passes, it may have more than K layers, so its layers from the back are dropped. Further passes peel this pixel from
-    the front, until K layers are composited or no further layer is visible. The result has the K nearest layers, as in
-    :class:`DepthPeeling`.
+    passes, it may have more than K layers, so the layers that were peeled from the back are dropped. Further passes
+    peel this pixel from the front, until K layers are composited or no further layer is visible. The result has the K
+    nearest layers, as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:

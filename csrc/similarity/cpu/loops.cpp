@@ -63,7 +63,8 @@ FOURD_INLINE void row_means(const Window& window, const float* from, std::size_t
 }
 
 // Computes the similarities of a row from its means, which have plan.stride floats per row. If kWithDerivatives is
-// true, the function also computes the derivatives of the similarities: kDerivatives rows of plan.valid floats.
+// true, the function also computes the derivatives of the similarities, which are kDerivatives rows of plan.valid
+// floats.
 template <bool kWithDerivatives>
 FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_RESTRICT values,
                           float* FOURD_RESTRICT derivatives) {

@@ -21,7 +21,7 @@ const CONCURRENT = 4;
  */
 
 /**
- * What to load.
+ * The frames and the kinds of data to load.
  * @typedef {object} Demand
  * @property {number[]} decoded Frames to decode, in order of urgency.
  * @property {number[]} downloaded Frames to download, in order of urgency. The list starts with the frames of
