@@ -113,8 +113,7 @@ def import_source(
         track: wraps loops to report progress.
 
     Raises:
-        UserError: when the source or an option is invalid. The calibration files are written last, after all other
-            files.
+        UserError: when the source or an option is invalid. The calibration files are written after all other files.
     """
     refuse_symlinks(out, out / DERIVED)
     before = read_record(out)

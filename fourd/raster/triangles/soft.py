@@ -43,8 +43,7 @@ def rasterize_soft(
     the pixel is 1 - prod_j (1 - D_ij). The features of the pixel are a weighted mean over the triangles and the
     background. In the mean, triangle j has the weight D_ij exp(zbar_ij / gamma), and the background has the features 0
     and the weight exp(eps / gamma). zbar_ij is the normalised depth of the triangle at the pixel: 1 at ``near`` and 0
-    at ``far``. For a pixel outside the triangle, zbar_ij is the normalised depth at the clamped barycentric coordinates
-    of the pixel.
+    at ``far``. Outside the triangle, zbar_ij is computed from the clamped barycentric coordinates of the pixel.
 
     The results are differentiable in xyz and features. In the backward pass, the selection of triangles is treated as
     constant. On the CPU, results and gradients are bit-identical for any number of threads.
@@ -56,8 +55,7 @@ def rasterize_soft(
         camera: a pinhole camera without lens distortion.
         sigma: softness of the edges, greater than 0. The unit of sigma is the unit of d_ij squared.
         gamma: temperature of the softmax over depths, greater than 0.
-        layers: maximum number of triangles per pixel; the nearest are used, and at equal depth those with the smallest
-            index. None means no limit.
+        layers: maximum number K of triangles per pixel, or None for no limit. The K nearest are used, at ties by index.
         distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d_ij is the smallest barycentric coordinate.
         cutoff: triangles are skipped at pixels where D_ij is below ``cutoff``. The cutoff is in (0, 0.5).

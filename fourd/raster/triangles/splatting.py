@@ -76,8 +76,7 @@ def splat_triangles(
         xyz: (V, 3) vertices in world units.
         tri: (T, 3) int32 vertex indices. Both sides of a triangle are visible.
         features: (T, C) colours or other features, with C from 1 to 32. The values are not checked.
-        opacity: (T,) opacity at the incentre, in [0, 1]. Values above 1 are not an error, because alpha is limited to
-            0.99.
+        opacity: (T,) opacity at the incentre, in [0, 1]. Larger values are allowed, because alpha is at most 0.99.
         sigma: (T,) or a number: exponent of the window function, greater than 0. With sigma = 1, alpha decreases
             linearly from the incentre to the edges. With sigma near 0, alpha is almost constant up to the edges.
         camera: a pinhole camera without lens distortion.
