@@ -57,8 +57,8 @@ class Clock:
         units, times = [], []
         for _ in range(runs):
             units.append(_time_ms(lambda: self._square @ self._square))
-            # An additional run of the work is not timed: the OpenMP threads of the matrix product still spin during
-            # this run and would distort its time.
+            # The first run of the work is not timed. During this run, the OpenMP threads of the matrix product above
+            # still spin and would make the work slower.
             work()
             times.append(_time_ms(work) / repeats)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]

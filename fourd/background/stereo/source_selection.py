@@ -30,8 +30,8 @@ def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthe
     camera's frustum is seen by two source cameras.
 
     Points are sampled in the frustum between the depths ``nearest`` and ``farthest``. The score of a source camera for
-    a point depends on the angle between the rays of the two cameras to the point. The objective is the sum over all
-    points of the two best scores of the point. The selection is greedy: each step adds the camera that increases the
+    a point depends on the angle between the rays of the two cameras to the point. The objective adds up
+    the two best scores of each point. The selection is greedy: each step adds the camera that increases the
     objective most.
     """
     xyz = _frustum_points(cameras[index], nearest, farthest)

@@ -130,7 +130,7 @@ def _is_locked(folder: Path) -> bool | None:
 
 
 def _parse(content: Any) -> TrainingState | None:
-    """Convert JSON data to a state, or return None if a field is missing or has another type or range."""
+    """Convert JSON data to a state, or return None if a field is missing, has the wrong type or is out of range."""
     names = {field.name for field in fields(TrainingState)}
     if not isinstance(content, dict) or content.keys() != names:
         return None
