@@ -60,8 +60,8 @@ def draw_rig(
         cameras: cameras in metres.
         board: the board.
         boards: poses from board to world.
-        floor: whether the world's z axis points up. If false, the world has the axes of the first camera, and y points
-            down.
+        floor: whether the world is aligned with the floor, so that z points up. If false, the world has the axes of the
+            first camera, and y points down.
     """
     width, height = board.size_m
     outline = np.array([[0, 0, 0], [width, 0, 0], [width, height, 0], [0, height, 0]])

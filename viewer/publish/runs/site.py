@@ -96,7 +96,7 @@ class RunSite:
 
         Args:
             step: the training step of the picture.
-            segment: number of the segment from 1, or None for the run itself.
+            segment: number of the segment, counted from 1, or None for a run without segments.
         """
         folder = self.run if segment is None else segment_folder(self.run, segment - 1)
         path = folder / VALIDATION / f"{step:07d}.png"

@@ -53,7 +53,7 @@ export class ByteSource {
   }
 
   /**
-   * Reads a range that must be complete.
+   * Reads `size` bytes, and throws an error if fewer bytes arrive.
    * @param {number} offset
    * @param {number} size
    * @param {AbortSignal} [signal]
