@@ -1,4 +1,4 @@
-"""Calibration of static cameras from only their images, by structure from motion with COLMAP."""
+"""Calibrates static cameras from their images alone, by structure from motion with COLMAP."""
 
 from __future__ import annotations
 

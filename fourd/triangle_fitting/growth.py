@@ -19,7 +19,8 @@ SPLIT_PX = 24.0
 """Maximum length in pixels of the longest edge of a triangle that is duplicated. Triangles that are longer in a
 training view are split in four."""
 CLONE_OFFSET = 0.2
-"""Standard deviation of the offset of a duplicate in the plane of its triangle, as a share of the triangle's edges."""
+"""A duplicated triangle is shifted at random in its plane. Standard deviation of the shift, as a fraction of the edge
+length."""
 
 
 @torch.no_grad()

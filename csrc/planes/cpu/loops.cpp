@@ -29,8 +29,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// For point i of a batch, prefetches the samples of those planes in [first, last) that are larger than the caches of a
-// core. `values(k)` returns the array of plane k, or another array of the same shape.
+// Prefetches the samples of point i of a batch. Only planes in [first, last) that do not fit in the caches of a core are
+// prefetched. `values(k)` returns the array of plane k, or another array of the same shape.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {

@@ -26,7 +26,7 @@ struct Bands {
 };
 
 // An entry is a pixel of a task that reads texels of a band. The value of an entry is twice the index of the pixel in
-// its task. If the texels belong to the second of the two levels that the pixel blends, 1 is added to this number.
+// its task, plus 1 if the texels belong to the second of the two mip levels that are blended for the pixel.
 using Entry = std::uint16_t;
 // Maximum number of entries of a task: four texels in each of two levels for each pixel.
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;

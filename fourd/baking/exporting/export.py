@@ -1,4 +1,4 @@
-"""Exports the frames of a scene to the files of other programs, one file for each frame."""
+"""Exports the frames of a scene in the file formats of other programs, one file for each frame."""
 
 from __future__ import annotations
 

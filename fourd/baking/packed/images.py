@@ -71,7 +71,7 @@ def load_av() -> ModuleType:
 
 
 def grid_size(camera: Camera, scale: float) -> tuple[int, int]:
-    """Return the width and the height of the grid in texels, which are even."""
+    """Return the width and the height of the grid in texels. Both are even."""
     width, height = (2 * int(np.ceil(side * scale / 2)) for side in (camera.width, camera.height))
     return min(width, MAX_SIDE), min(height, MAX_SIDE)
 

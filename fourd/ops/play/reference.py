@@ -15,7 +15,7 @@ MAX_FLOAT32 = np.finfo(np.float32).max
 RADIUS_MARGIN = 1 + 1e-6
 """Factor by which the kernels enlarge the disc of a point before they search for the pixels that the disc covers.
 
-The factor prevents rounding errors from omitting a covered pixel.
+Without the factor, rounding errors could make the search miss a covered pixel.
 """
 
 

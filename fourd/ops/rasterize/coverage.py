@@ -1,7 +1,7 @@
 """Coverage of the reference rasterizer: clipping, rounding to 1/256 pixel and exact edge functions.
 
-``csrc/rasterize/maths.h`` and ``csrc/rasterize/clipping.h`` have the same functions for the kernels. All functions of
-this module compute the same numbers as the kernels and are not differentiable.
+The versions of these functions for the kernels are in ``csrc/rasterize/maths.h`` and ``csrc/rasterize/clipping.h``.
+All functions of this module compute the same numbers as the kernels and are not differentiable.
 """
 
 from __future__ import annotations

@@ -82,8 +82,8 @@ def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
     ``reach`` pixels. A line stays if each square has a line of at least LEAST_STRENGTH on its sides. There are no lines
     outside the picture.
 
-    A group of connected lines that does not reach the largest square is a speck. The smaller squares remove specks next
-    to other specks.
+    A group of connected lines is a speck if it does not extend to the largest of the squares. The smaller squares
+    remove specks next to other specks.
     """
     kept, half = lines, 1
     while half <= reach:
