@@ -53,10 +53,25 @@ class LocalNodes:
         """Kill all processes of a node, as if the machine had lost power."""
         self._cluster.remove_node(sorted(self._cluster.worker_nodes, key=id)[index], allow_graceful=False)
 
+    def busy(self) -> list[int]:
+        """Indices of the nodes that run a stage, see :meth:`remove`. Needs Linux."""
+        raylets = [self._raylet(node) for node in sorted(self._cluster.worker_nodes, key=id)]
+        running = {parent for _, parent in self._running().values()}
+        return [index for index, raylet in enumerate(raylets) if raylet in running]
+
     def stages(self) -> dict[int, str]:
         """Return a mapping from the process identifiers of the running stages to the names of the stages. Needs
         Linux."""
-        raylets = {node.all_processes["raylet"][0].process.pid for node in self._cluster.worker_nodes}
+        return {process: name for process, (name, _) in self._running().items()}
+
+    @staticmethod
+    def _raylet(node: Any) -> int:
+        """Identifier of the main process of a node."""
+        return int(node.all_processes["raylet"][0].process.pid)
+
+    def _running(self) -> dict[int, tuple[str, int]]:
+        """Process identifiers of the running stages -> name of the stage, and main process of its node."""
+        raylets = {self._raylet(node) for node in self._cluster.worker_nodes}
         found = {}
         for folder in Path("/proc").glob("[0-9]*"):
             try:
@@ -67,7 +82,7 @@ class LocalNodes:
                 continue
             name = title.removeprefix(TITLE)
             if parent in raylets and name != title and not name.startswith(OTHER_TITLES):
-                found[int(folder.name)] = name
+                found[int(folder.name)] = (name, parent)
         return found
 
     def count(self) -> int:

@@ -150,7 +150,8 @@ def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.
         while not wait([running], timeout=1.0).done:
             watched.samples.append((resident_bytes(), store_bytes(ray)))
             if watched.failures < arguments.failures and time.monotonic() > failure:
-                nodes.remove(rng.randrange(nodes.count()))
+                busy = nodes.busy() if arguments.busy else []
+                nodes.remove(rng.choice(busy or range(nodes.count())))
                 watched.failures += 1
                 nodes.add()
                 failure = time.monotonic() + rng.uniform(0.5, 1.5) * arguments.interval
@@ -168,6 +169,7 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--units", type=int, default=8, help="units of work of a segment (default 8)")
     parser.add_argument("--seconds", type=float, default=2.0, help="seconds that a unit waits (default 2)")
     parser.add_argument("--failures", type=int, default=0, help="number of nodes that fail (default 0)")
+    parser.add_argument("--busy", action="store_true", help="only nodes that run a stage fail, if there are any")
     parser.add_argument("--interval", type=float, default=10.0, help="mean seconds between failures (default 10)")
     parser.add_argument("--patience", type=int, default=5, help="missing answers until a node is lost (default 5)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the failures (default 0)")
