@@ -22,6 +22,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
@@ -140,6 +141,7 @@ def _expected_scene(simulation: Simulation) -> str:
 def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.Namespace) -> Watched:
     """Call ``run`` in a thread. While ``run`` works, the main thread replaces nodes and measures, because Ray starts
     nodes only in the main thread."""
+    import grpc
     import ray
 
     rng, watched = random.Random(arguments.seed), Watched()
@@ -148,7 +150,9 @@ def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.
         running = pool.submit(run)
         failure = start + rng.uniform(0.5, 1.5) * arguments.interval
         while not wait([running], timeout=1.0).done:
-            watched.samples.append((resident_bytes(), store_bytes(ray)))
+            # Ray may ask a node that was just killed. There is no sample then.
+            with suppress(grpc.RpcError):
+                watched.samples.append((resident_bytes(), store_bytes(ray)))
             if watched.failures < arguments.failures and time.monotonic() > failure:
                 busy = nodes.busy() if arguments.busy else []
                 nodes.remove(rng.choice(busy or range(nodes.count())))
