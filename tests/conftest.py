@@ -1,4 +1,4 @@
-"""Fixtures that all tests share. Random seeds are new in every run. They are printed, so that a run can be repeated
+"""Fixtures that all tests share. Every run has new random seeds. The seeds are printed, so that a run can be repeated
 with the same seed.
 """
 

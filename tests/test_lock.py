@@ -1,4 +1,4 @@
-"""The lock of all packages fits pyproject.toml and constraints.txt."""
+"""The versions of packages in requirements.lock agree with pyproject.toml and constraints.txt."""
 
 from __future__ import annotations
 

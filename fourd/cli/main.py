@@ -213,7 +213,7 @@ def _report_errors(words: list[str]) -> int:
 
 
 def _is_in_system_folder(error: OSError) -> bool:
-    """Whether a file does not exist because no file can be created in its folder."""
+    """Whether an error says that a file is missing because no file can be created in its folder."""
     if not isinstance(error, FileNotFoundError) or not isinstance(error.filename, str):
         return False
     path = Path(os.path.realpath(error.filename))

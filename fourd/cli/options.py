@@ -40,7 +40,9 @@ Frames = Annotated[str | None, option("A:B[:S]", "all", FRAMES_HELP)]
 FramesPerSecond = Annotated[
     float | None,
     option(
-        "FLOAT", "unknown, plays at 30", "Frame rate of images in frames per second. Videos have their own frame times."
+        "FLOAT",
+        "unknown, plays at 30",
+        "Frames per second of a capture that consists of images. Video files contain their own frame times.",
     ),
 ]
 Workers = Annotated[int | None, option("N", "one per core", "Number of processes.")]
@@ -51,10 +53,10 @@ LpipsWeights = Annotated[
 
 
 TIER_HELP = (
-    "full: looks like the unpacked scene.",
-    "stream: coarser quantisation steps; a player fetches only the source views that it needs.",
-    "video: like stream, but the colours in the source views are VP9 images; smaller, slower to decode.",
-    "light: no source views; all colour is in spherical harmonics.",
+    "full: images look like those of the unpacked scene.",
+    "stream: coarser quantisation than full; a player fetches only the source views that it needs.",
+    "video: like stream, but VP9 images store the colours of source views; files are smaller and decode more slowly.",
+    "light: no source views; spherical harmonics contain all colours.",
 )
 MaxMbps = Annotated[
     float | None,
@@ -66,7 +68,7 @@ StyleName = Annotated[
     option(
         "{toon,xtoon,gooch,ink,FILE.yaml}",
         "the captured colours",
-        "Draw a cartoon or a drawing: a preset, or a style file (docs/guides/stylize.md).",
+        "Draw images in the style of a cartoon or a drawing: a preset, or a style file (docs/guides/stylize.md).",
     ),
 ]
 

@@ -19,14 +19,13 @@ from fourd.training.config import TrainConfig
 SEEDING_METHODS = ("ngp", "sfm")
 """Methods of background seeding. ``--background`` accepts a seeding method or a PLY file."""
 BACKGROUND_HELP = (
-    "Source of the background points, for --scene full. ngp: a radiance field fitted to the clean plates, guided by "
-    "stereo depth maps. "
-    "sfm: stereo depth maps only. FILE.ply: your own points, in world units."
+    "Source of the background points. Used only with --scene full. ngp: a radiance field fitted to the clean "
+    "plates, guided by stereo depth maps. sfm: stereo depth maps only. FILE.ply: your own points, in world units."
 )
 SEGMENT_HELP = (
-    "Maximum number of frames of one model. A longer capture is divided into segments, each with a model of its own "
-    "and with the whole budget. Successive segments share 4 frames, in which the scene fades from one to the next. "
-    "For --scene object."
+    "Maximum number of frames of one model. A longer capture is divided into segments. Each segment has its own model "
+    "and the whole training budget. Successive segments share 4 frames, in which the scene fades from one segment to "
+    "the next. Only for --scene object."
 )
 CONFIG_KEYS = {
     "scene": "scene",
@@ -50,7 +49,7 @@ SWITCHES = {
     "refine.colours": "refine_colours",
     "segments.warm_start": "warm_start",
 }
-"""Option that switches on a key of the training config, by the dotted name of the key."""
+"""For each dotted key of the training config that a flag switches on, the name of the flag."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
@@ -65,7 +64,7 @@ class TrainingOptions:
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
     """object: reconstruct only the foreground in the mattes, on black. full: also reconstruct a static background. With
-    full, captures without motion or with only one frame need no mattes."""
+    full, a capture needs no mattes if nothing moves in it or if it has only one frame."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
     """YAML file with config keys. docs/configuration.md lists all keys."""
     assignments: Annotated[
@@ -84,7 +83,7 @@ class TrainingOptions:
     """Maximum number of points per frame."""
     background: Annotated[str | None, _config_option("background", "{ngp,sfm,FILE.ply}", BACKGROUND_HELP)] = None
     background_points: Annotated[int | None, _config_option("background_points", "INT")] = None
-    """Maximum number of background points, for --scene full."""
+    """Maximum number of background points. Used only with --scene full."""
     refine_cameras: bool = False
     """Refine poses and focal lengths by bundle adjustment before carving, then by gradient descent during training."""
     refine_colours: bool = False

@@ -1,6 +1,6 @@
 """Reductions over the three channels of an image.
 
-These functions are many times faster than NumPy's reductions over a last axis of size three.
+The functions of this module are many times faster than NumPy's reductions over a last axis of size three.
 """
 
 from __future__ import annotations

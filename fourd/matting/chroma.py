@@ -22,11 +22,12 @@ Picture = NDArray[np.uint8]
 
 DARKEST = 0.4
 BRIGHTEST = 1.4
-"""Upper limit of a pixel's illumination relative to the screen's median. DARKEST is the lower limit."""
+"""Upper limit of a pixel's illumination, as a factor on the screen's median illumination. The lower limit is
+DARKEST."""
 MIN_CHROMA = 28.0
 """Minimum chroma magnitude of a screen's colour. The largest possible magnitude is 128.
 
-Weaker screen colours cannot be separated from noise and from reflections on the subject.
+Screen colours with less chroma cannot be separated from noise and from reflections on the subject.
 """
 MIN_BORDER_SHARE = 0.5
 """Minimum share of the images' border pixels that must have the screen's hue."""
@@ -39,7 +40,7 @@ DEFAULT_SPREAD = 0.15
 SUBJECT_DISTANCE = 0.4
 """Minimum :func:`screen_distance` of subject pixels (0 = screen, 1 = grey).
 
-The value is below 0.5, so that the subject includes edge pixels whose share of subject is slightly below one half.
+The value is below 0.5, so that the matte includes edge pixels of which the subject covers slightly less than one half.
 """
 SPREAD_FACTOR = 1.6
 """Minimum :func:`screen_distance` of subject pixels, as a multiple of the screen's spread."""
@@ -67,7 +68,7 @@ def find_screen(pictures: Sequence[Picture]) -> ScreenColour:
         pictures: images (H, W, 3) uint8 of the same screen, at least one.
 
     Raises:
-        UserError: if no single saturated hue covers half of the border pixels, or if the shades of this hue vary too
+        UserError: if no single saturated hue covers half of the border pixels, or if the shades of the screen vary too
             much.
     """
     border = np.concatenate([_border(picture) for picture in pictures])

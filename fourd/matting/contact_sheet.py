@@ -27,8 +27,8 @@ MARGIN = 0.12
 Limbs that a matte misses remain visible in the margin.
 """
 MIN_ALPHA = 8
-"""Minimum matte value (0 to 255) of pixels that the bounding box must contain. With this low value, the box includes
-faint matte errors."""
+"""Minimum matte value (0 to 255) of pixels that the bounding box must contain. The value is low, so that the box
+includes faint errors of the mattes."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120
@@ -36,7 +36,8 @@ MIN_WIDTH_PX = 120
 SHEET_COLOUR = (32, 32, 32)
 CAPTION_COLOUR = (235, 235, 235)
 FLAT_COLOURS = ((0, 220, 0), (255, 0, 255), (0, 80, 255))
-"""Candidates for the RGB background colour of cut-outs. All candidates differ from black, white and skin."""
+"""Candidates for the RGB background colour of cut-outs. All candidates differ from black, from white and from skin
+colours."""
 NEAREST_QUANTILE = 0.1
 
 
@@ -118,7 +119,8 @@ def _common_box(capture: Capture, camera: int, frames: Sequence[int]) -> Box:
 def _flat_colour(capture: Capture, cameras: Sequence[int], frames: Sequence[int]) -> Picture:
     """Choose the colour (3,) uint8 of FLAT_COLOURS that differs most from the subject.
 
-    The chosen colour has the largest 10% quantile of RGB distances to the subject's pixels.
+    For each candidate, the 10% quantile of its RGB distances to the subject's pixels is computed. The candidate with
+    the largest quantile is chosen.
     """
     frame = frames[len(frames) // 2]
     colours = []

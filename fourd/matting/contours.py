@@ -1,8 +1,8 @@
 """Check that mattes belong to the images: the contour of a matte follows edges of the image.
 
 The mean image gradient along a matte's contour is compared with the gradient along the same contour shifted in eight
-directions. A matte of the image has the largest gradient without a shift. For a matte of another image, all nine
-positions are about equally likely to have the largest gradient.
+directions. If the matte belongs to the image, the gradient is largest without a shift. If the matte belongs to another
+image, each of the nine positions has the largest gradient with about the same probability.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from fourd.progress import Track, untracked
 
 FRAMES = 5
 SHIFT = 0.01
-"""Length of the shifts, as a share of the longer image side. The errors of correct mattes are smaller than these
-shifts."""
+"""Length by which contours are shifted, as a share of the longer image side. The errors of correct contours are smaller
+than this length."""
 MIN_SHIFT_PX = 3
 MIN_CONTOUR_PX = 40
 MAX_FITTING = 0.25
-"""A camera is reported if less than this share of its mattes follows the edges of the images."""
+"""A camera is reported if at most this share of its mattes follows the edges of the images."""
 MIN_MATTES = 2
 
 
@@ -36,7 +36,7 @@ def find_foreign_mattes(path: Path | str, track: Track = untracked) -> list[str]
         track: progress callback.
 
     Returns:
-        One line that names the cameras, or no line.
+        A list with one line that names the cameras, or an empty list if no camera is found.
 
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.

@@ -37,19 +37,20 @@ CHROMA_VARIANCE = np.float32(0.1)
 """Variance of a pixel's chroma, as a share of the squared difference in chroma between subject and background. JPEG
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
 NORMALISER_WEIGHT = np.float32(0.3)
-"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The variance of the subject's
-colours is a rough, large estimate. With weight 1, the edge would therefore move into the subject, because the variance
-of the background's colours is smaller than this estimate."""
+"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The estimated variance of the
+subject's colours is usually too large, and larger than that of the background's colours. With weight 1, the larger
+variance would move the edge into the subject."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
-"""Standard deviation of alpha around the blurred mask in each pass of the estimation of alpha. The first passes correct
-the position of the mask. The following passes estimate the colours of both sides from the corrected mask. The last pass
+"""Standard deviation of alpha around the blurred mask, for each pass that estimates alpha. The first passes correct the
+position of the mask. The following passes estimate the colours of both sides from the corrected mask. The last pass
 reduces noise."""
 ALPHAS = 11
 """Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
 SHARPENING_SIGMA = 0.6
 """Standard deviation of the Gaussian that averages alpha along the edge, in multiples of the radius."""
 SHARPENING_GAIN = np.float32(2.0)
-"""Factor on the contrast of the averaged alpha, because the mean of the posterior gives too soft an edge."""
+"""Factor by which the contrast of the averaged alpha is increased. Without this factor, the edge is too soft, because
+alpha is the mean of a posterior."""
 MIN_NEARBY = 0.005
 MIN_CONFIDENCE = 0.5
 """Minimum confidence of a background colour that is used to estimate alpha."""
@@ -90,15 +91,15 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
     """Estimate alpha (H, W) in [0, 1] near the edge of a binary mask (H, W) uint8, 1 = subject.
 
     An edge pixel's colour is a mixture of the subject's and the background's colour, which have Gaussian distributions.
-    Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al. 2001). The prior is a Gaussian around the
-    blurred mask, so that the mask decides where the colours of both sides are similar. The likelihood also allows for
-    the shading of the subject and for blurred chroma.
+    Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al. 2001). The prior of alpha is a Gaussian
+    around the blurred mask. If subject and background have similar colours, the mask therefore determines alpha. The
+    likelihood also allows for the shading of the subject and for blurred chroma.
 
     The subject's colour is a local mean inside the mask. The background's colour is a local mean outside the mask, or
-    the colour in ``background`` (H, W, 4) where the confidence is high. Only pixels within three times ``radius`` of
-    the mask's edge change. Alpha is then averaged over neighbouring pixels and sharpened, because the posterior's mean
-    is softer than the edge. There is one pass per value of PRIOR_DEVIATIONS. Each pass starts from the mask of the
-    pixels whose alpha is at least 0.5 after the previous pass.
+    the colour in ``background`` (H, W, 4) where the confidence is high. Alpha differs from the mask only at pixels
+    within three times ``radius`` of the mask's edge. Alpha is then averaged over neighbouring pixels and sharpened,
+    because the posterior's mean is softer than the edge. The estimation has one pass per value of PRIOR_DEVIATIONS. The
+    mask of each later pass contains the pixels whose alpha is at least 0.5 after the previous pass.
     """
     alpha = subject.astype(np.float32)
     edge = (cv2.dilate(subject, _disc(3 * radius)) > 0) & (cv2.erode(subject, _disc(3 * radius)) == 0)
@@ -178,7 +179,8 @@ def _posterior_alpha(
 
 
 def _local_colours(value: Floats, mask: Floats, deviation_px: float) -> tuple[Floats, Floats, Floats]:
-    """Gaussian-weighted mean and variance (H, W, 3) of nearby pixels in ``mask``, and the sum of weights."""
+    """Gaussian-weighted mean and variance (H, W, 3) of the colours of nearby pixels in ``mask``, and the sum of
+    weights."""
 
     def blur(plane: Floats) -> Floats:
         return np.asarray(cv2.GaussianBlur(plane, (0, 0), deviation_px), np.float32)

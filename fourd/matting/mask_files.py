@@ -41,7 +41,7 @@ def find_masks(folder: Path, capture: Capture, frames: list[int]) -> dict[tuple[
 
 
 def read_mask(path: Path, capture: Capture, camera: int) -> Picture:
-    """Read a mask and undistort it: (H, W) uint8 like the capture's undistorted images, 255 = subject.
+    """Read a mask and undistort it. Returns (H, W) uint8 at the size of the undistorted images, 255 = subject.
 
     Raises:
         UserError: if the file is damaged or its size differs from the size of the camera's images.

@@ -59,7 +59,7 @@ class OnnxNetwork:
         """Yield the mattes (H, W) uint8, 255 = subject, of one camera's consecutive images (H, W, 3) uint8.
 
         A recurrent state is passed from image to image and is reset at each call. If the network has a fixed input
-        size, the images are resized for it and the mattes are resized back.
+        size, the images are resized to this size, and the mattes are resized to the size of the images.
 
         Raises:
             UserError: if the network fails on an image, or its mask has another shape or values outside [0, 1].
@@ -116,7 +116,8 @@ def load_onnx(path: Path | str) -> OnnxNetwork:
     The network runs on the GPU if onnxruntime supports the GPU, and otherwise on the CPU.
 
     Raises:
-        UserError: if onnxruntime is not installed, the file is missing or damaged, or the network has other inputs.
+        UserError: if onnxruntime is not installed, the file is missing or damaged, or the network's inputs are not
+            supported.
     """
     path = Path(path)
     if not path.is_file():

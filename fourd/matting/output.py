@@ -17,7 +17,8 @@ STATE = "mattes.json"
 MODEL_NAME = "subject.npz"
 SHEET = DERIVED / "mattes.png"
 NEW = "new_mattes"
-"""Name of the folder for mattes that will replace mattes with another key. The folder is beside the mattes."""
+"""Name of the folder for new mattes that will replace mattes from other inputs or settings. The folder is beside the
+folder of the mattes."""
 METHODS = ("motion", "chroma", "rvm", "onnx", "masks")
 
 
@@ -26,11 +27,11 @@ class MatteState:
     """Content of the file STATE.
 
     Attributes:
-        key: key of the mattes in the folder MATTES, or None if it is unknown.
+        key: hash of the inputs and settings of the mattes in the folder MATTES, or None if the hash is unknown.
         model: key of the models.
         new: key of the mattes in the folder NEW, or None if there are none.
-        chosen: the method, if the user chose the settings of the mattes with the options of fourd matte.
-        inputs: hash of the capture's files when the user chose the settings.
+        chosen: the matting method, if the user chose the settings of the mattes with options of fourd matte.
+        inputs: hash of the capture's files at the time when the user chose the settings.
     """
 
     key: str | None = None
@@ -53,7 +54,8 @@ class MatteState:
         return state if state.chosen in METHODS else replace(state, chosen=None)
 
     def write(self, capture: Path) -> None:
-        """Write the file of a capture atomically. Fields that are None are left out, except the key."""
+        """Write the state of a capture atomically. The fields ``new``, ``chosen`` and ``inputs`` are left out if they
+        are None."""
         fields = {"version": VERSION, "key": self.key, "model": self.model}
         optional = {"new": self.new, "chosen": self.chosen, "inputs": self.inputs}
         fields |= {name: value for name, value in optional.items() if value is not None}
@@ -62,10 +64,11 @@ class MatteState:
 
 @dataclass(frozen=True)
 class MatteOutput:
-    """The folder MATTES of a capture, and the keys that the mattes and the models should have.
+    """The folder MATTES of a capture, and the keys (hashes of inputs and settings) that its mattes and models should
+    have.
 
     Mattes with another key are replaced only when all new mattes are written, so that an error or an interruption
-    loses no mattes. Until then, the new mattes are in the folder NEW.
+    loses no mattes. Incomplete new mattes are in the folder NEW.
     """
 
     capture: Path
@@ -89,7 +92,8 @@ class MatteOutput:
     def prepare(self) -> None:
         """Delete models with another key, and unfinished files of killed processes.
 
-        The models are kept if only the painted images changed, which ``model_key`` does not depend on.
+        The models are kept if only the painted images have changed, because ``model_key`` does not depend on painted
+        images.
         """
         state = MatteState.read(self.capture)
         remove_unfinished(self.folder.parent)
@@ -103,7 +107,8 @@ class MatteOutput:
             replace(state, model=self.model_key).write(self.capture)
 
     def missing(self, names: Sequence[str], frames: Sequence[str]) -> list[int]:
-        """Indices of the ``frames`` of which at least one of the cameras ``names`` has no matte with the key."""
+        """Indices of the ``frames`` for which at least one of the cameras ``names`` has no matte with the current
+        key."""
         state = MatteState.read(self.capture)
         if self.key not in (state.key, state.new):
             return list(range(len(frames)))
@@ -115,7 +120,7 @@ class MatteOutput:
         ]
 
     def start(self) -> Path:
-        """The folder to which mattes are written. It contains no mattes with another key."""
+        """Return the folder to which mattes are written. The folder contains no mattes with another key."""
         state = MatteState.read(self.capture)
         if state.key == self.key:
             return self.folder
@@ -130,7 +135,7 @@ class MatteOutput:
         return self.folder
 
     def finish(self) -> None:
-        """Replace mattes with another key by the new mattes, which are complete."""
+        """Replace the old mattes by the new mattes. All new mattes must have been written."""
         state = MatteState.read(self.capture)
         if state.key == self.key or state.new != self.key:
             shutil.rmtree(self._new, ignore_errors=True)

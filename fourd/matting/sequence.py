@@ -52,7 +52,7 @@ class MatteSettings:
         screen: screen colour "R,G,B", each 0 to 255, or None to estimate the colour for each camera.
         rvm: TorchScript file of the Robust Video Matting network.
         onnx: ONNX file of Robust Video Matting or of a segmentation network.
-        masks: folder with CAM/FRAME.png of another program, aligned with the recorded images.
+        masks: folder with the masks CAM/FRAME.png of another program, aligned with the recorded images.
         paint: painted images that correct the mattes of the method "motion".
     """
 
@@ -96,7 +96,7 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
 def _make_missing(
     capture: Capture, recording: Selection, frames: str | None, settings: MatteSettings, workers: int, track: Track
 ) -> int:
-    """Make the mattes of :func:`make_mattes`. ``capture`` is the opened ``recording``."""
+    """Make the missing mattes for :func:`make_mattes`. ``capture`` is the opened ``recording``."""
     refuse_symlinks(capture.path, capture.path / MATTES)
     # Invalid painted images are reported before the models are learned.
     read_strokes(settings.paint, capture, matting_cameras(capture))
@@ -156,7 +156,7 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def record_choice(capture: Path, settings: MatteSettings) -> None:
-    """Record that the user chose ``settings`` for the mattes of a capture with options of fourd matte."""
+    """Record whether the user chose ``settings``, the settings of a capture's mattes, with options of fourd matte."""
     state = MatteState.read(capture)
     is_chosen = settings != MatteSettings()
     chosen = replace(
@@ -169,10 +169,10 @@ def record_choice(capture: Path, settings: MatteSettings) -> None:
 
 
 def chosen_method(capture: Path) -> str | None:
-    """The method of the mattes for which the user chose the settings, or None if there are no such mattes.
+    """The method of the existing mattes if the user chose their settings, otherwise None.
 
     Raises:
-        UserError: if the files of the capture have changed since.
+        UserError: if the files of the capture have changed since the user chose the settings.
     """
     state = MatteState.read(capture)
     if state.chosen is None or not any((capture / MATTES).glob("*/*")):
@@ -186,9 +186,10 @@ def chosen_method(capture: Path) -> str | None:
 
 
 def forget_choice(capture: Path) -> None:
-    """Let other settings replace mattes for which the user chose the settings.
+    """Forget the settings that the user chose for the mattes, so that mattes with other settings can replace them.
 
-    The contact sheet of these mattes is removed, because a stage without its outputs runs again.
+    The contact sheet of the mattes is removed, because the stage of the mattes runs again if one of its outputs is
+    missing.
     """
     state = MatteState.read(capture)
     if state.chosen is not None:

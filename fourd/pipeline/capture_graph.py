@@ -23,8 +23,8 @@ def has_masks(capture: Path) -> bool:
 
 
 def is_usable(source: Path) -> bool:
-    """Whether a folder is a capture that needs no import. A capture without masks must be writable, because mattes are
-    stored in it."""
+    """Whether a folder is a capture that needs no import. A capture without masks must be writable, because its mattes
+    are stored in its folder."""
     is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 
@@ -49,7 +49,7 @@ def stages_to_capture(source: Path, imported: Path, options: ImportOptions) -> t
 
 
 def stages_to_mattes(capture: Path, settings: MatteStageSettings, plates: bool = True) -> tuple[AnyStage, ...]:
-    """Stages that make the mattes and the plates. If the user provided masks, no stage makes mattes."""
+    """Stages that make the mattes and the plates of a capture. If the user provided masks, no stage makes mattes."""
     stages: list[AnyStage] = [] if has_masks(capture) else [mattes_stage(capture, settings)]
     if plates:
         stages.append(capture_plates_stage(capture, settings))

@@ -1,4 +1,4 @@
-"""Stages as tasks of a Ray cluster. The nodes exchange results only through files on storage that all of them share."""
+"""Stages as tasks of a Ray cluster. The nodes exchange results only through files on storage that all nodes share."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context
 
 RETRIES = 3
-"""Number of times that a stage starts again after its worker or its node was lost. The stage then resumes."""
+"""Number of times that a stage is restarted after its worker or its node was lost. A restarted stage resumes its
+work."""
 MAX_REASON = 200
 """Maximum number of characters of Ray's message in an error message."""
 
@@ -44,7 +45,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of a job: name of the node, printed lines, and the message of a UserError or None."""
+    """Result of a job: the node's name, the printed lines, and the message of a UserError or None."""
 
     node: str
     lines: tuple[str, ...] = ()
@@ -52,13 +53,13 @@ class Outcome:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run a job. The process must have run no other job."""
+    """Run a job in this process, which must not have run another job before."""
     node = platform.node()
     if job.version != __version__:
         return Outcome(
             node, error=f"expected fourd {job.version}, got {__version__}; install the same version on all nodes"
         )
-    # torch reads the number of threads when it is imported. The stage imports torch later.
+    # torch reads the number of threads when it is imported, so the number is set before the stage imports torch.
     for name in ("OMP_NUM_THREADS", "FOURD_THREADS"):
         os.environ[name] = str(job.cores)
     text = io.StringIO()
@@ -73,21 +74,23 @@ def run_job(job: Job) -> Outcome:
     except UserError as error:
         return Outcome(node, tuple(text.getvalue().splitlines()), str(error))
     except KeyboardInterrupt:
-        # Ray would report a cancelled task. The request to stop came from the page of fourd serve.
+        # KeyboardInterrupt comes from a request to stop on the page of fourd serve. Without this handler, Ray would
+        # report a cancelled task.
         stopped = "expected a stage that finishes, got one that was stopped; run the command again to resume"
         return Outcome(node, tuple(text.getvalue().splitlines()), stopped)
     return Outcome(node, tuple(text.getvalue().splitlines()))
 
 
 class Cluster:
-    """A Ray cluster to which this process is connected. :meth:`execute` runs stages on its nodes."""
+    """A Ray cluster to which this process is connected. :meth:`execute` runs stages on the nodes of the cluster."""
 
     def __init__(self, ray: Any, segment_cores: int) -> None:
         """Use the cluster to which the module ``ray`` is connected.
 
         Args:
             ray: the module ray, after ``ray.init``.
-            segment_cores: number of cores of each stage that runs beside others. Other stages use all cores of a node.
+            segment_cores: number of cores of each parallel stage. A stage that is not parallel uses all cores of a
+                node.
 
         Raises:
             UserError: if no node has ``segment_cores`` cores, or all nodes with cores have left the cluster.
@@ -108,7 +111,8 @@ class Cluster:
         """Run stages that do not depend on each other. Each stage is yielded as soon as it is finished.
 
         Raises:
-            UserError: after all stages have ended, if one of them failed. The message names the stage and its node.
+            UserError: if a stage failed. The error is raised after all stages have ended, and its message names the
+                stage and its node.
         """
         failures: list[str] = []
         finished = self._finished(stages, context, failures)
@@ -118,7 +122,7 @@ class Cluster:
             raise UserError(failures[0] + more)
 
     def _finished(self, stages: Sequence[AnyStage], context: Context, failures: list[str]) -> Iterator[AnyStage]:
-        """Start the stages, and yield each of them when it is finished. Messages of failed stages are appended to
+        """Start the stages, and yield each stage when it is finished. Messages of failed stages are appended to
         ``failures``."""
         pending = {self._start(stage): stage for stage in stages}
         while pending:

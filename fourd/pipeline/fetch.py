@@ -25,15 +25,15 @@ class FetchSettings:
 
 
 def fetch_stage(url: StorageUrl, folder: Path) -> Stage[FetchFiles, FetchSettings]:
-    """Create the stage that copies the objects at ``url`` into ``folder``. The objects are listed in this call. Raises
-    UserError.
+    """Create the stage that copies the objects at ``url`` into ``folder``. This function lists the objects, and raises
+    UserError if they cannot be listed.
     """
     settings = FetchSettings(str(url), list_objects(url).version)
     return Stage("fetch", run_fetch, FetchFiles(folder), settings, outputs=(fetched_path(url, folder),))
 
 
 def fetched_path(url: StorageUrl, folder: Path) -> Path:
-    """The copy that the stage writes."""
+    """Path of the copy that the fetch stage writes."""
     return folder / url.name
 
 

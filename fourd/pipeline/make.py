@@ -41,20 +41,21 @@ REPAIRED = "repaired"
 STILL = "still"
 RUN = "run"
 SCENE = "scene.4dv"
-"""The scene in a folder for intermediate results in an object store. Its name does not depend on -o."""
+"""Name of the scene file in a folder for intermediate results in an object store. The name does not depend on -o."""
 UPLOADED = "uploaded.json"
 """File with the state of the scene file and of the object in the store after the last upload."""
 
 
 @dataclass(frozen=True)
 class MatteChoice:
-    """Settings of the mattes, and whether mattes that fourd matte made with a method that the user chose are kept."""
+    """Settings of the mattes, and whether to keep mattes whose settings the user chose with options of fourd matte."""
 
     settings: MatteSettings
     keep_chosen: bool = False
 
     def settings_for(self, capture: Path, context: Context) -> MatteSettings | None:
-        """The settings of the mattes of ``capture``, or None if its mattes are kept. Kept mattes are reported."""
+        """The settings for making mattes of ``capture``, or None if its mattes are kept. A log line reports kept
+        mattes."""
         method = chosen_method(capture) if self.keep_chosen and not has_masks(capture) else None
         if method is None:
             if not self.keep_chosen:
@@ -84,15 +85,15 @@ def make_scene(
     """Run every stage from ``source`` to the scene file ``out``.
 
     Intermediate results are kept in the folder ``work``. This folder contains ``run/``, ``stages.json`` and, if
-    ``source`` needs an import, ``capture/``. If a correction of the calibration reduces the residuals, it also contains
-    ``repaired/``, which is the capture with the corrected calibration. After a change of an input or a setting, the
+    ``source`` needs an import, ``capture/``. If a correction of the calibration reduces the residuals, the folder also
+    contains ``repaired/``, the capture with the corrected calibration. After a change of an input or a setting, the
     next call repeats only the stages that depend on this input or setting. A stage that was interrupted resumes.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.
         out: the .4dv file to write. For a URL, the file is written in ``work`` and then uploaded.
         train: the training config.
-        mattes: settings of the mattes, which are made if the capture has no masks.
+        mattes: settings of the mattes. Mattes are made only if the capture has no masks.
         context: console, and number of processes.
         points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
@@ -100,16 +101,16 @@ def make_scene(
         imports: options of the import. If the options contain a frame rate, the rate is stored in ``source`` even if
             ``source`` needs no import. If None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
-        keep_chosen_mattes: whether to keep mattes that fourd matte made with a method that the user chose, instead of
+        keep_chosen_mattes: whether to keep mattes whose settings the user chose with options of fourd matte, instead of
             making mattes with the settings ``mattes``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
-        work: the folder for intermediate results. If None, it is ``scene.work/`` for ``scene.4dv``, beside a local
-            ``out``, or in the current folder if ``out`` is a URL. If it is a URL, each machine works in a local copy,
-            and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
+        work: the folder for intermediate results. If None, the folder for ``scene.4dv`` is ``scene.work/``, beside a
+            local ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a URL, each machine works in a
+            local copy, and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
 
     Raises:
-        UserError: if the input is invalid, if a store refuses, or if the folder for intermediate results exists but was
-            not created by ``fourd make``.
+        UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results
+            exists but was not created by ``fourd make``.
     """
     request = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
     execute = run_here if cluster is None else cluster.execute
@@ -156,8 +157,8 @@ def _make_stored(
     execute: Execute,
     is_parallel: bool,
 ) -> None:
-    """Run the stages of :func:`make_scene` with results at ``url``. The paths in ``request`` other than those of the
-    capture and of the run are the same on all machines."""
+    """Run the stages of :func:`make_scene`, and store the results at ``url``. The paths in ``request`` are the same on
+    all machines, except the paths of the capture and of the run."""
     if is_parallel and url.scheme == "memory":
         raise UserError(f"{url}: expected a store that all nodes can reach, got the memory of this process; use s3://")
     if isinstance(out, StorageUrl):
@@ -192,7 +193,7 @@ def _absolute(path: Path | None) -> Path | None:
 
 
 def _copy_changed(source: Path, target: Path) -> None:
-    """Copy a file, unless the target has the same size and time of the last change."""
+    """Copy a file, unless the target already has the same size and modification time."""
     status = source.stat()
     if target.is_file():
         before = target.stat()
@@ -204,7 +205,7 @@ def _copy_changed(source: Path, target: Path) -> None:
 
 
 def _local_source(source: Location, work: Path, runner: Runner) -> Path:
-    """The path of the source, which is copied first if it is a URL."""
+    """Return the path of the source. A source at a URL is first copied into the folder ``work``."""
     if isinstance(source, Path):
         return source
     runner.run([fetch_stage(source, work / SOURCE)])
@@ -220,8 +221,8 @@ def _run_graph(
     context: Context,
     runner: Runner,
 ) -> None:
-    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run,
-    with the source in the place of the capture."""
+    """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run.
+    Its field ``capture`` is the path of the source, which may need an import."""
     given, train = source.capture, source.train
     to_capture = stages_to_capture(given, work / CAPTURE, options)
     remove_unfinished_file(out)
@@ -248,7 +249,8 @@ def _run_graph(
 
 
 def _work_folder(out: Location, given: Path | None) -> Path:
-    """The folder for the intermediate results of ``out``. Raises UserError if this folder contains other files."""
+    """The folder for the intermediate results of ``out``. Raises UserError if the folder contains files and was not
+    created by ``fourd make``."""
     local = out if isinstance(out, Path) else Path(out.name)
     work = local.with_suffix(".work") if given is None else given
     if not (work / RECORD).exists() and not is_unused(work):

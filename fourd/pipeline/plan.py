@@ -130,8 +130,8 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
 
 
 def _measure(frames: Frames) -> tuple[int | None, tuple[int, int]]:
-    """Number of frames, or None if the header of the video does not contain it, and size (width, height) of a camera's
-    images."""
+    """Number of frames and image size (width, height) of a camera. The number of frames is None if the header of the
+    video does not contain it."""
     if isinstance(frames, PictureFiles):
         return len(frames.paths), picture_size(frames.paths[0])
     if isinstance(frames, EncodedPictures):

@@ -12,7 +12,7 @@ from fourd.limits import read_json
 from fourd.pipeline.stage import Context, Stage
 
 if TYPE_CHECKING:
-    # The runner also runs stages that need no packages for training, which the results import.
+    # StoredResults imports the packages for training, but the runner also runs stages that do not need these packages.
     from fourd.pipeline.stored.results import StoredResults
 
 AnyStage = Stage[Any, Any]
@@ -33,8 +33,8 @@ class Runner:
 
     If a record file is given, the runner prints the state of each stage. The runner skips a stage whose key is
     unchanged and whose outputs exist. Before the runner starts a stage whose key has changed, it removes the files that
-    were written with the old key. If no record file is given, the runner executes every stage and prints nothing. The
-    stages themselves then detect and keep finished files.
+    were written with the old key. If no record file is given, the runner executes every stage and prints nothing.
+    Without a record file, the stages themselves detect and keep finished files.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Runner:
             execute: function that runs the work of stages. To run stages in other processes or on a cluster, pass
                 another function.
             is_parallel: whether ``execute`` runs several stages at the same time.
-            stored: results in an object store, which replace the record file and the files of this machine.
+            stored: results in an object store. If they are given, they replace the record file and the local results.
         """
         self._context = context
         self._record = record
@@ -78,11 +78,13 @@ class Runner:
                 self._write({stage.name: self._keys[stage.name]})
                 self._report(f"{stage.name}: finished{self._result(stage)}")
             if self._stored is not None:
-                # The next stages are chosen by the files of these stages, and their keys depend on the files.
+                # The results of these stages are copied to this machine, because the choice and the keys of the next
+                # stages depend on the files.
                 self._stored.copy()
 
     def _start(self, stage: AnyStage) -> bool:
-        """Whether the work of the stage must run. If so, the files of an older key are removed."""
+        """Return whether the work of the stage must run. If it must run, files that were written with an older key are
+        removed."""
         if self._stored is not None:
             return self._start_stored(stage, self._stored)
         key = self._keys[stage.name] = stage.key(self._keys)
@@ -100,7 +102,8 @@ class Runner:
         return True
 
     def _start_stored(self, stage: AnyStage, stored: StoredResults) -> bool:
-        """Whether the work of the stage must run. The machine that runs it removes the files of an older key."""
+        """Return whether the work of the stage must run. The machine that runs the stage removes files with an older
+        key."""
         key = self._keys[stage.name] = stage.key(self._keys, stored.root)
         is_due = not stored.is_finished(stage, key)
         self._report(f"{stage.name}: {'running' if is_due else 'up to date'}")

@@ -1,8 +1,8 @@
 """Stages of a run with segments. The stages before training work on all frames. Each segment is then trained by its
 own stage, as a run of its own in ``RUN/segments/``.
 
-The run of a segment has its own links to the initial points of its frames. It can therefore be trained, resumed,
-evaluated and played like any run, and on any machine that has the capture.
+The run of a segment has its own links to the initial points of its frames. A segment's run can therefore be trained,
+resumed, evaluated and played like any run, on any machine that has the capture.
 """
 
 from __future__ import annotations
@@ -122,16 +122,17 @@ def run_divide(files: DivideFiles, config: TrainConfig, context: Context) -> Non
 
 
 def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> None:
-    """Start the run of a segment, or resume it from its newest checkpoint. Nothing is done if the budget of a finished
-    segment is unchanged."""
+    """Start the run of a segment, or resume it from its newest checkpoint. A finished segment whose budget is unchanged
+    is not trained again."""
     group = context.group or ALONE
-    # A cluster may retry a task that still runs, if the connection to the task's node was lost.
+    # The folder is locked, because a cluster may retry a task that still runs on a node to which the connection was
+    # lost.
     with locked_folder(files.segment) if group.is_first else nullcontext():
         if group.is_first:
             _prepare_segment(files, config)
         group.barrier()
         train_run(files.segment, files.lpips_weights, config, context)
-    # The trainer contains reference cycles, so its memory would stay while the next segments are trained.
+    # The trainer contains reference cycles, so its memory would not be freed before the next segments are trained.
     gc.collect()
 
 
@@ -157,7 +158,8 @@ def _start_segment(whole: Run, folder: Path, config: TrainConfig) -> None:
 
 
 def _link(source: Path, target: Path) -> None:
-    """Link a file, which no stage changes in place. On a file system without hard links, copy the file."""
+    """Create a hard link to a file, or copy the file if the file system has no hard links. No stage changes the file in
+    place."""
     with atomic_path(target) as temporary:
         temporary.unlink()
         try:

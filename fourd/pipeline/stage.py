@@ -32,13 +32,13 @@ class NoSettings:
 @dataclass(frozen=True)
 class Context:
     """Runtime context of a stage: a console, and the number of processes. The context does not affect the results of a
-    stage, except that the order in which views are trained depends on the number of ranks.
+    stage, with one exception: the number of ranks determines the order in which views are trained.
 
     Attributes:
         console: console on which progress and log lines are printed.
         workers: number of processes that the work may use.
-        group: the ranks that train together, all of which execute the stages that train. Only rank 0 executes the other
-            stages. If None, this process works alone.
+        group: the ranks (processes) that train together. All ranks execute the stages that train, and only rank 0
+            executes the other stages. If None, this process works alone.
     """
 
     console: Console = field(default_factory=lambda: Terminal(quiet=True))
@@ -78,7 +78,7 @@ class Artefact:
         for file in files:
             try:
                 status = file.stat()
-            except OSError:  # A link to a missing file, or to itself. The stage reports it.
+            except OSError:  # A link to a missing file or to itself. The stage reports the link.
                 status = file.lstat()
             entries.append(f"{file.relative_to(self.path)} {status.st_size} {status.st_mtime_ns}")
         return _digest(entries)
@@ -127,9 +127,9 @@ class Stage(Generic[Files, Settings]):
         leftovers: files to remove before ``work`` starts with a new key.
         after: names of stages that must finish before this stage. The keys of these stages are part of this stage's
             key.
-        is_parallel: whether the stage may run at the same time as its neighbours in the graph that are also parallel,
-            unless ``after`` names them.
-        is_portable: whether a node needs no folder of the machine that created the stage.
+        is_parallel: whether the stage may run at the same time as adjacent parallel stages in the graph. A stage never
+            runs at the same time as the stages in its ``after``.
+        is_portable: whether the stage can run on a machine that has no folder of the machine that created the stage.
     """
 
     name: str
@@ -149,7 +149,7 @@ class Stage(Generic[Files, Settings]):
         Args:
             keys: name of each earlier stage -> its key. Names in ``after`` that are missing in ``keys`` are ignored.
             root: folder for intermediate results that is at different paths on different machines, or None. The key
-                does not depend on its path.
+                does not depend on the path of ``root``.
         """
         parts = [
             self.name,
@@ -169,7 +169,7 @@ class Stage(Generic[Files, Settings]):
 
 
 def _place(path: Path, root: Path | None) -> str:
-    """The absolute path, or the path relative to ``root`` if it is in this folder."""
+    """The absolute path, or the path relative to ``root`` if the path is in the folder ``root``."""
     absolute = resolved(path)
     if root is not None and absolute.is_relative_to(resolved(root)):
         return absolute.relative_to(resolved(root)).as_posix()

@@ -18,8 +18,8 @@ from fourd.training.config import TrainConfig
 SAMPLED_FRAMES = 5
 WIDTH_PX = 320
 MIN_DIFFERENCE = 24.0
-"""A pixel counts as changed if its grey level changes by more than this value. The images are blurred before, so that
-sensor noise stays below this value."""
+"""A pixel counts as changed if its grey level changes by more than this value. The images are blurred before the
+comparison, so that changes by sensor noise stay below this value."""
 MAX_CHANGED = 1e-4
 """Maximum share of changed pixels in a capture in which nothing moves."""
 

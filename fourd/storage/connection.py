@@ -17,7 +17,8 @@ from fourd.storage.url import StorageUrl
 MAX_REASON = 200
 """Maximum number of characters of a store's own message in an error message."""
 LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
-"""In a :func:`storage_errors` block, errors of these packages are errors of the store. Other errors are bugs."""
+"""Packages whose exceptions count as errors of the store in a :func:`storage_errors` block. Other exceptions are
+bugs."""
 INSTALL = {
     "s3": ("s3fs", "pip install 'fourd[storage]'"),
     "gs": ("gcsfs", "pip install 'fourd[storage]' gcsfs"),
@@ -37,8 +38,8 @@ REACH = {
 def connect(url: StorageUrl) -> Any:
     """Open the fsspec file system of a URL. Nothing is sent to the store.
 
-    fsspec keeps the file system, and returns it again to later calls of this thread, because its preparation takes
-    longer than a request. Listings are not cached, so that changes by other programs are seen.
+    fsspec caches the file system for later calls in the same thread, because creating a file system takes longer than a
+    request. Listings are not cached, so that changes by other programs become visible.
 
     Raises:
         UserError: if the package for the scheme is not installed.
@@ -58,8 +59,8 @@ def connect(url: StorageUrl) -> Any:
 
 @contextmanager
 def storage_errors(url: StorageUrl) -> Iterator[None]:
-    """Raise a UserError that names ``url`` if a call of the store fails in the block. The block must only call the
-    store."""
+    """Raise a UserError that names ``url`` if a request to the store fails in the block. The block must contain only
+    requests to the store."""
     try:
         yield
     except (UserError, ImportError, MemoryError):
@@ -79,7 +80,7 @@ def changed(url: StorageUrl) -> UserError:
 
 
 def _is_answer(error: Exception) -> bool:
-    """Whether an error comes from the store, and not from wrong code such as a TypeError."""
+    """Whether an error comes from the store. Errors such as TypeError come from bugs in the code instead."""
     return isinstance(error, OSError) or type(error).__module__ != "builtins"
 
 

@@ -42,7 +42,8 @@ class StoredObject:
     """An object in a store.
 
     Attributes:
-        key: name relative to the listed folder, with slashes. For a single object, its last part.
+        key: name relative to the listed folder, with slashes. If the URL names a single object, the last part of its
+            name.
         size: size in bytes.
         version: the store's identifiers of the content, such as ETag and time of the last change.
         seconds: time of the last change in seconds since 1970, or None if the store does not report it.
@@ -90,7 +91,7 @@ def find_objects(url: StorageUrl) -> list[StoredObject]:
 
 
 def _find(url: StorageUrl) -> dict[str, StoredObject]:
-    """List all objects at ``url`` by key. The key of the object ``url`` itself is an empty text."""
+    """List all objects at ``url`` by key. The key of the object ``url`` itself is an empty string."""
     store = connect(url)
     with storage_errors(url):
         found: dict[str, dict[str, Any]] = store.find(str(url), detail=True)
@@ -119,7 +120,7 @@ def download(url: StorageUrl, files: Mapping[str, Path]) -> Iterator[StoredObjec
         files: key of each object, relative to the folder -> path of its copy.
 
     Raises:
-        UserError: see :func:`fetch`. Also if an object is missing.
+        UserError: if an object is missing, or if :func:`fetch` would raise an error.
     """
     found = _find(url) if files else {}
     missing = next((key for key in files if key not in found), None)
@@ -206,14 +207,15 @@ def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path, stop:
 
 
 def _is_current(item: StoredObject, path: Path, known: tuple[int, str] | None) -> bool:
-    """Whether a copy is complete and of the object's present version. fourd may have changed files in .fourd/."""
+    """Whether a copy is complete and has the object's current version. The size of a file in .fourd/ is not checked,
+    because fourd may have changed the file."""
     if known != (item.size, item.version) or not path.is_file():
         return False
     return path.stat().st_size == item.size or item.key.startswith(".")
 
 
 def is_file_name(key: str) -> bool:
-    """Whether a key is the name of a file inside a folder, on all systems."""
+    """Whether a key is a valid name of a file inside a folder on all operating systems."""
     parts = key.split("/")
     return key.isprintable() and not set(key) & set("\\:") and not set(parts) & {"", ".", ".."}
 

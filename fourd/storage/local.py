@@ -1,4 +1,4 @@
-"""Local files instead of URLs, for code that reads or writes files."""
+"""Local files in place of objects at URLs, for code that can only read or write files."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def local_copy(location: Location, track: Track = untracked) -> Iterator[Path]:
 def local_output(location: Location, track: Track = untracked) -> Iterator[Path]:
     """Yield the path of a local file. If ``location`` is a URL, the file is uploaded when the block ends.
 
-    Before the block starts, an upload is started and aborted, to test whether the store accepts it. If the block raises
-    an exception, nothing is uploaded. Local paths are yielded unchanged. Errors in the block name the URL.
+    Before the block starts, an upload is started and aborted, to test whether the store accepts uploads. If the block
+    raises an exception, nothing is uploaded. Local paths are yielded unchanged. Errors in the block name the URL.
 
     Raises:
         UserError: see :func:`fourd.storage.uploading.upload`.

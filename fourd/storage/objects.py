@@ -12,11 +12,11 @@ from fourd.storage.url import StorageUrl
 MAX_REMOVED = 1000
 """Maximum number of objects that one request removes."""
 PATTERN = frozenset("*?[")
-"""Characters with which fsspec takes a name for a pattern."""
+"""Characters that make fsspec interpret a name as a glob pattern."""
 
 
 def read_object(url: StorageUrl, max_bytes: int) -> bytes | None:
-    """Read a small object. Returns None if it does not exist.
+    """Read a small object. Returns None if the object does not exist.
 
     Raises:
         UserError: if the store returns an error, or the object is larger than ``max_bytes``.

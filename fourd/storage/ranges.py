@@ -1,4 +1,5 @@
-"""Objects as files that are read by ranges, so that a part can be read without a copy of the whole object."""
+"""Objects as files that are read by ranges, so that a part of an object can be read without a copy of the whole
+object."""
 
 from __future__ import annotations
 
@@ -11,13 +12,13 @@ from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
 READ_AHEAD_BYTES = 256 << 10
-"""Minimum number of bytes that one request reads. Larger reads are one request each."""
+"""Minimum number of bytes that one request reads. A read of more bytes is a single request."""
 
 
 def open_object(url: StorageUrl) -> BinaryIO:
     """Open an object for reading at any position. Memory use does not depend on the size of the object.
 
-    All bytes come from the version of the object that existed when it was opened.
+    All bytes come from the version of the object that existed when the object was opened.
 
     Raises:
         UserError: if the store returns an error or there is no such object. Reads raise UserError if the object has
@@ -56,7 +57,8 @@ class _Ranges(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         with self._lock, storage_errors(self._url):
             content = self._stream.read(len(buffer))
-            # S3 rejects a read of another version. For other stores, the version is compared.
+            # S3 itself rejects a read if the object has another version. For other stores, the version is compared
+            # here.
             if self._url.scheme != "s3" and object_version(self._store.info(str(self._url))) != self._version:
                 raise changed(self._url)
         buffer[: len(content)] = content

@@ -52,7 +52,7 @@ def upload_all(files: Mapping[str, Path], url: StorageUrl, track: Track = untrac
         track: reports progress.
 
     Raises:
-        UserError: if the store returns an error. The other objects may then be missing.
+        UserError: if the store returns an error. Some of the objects may then be missing.
     """
     store, stop = connect(url), Event()
 
@@ -156,5 +156,5 @@ def _discard(stream: Any) -> None:
     """
     with suppress(Exception):
         stream.discard()
-    # The destructor of the stream closes it, which would send its last part.
+    # The stream is marked as closed, because otherwise its destructor would close the stream and send the last part.
     stream.closed = True

@@ -65,7 +65,7 @@ def local_path(location: Location | str, use: str) -> Path:
 
 
 def require_object(url: StorageUrl) -> None:
-    """Raise UserError if a URL names a bucket only, and no object in it."""
+    """Raise UserError if a URL names only a bucket and no object in the bucket."""
     if len(url.path.parts) < 2:
         raise UserError(f"{url}: expected the name of an object in the bucket, got only a bucket; write {url}/NAME")
 
@@ -80,7 +80,8 @@ def is_url(text: str) -> bool:
 
 
 def parse_location(text: Location | str) -> Location:
-    """Convert a text to a local path, or to a URL. file:// URLs become local paths. Locations are returned unchanged.
+    """Convert a text to a local path, or to a URL. file:// URLs become local paths. Values that are already paths or
+    StorageUrls are returned unchanged.
 
     Raises:
         UserError: if the scheme is not supported, or the URL names no bucket.

@@ -10,7 +10,8 @@ def object_version(info: dict[str, Any]) -> str:
     """The identifiers of an object's content: size, ETag or another hash, and time of the last change."""
     tag = next((str(info[name]) for name in ("ETag", "etag", "md5Hash", "generation") if info.get(name)), "")
     seconds = changed_seconds(info)
-    # Listings and single requests can differ in fractions of a second. Only stores without hashes need the fractions.
+    # The times from listings and from single requests can differ by fractions of a second. The fractions are kept only
+    # for stores without hashes.
     time = "" if seconds is None else str(int(seconds) if tag else seconds)
     return f"{info['size']} {tag} {time}".strip()
 

@@ -62,7 +62,7 @@ def write_scene(path: Path, views: int = 6, frames: int = 3, points: int = 200) 
 
 
 def full_manifest(views: int = 6, frames: int = 3) -> SceneManifest:
-    """Return the same manifest as :func:`manifest`, for a scene with a background."""
+    """Return the manifest of :func:`manifest`, changed to a scene with a background."""
     return replace(manifest(views, frames), kind="full")
 
 
@@ -92,8 +92,8 @@ def room_frame(points: int, views: int, seed: int, half: float = 20.0) -> BakedF
 def write_full_scene(
     path: Path, views: int = 6, frames: int = 3, points: int = 200, background_points: int = 300, shadow: bool = True
 ) -> tuple[list[BakedFrame], BakedFrame, list[NDArray[np.uint8]]]:
-    """Write random frames inside a room. Returns the frames, the background and the shadows. Without shadows, the last
-    list is empty."""
+    """Write random frames inside a room. Returns the frames, the background and the shadows. If ``shadow`` is False,
+    the list of shadows is empty."""
     dynamic = [random_frame(points + index, views, seed=index) for index in range(frames)]
     room = room_frame(background_points, views, seed=100)
     rng = np.random.default_rng(200)

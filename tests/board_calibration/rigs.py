@@ -19,13 +19,13 @@ class Filming:
     """Errors of cameras that film a moving board.
 
     Attributes:
-        delays: times in frames by which the middle row of each camera is late, by the camera's index.
-        readout: duration in frames in which the rows of an image are read.
-        across: whether the columns are read one after another instead of the rows, as in a video that was turned by 90
+        delays: delays in frames of the middle row of each camera, by the camera's index.
+        readout: time in frames from the first to the last row of an image (rolling shutter).
+        across: whether columns are read one after another instead of rows, as in a video that was turned by 90
         degrees.
         jitter: standard deviation of a random delay of each image, in frames.
         thickness_m: thickness of the board.
-        backs: indices of the cameras that see the back.
+        backs: indices of the cameras that see the back of the board.
     """
 
     delays: Mapping[int, float] = field(default_factory=dict)
@@ -76,7 +76,7 @@ def seen_views(
 
 
 def _film(settings: BoardSettings, camera: Camera, xyz: np.ndarray, time: float, filming: Filming) -> np.ndarray:
-    """Pixels (N, 2) of corners, each at the time at which its row is read."""
+    """Pixels (N, 2) of corners. Each corner is projected at the time at which its row of the image is read."""
 
     def at(when: float, some: np.ndarray) -> np.ndarray:
         pose = board_pose(settings, when)
@@ -98,8 +98,8 @@ def rig_input(settings: BoardSettings, views: list[BoardView], lenses: list[Came
 
 
 def largest_differences(found: Iterable[Camera], true: Iterable[Camera]) -> tuple[float, float, float]:
-    """The largest errors: of focal lengths in %, of the relative rotations of pairs in degrees, and of the relative
-    positions of pairs in % of the baseline.
+    """The largest errors of a calibration: focal lengths in %, relative rotations of camera pairs in degrees, and
+    relative positions of camera pairs in % of the baseline.
     """
     first, second = list(found), list(true)
     focal = max(

@@ -24,7 +24,8 @@ class Room:
         ]
 
     def picture(self, camera: Camera, oversampling: int = 2) -> Picture:
-        """(H, W, 3) RGB of the room from inside, distorted; ``oversampling`` rays along each side of a pixel."""
+        """(H, W, 3) RGB of the room from inside, with lens distortion and ``oversampling`` rays along each side of a
+        pixel."""
         u, v = (
             (np.arange(camera.width * oversampling) + 0.5) / oversampling,
             (np.arange(camera.height * oversampling) + 0.5) / oversampling,

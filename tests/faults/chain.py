@@ -20,7 +20,7 @@ from tests.captures import write_ball_capture
 from tests.faults.operations import Mode
 
 TIMES = ("metrics.jsonl", "events.out.tfevents")
-"""Files whose names start with one of these texts contain times."""
+"""Prefixes of the names of files that contain times."""
 STATE_TIMES = ("session", "seconds", "updated")
 """Fields of a training's state that are times, or names of one call."""
 EXPORTED = ".export"
@@ -78,7 +78,7 @@ class Outcome:
 
 
 class Zygote:
-    """Runs commands in processes that are forked from one process. This process has imported all modules."""
+    """Runs commands in processes that are forked from one process, which has imported all modules."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -160,10 +160,11 @@ def leftovers(root: Path) -> list[str]:
 
 
 def partial_files(root: Path, before: dict[str, bytes], after: dict[str, bytes]) -> Iterator[str]:
-    """The files that have neither the content before the command, nor that after the whole command.
+    """The files whose content differs both from the content before the command and from the content after the complete
+    command.
 
-    Records of progress are JSON and may have other contents, but they must be whole. Files that the whole command
-    removes, such as older checkpoints, are not examined.
+    Records of progress may have other contents, but must be complete JSON. Files that the complete command removes,
+    such as older checkpoints, are not examined.
     """
     for name, content in contents(root).items():
         is_known = content in (before.get(name), after.get(name)) or (name.endswith(".json") and _is_json(content))

@@ -1,7 +1,8 @@
-"""Operations on files that a test lets fail: every call of a file system function below a folder is one operation.
+"""Makes file operations fail in tests. Every call of a file system function with a path below a folder is one
+operation.
 
-Functions of Python's standard library are replaced, and the functions of libraries that write files without it. Writes
-are torn: half of the bytes are written before the fault.
+The replaced functions belong to Python's standard library and to libraries that write files without the standard
+library. Writes are torn: half of the bytes are written before the fault.
 """
 
 from __future__ import annotations

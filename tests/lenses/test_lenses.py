@@ -1,5 +1,5 @@
-"""Lenses, mirrors and glass balls. Directions are compared with known values, and pictures with the rasterizer and
-between devices.
+"""Lenses, mirrors and glass balls. Directions are compared with known values. Pictures are compared with the rasterizer
+and between devices.
 """
 
 from __future__ import annotations

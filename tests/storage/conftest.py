@@ -12,8 +12,8 @@ from tests.storage.s3_server import ENVIRONMENT, Bucket, S3Server
 
 @pytest.fixture(scope="session")
 def s3_server() -> Iterator[S3Server]:
-    """A local S3 server for all tests, and the file system with which they read and write it. The tests that use it are
-    skipped without s3fs and moto.
+    """A local S3 server for all tests, and a file system that accesses the server. Without s3fs and moto, the tests
+    that use the server are skipped.
     """
     pytest.importorskip("s3fs", reason="needs s3fs (pip install 'fourd[storage]')")
     pytest.importorskip("moto.server", reason="needs moto (pip install 'fourd[dev]')")
@@ -24,7 +24,7 @@ def s3_server() -> Iterator[S3Server]:
 
 @pytest.fixture
 def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Bucket:
-    """An empty bucket. The environment has the server's address and credentials, as the user's shell would."""
+    """An empty bucket. The environment variables contain the server's address and credentials, as in a user's shell."""
     for name, value in ENVIRONMENT.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server.endpoint)

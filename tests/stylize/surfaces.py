@@ -46,7 +46,7 @@ def make_sphere(size: int, radius: float = 1.0, distance: float = 3.0) -> Surfac
 
 
 def random_surface(rng: np.random.Generator, height: int, width: int) -> Surface:
-    """Make a surface of random bytes, of which a part is empty."""
+    """Make a surface of random bytes. A part of the surface is empty."""
     normal = rng.integers(0, 256, (height, width, 4)).astype(np.uint8)
     normal[..., 3] = rng.choice([0, 100, 255], (height, width), p=[0.2, 0.1, 0.7])
     depth = np.where(normal[..., 3] > 0, rng.uniform(0.2, 1, (height, width)), 0).astype(np.float32)
@@ -54,7 +54,7 @@ def random_surface(rng: np.random.Generator, height: int, width: int) -> Surface
 
 
 def numbers_of(size: int, **changes: object) -> Numbers:
-    """Make numbers for the camera of :func:`rays`."""
+    """Make the ``Numbers`` of the stylizer for the camera of :func:`rays`."""
     offset = -size / 2 / FOCAL
     ray = (1 / FOCAL, 0.0, offset, 0.0, 1 / FOCAL, offset)
     return Numbers(ray, (0.0, 0.0, -1.0), **changes)  # type: ignore[arg-type]

@@ -50,8 +50,8 @@ class Arguments:
         ),
     ] = 0.5
     trim: bool = True
-    """Remove protruding parts of the visual hull. The remaining hull still covers all mattes. If protruding parts are
-    not removed, the points cover the whole visual hull."""
+    """Remove protruding parts of the visual hull. The remaining hull still covers all mattes. With --no-trim, the
+    points cover the whole visual hull."""
     inset: float = 0.0
     """Distance by which points are moved into the visual hull, in multiples of the mean distance between neighbouring
     points. Training moves points inwards, because discs extend beyond their points."""

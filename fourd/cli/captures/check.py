@@ -23,7 +23,7 @@ from fourd.sync.lateness import find_late_cameras
 
 MOST_LINES = 20
 MEASURED_FRAMES = 12
-"""Number of frames whose mattes are compared with the hull of the other views."""
+"""Number of frames in which each matte is compared with the visual hull of the other views."""
 
 
 @dataclass(frozen=True)

@@ -27,12 +27,14 @@ DEFAULT_SECONDS = 120.0
 @dataclass(frozen=True)
 class Arguments:
     """Soft triangles start on the visual hull of the mattes and are fitted to the images. During fitting, the triangles
-    become opaque and sharp-edged. The triangles are then connected to a closed mesh with one colour per vertex."""
+    become opaque and sharp-edged. Finally, the triangles are connected to form a closed mesh with one colour per
+    vertex."""
 
     capture: CapturePath
     """Capture folder with masks/ or the output of fourd matte."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"], metavar="FILE")]
-    """Mesh to write. FILE.glb: unlit material, metres, y up. FILE.ply: world coordinates."""
+    """Mesh to write. A .glb file has an unlit material, metres as unit and the y axis up. A .ply file has world
+    coordinates."""
     frame: int = 0
     """Index of the frame in the capture, from 0."""
     views: Views = None
@@ -47,7 +49,7 @@ class Arguments:
     """Resolution of the connected mesh: number of cells along the longest side of the subject. The number of triangles
     of the mesh grows with the square of the resolution."""
     separate: bool = False
-    """Keep the triangles separate instead of connecting them to a closed mesh."""
+    """Keep the triangles separate instead of connecting them to form a closed mesh."""
     max_seconds: Annotated[float | None, option("SECONDS", "120 without --max-steps, else none")] = None
     """Stop after this many seconds of fitting."""
     max_steps: Annotated[int | None, option("INT", "none")] = None

@@ -46,8 +46,8 @@ CALIBRATION_HELP = (
 )
 SOUND_HELP = (
     "Position of the sound source in the world, in metres. Time offsets that are estimated from sound are corrected by "
-    "the travel time from this position to the cameras. centre: the point that the cameras face. none: no correction. "
-    "auto: centre if the calibration is in metres, otherwise none."
+    "the time that sound travels from this position to the cameras. centre: the point that the cameras face. none: "
+    "no correction. auto: centre if the calibration is in metres, otherwise none."
 )
 BOARD_HELP = (
     "Chessboard in the first frames: numbers of inner corners, and square size in metres. The chessboard sets the "

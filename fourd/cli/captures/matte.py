@@ -26,7 +26,7 @@ METHOD_HELP = (
     "motion: detect the subject by motion and multi-view consistency, without a pretrained network. "
     "chroma: chroma key (green screen). rvm: Robust Video Matting, the pretrained network in the file --rvm. "
     "onnx: the network in the file --onnx. masks: masks of another program in the folder --masks. "
-    "Without this option, fourd make keeps mattes for which you chose the method with fourd matte."
+    "Without this option, fourd make keeps mattes whose method you chose with fourd matte."
 )
 
 

@@ -26,7 +26,7 @@ class Arguments:
     """Repeated commands with the same options write byte-identical captures."""
 
     out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
-    """Capture folder to write: a new or empty folder, or a synthetic capture, which is replaced."""
+    """Capture folder to write. The folder must be new or empty, or contain a synthetic capture, which is replaced."""
     board: bool = False
     """Instead of a capture, make videos of a moving calibration board for fourd calibrate. The true calibration is
     written to OUT/truth/."""

@@ -49,8 +49,8 @@ class Arguments:
     run's model."""
     plates: Annotated[Path | None, option("DIR", "none", PLATES_HELP)] = None
     refine_test: bool = False
-    """Before evaluation, fit the pose of each evaluated camera to the camera's images. The scene is not changed (as in
-    BARF)."""
+    """Before evaluation, fit the pose of each evaluated camera to the camera's images, as in BARF. The scene is not
+    changed."""
     refine_test_colours: bool = False
     """With --refine-test, also fit an affine colour correction of each evaluated camera to the camera's images."""
     lpips_weights: LpipsWeights = None

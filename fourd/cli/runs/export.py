@@ -24,7 +24,8 @@ from fourd.storage import local_output, local_path
 from fourd.training.points.scratch import Scratch
 
 SCRATCH = ".export"
-"""Name of the folder beside the output with the scene that is baked before it is exported."""
+"""Name of a temporary folder beside the output. The run is baked into this folder, and the baked scene is then
+exported."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,7 @@ class Arguments:
     to: Annotated[
         Format | None,
         describe(
-            "Write one file for each frame for other programs.",
+            "Write files for other programs, one for each frame.",
             "ply-sequence: Gaussian splats as 3DGS PLY. splat, spz, glb, usd: Gaussian splats in these formats.",
             "ply: coloured points. spz and usd need `pip install 'fourd[splats]'`.",
         ),

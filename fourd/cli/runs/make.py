@@ -26,13 +26,14 @@ from fourd.training.losses.lpips import load_lpips
 
 DEFAULT_SECONDS = 1800.0
 RAY_HELP = (
-    "Run the stages as tasks of a Ray cluster, and the segments of --segment at the same time. auto: the cluster that "
-    "runs on this machine, or a new one. All nodes need the same paths on shared storage, or --work URL. Needs "
-    "`pip install 'fourd[cluster]'`."
+    "Run the stages as tasks of a Ray cluster, and train the segments of --segment at the same time. auto: use the "
+    "cluster that runs on this machine, or start one. All nodes need the same paths on shared storage, or --work URL. "
+    "Needs `pip install 'fourd[cluster]'`."
 )
 SOURCE_HELP = (
     "A capture, or any input of fourd import, such as a folder of videos or a session with a calibration folder. To "
-    "set time offsets or the scale, run fourd import first. Also a URL such as s3://bucket/videos."
+    "set time offsets or the scale, run fourd import first. The input can also be at a URL such as "
+    "s3://bucket/videos."
 )
 WORK_DEFAULT = "scene.work beside scene.4dv"
 WORK_HELP = (

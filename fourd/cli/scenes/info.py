@@ -34,7 +34,7 @@ _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 _MOST_VALUE = 1e300
 _MOST_TEXT = 1000
-"""Maximum number of characters of a text from a file that are shown."""
+"""Maximum number of characters shown of a text that was read from a file."""
 
 
 @dataclass(frozen=True)

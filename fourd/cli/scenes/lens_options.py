@@ -29,14 +29,13 @@ class LensOptions:
     """Trace rays through a lens: pinhole, fisheye, panorama (360 x 180 degrees around the camera; use --size with twice
     as many columns as rows) or thin-lens (depth of field)."""
     fov: float = 180.0
-    """Angle of a fisheye image in degrees, up to 360."""
+    """Field of view of a fisheye image in degrees, up to 360."""
     aperture: Annotated[float | None, option("FLOAT", "5% of the distance to the focus")] = None
     """Diameter of the thin lens in world units. A larger lens blurs more."""
     focus_distance: Annotated[float | None, option("FLOAT", "the distance to the scene's focus")] = None
-    """Depth of the plane in focus of the thin lens, in world units."""
+    """Depth at which the thin lens is in focus, in world units."""
     lens_samples: Annotated[int | None, option("INT", "2; 32 for thin-lens")] = None
-    """Number of rays per pixel along rows and along columns, 1 to 64. For thin-lens, the total number of rays per
-    pixel."""
+    """Number of rays per pixel along each image axis, 1 to 64. For thin-lens, the total number of rays per pixel."""
     mirror_floor: bool = False
     """Add a round mirror under the subject."""
     glass_ball: Annotated[str | None, option("auto|X,Y,Z,R", "none")] = None
@@ -51,10 +50,11 @@ class LensOptions:
 
 
 def make_lens(options: LensOptions, camera: Camera, focus: NDArray[np.float64]) -> Lens:
-    """Return the lens for a scene with this focus. ``camera`` gives the distance for the defaults of a thin lens.
+    """Return the lens for a scene with this focus. The defaults of a thin lens depend on the distance from ``camera``
+    to the focus.
 
     Raises:
-        UserError: for an option out of range.
+        UserError: if an option is out of range.
     """
     samples = options.lens_samples
     if samples is not None and not 1 <= samples <= _MAX_SAMPLES:
@@ -82,7 +82,7 @@ def make_inserts(options: LensOptions, cameras: list[Camera], subject: NDArray[n
     """Return the mirror and the ball around a subject with the points ``subject`` (N, 3).
 
     Raises:
-        UserError: for a ball that is not four numbers, or for a subject without points.
+        UserError: if the ball is not given by four numbers, or if the subject has no points.
     """
     if not options.mirror_floor and options.glass_ball is None:
         return ()

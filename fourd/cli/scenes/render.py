@@ -42,7 +42,7 @@ class Arguments:
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """Folder for PNG files, or an .mp4 file."""
     views: Annotated[str | None, option("NAME,NAME", "none; --views or --path is required")] = None
-    """Names of the capture cameras to render from, separated by commas. For meshes: side 1 to side 8."""
+    """Names of the capture cameras to render from, separated by commas. For meshes, the names are side 1 to side 8."""
     path: Annotated[
         Literal["orbit", "spiral", "cameras"] | None,
         option("{orbit,spiral,cameras}", "none; --views or --path is required"),

@@ -1,7 +1,7 @@
 """Multi-view consistency: a soft visual hull for each view, computed from the evidence of all other views.
 
-A voxel's score is the smallest log-odds among the views in which it is visible. With many views, the score is not the
-smallest log-odds but, for example, the second smallest, so that a few views may be wrong.
+A voxel's score is the smallest log-odds among the views in which it is visible. With many views, the score is a
+slightly larger value, for example the second smallest log-odds, so that a few views may be wrong.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from fourd.cameras import Array, Camera
 Floats = NDArray[np.float32]
 
 MAX_CELLS = 112
-"""Maximum number of voxels along the longest side of the grid's box. A cubic box then has 1.4 million voxels."""
+"""Maximum number of voxels along the longest side of the grid's box. With this limit, the grid of a cubic box has 1.4
+million voxels."""
 CELLS_PER_PIXEL = 1.0
 OUTLIER_SHARE = 0.05
 """Share of the views that may be wrong about a voxel."""
@@ -130,7 +131,7 @@ class Scores:
         grid: the voxel grid.
         alive: (n,) indices of the voxels that are not rejected.
         total: (n,) scores from all views.
-        leave_one_out: (C, n) scores, where row c is from all views except camera c.
+        leave_one_out: (C, n) scores. Row c is computed from all views except that of camera c.
     """
 
     grid: VoxelGrid

@@ -21,7 +21,7 @@ MIN_SHARE = 0.002
 The limit is above 0, because some deviations do not occur in the frames from which the shares are learned.
 """
 PRIOR_PIXELS = 500.0
-"""Weight of the default shares in learned shares, as a number of pixels."""
+"""Weight of the default shares in the learned shares, as an equivalent number of pixels."""
 SHARE_ITERATIONS = 3
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
@@ -35,7 +35,8 @@ class Deviations:
 
     Attributes:
         shaded: share in (0, 1) of background pixels in shadow or in reflected light.
-        changed: share in (0, 1) of background pixels with another colour.
+        changed: share in (0, 1) of background pixels with another colour than that of the model, apart from shadow and
+            light.
     """
 
     shaded: float = 0.3
@@ -64,8 +65,7 @@ class BackgroundModel:
     def log_likelihood(self, rgb: Picture, shaded_share: float = Deviations.shaded) -> Floats:
         """Log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
 
-        The log density includes the possibility that the background is in shadow, whose probability is
-        ``shaded_share``.
+        The density accounts for a background that is in shadow with the probability ``shaded_share``.
         """
         plain, shaded = self.plain_and_shaded(rgb)
         return np.maximum(np.maximum(plain, shaded + np.float32(np.log(shaded_share))), MIN_LOG_LIKELIHOOD)
@@ -73,8 +73,8 @@ class BackgroundModel:
     def plain_and_shaded(self, rgb: Picture) -> tuple[Floats, Floats]:
         """Log densities (h, w) of each pixel's colour in an image (h, w, 3), without and with shadow.
 
-        The light of a pixel in shadow is unknown, with equal density from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
-        density with shadow is therefore an integral, in Laplace's approximation.
+        The light of a pixel in shadow is unknown, with a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
+        density with shadow is therefore an integral over the light. Laplace's approximation is used for the integral.
         """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
@@ -112,15 +112,15 @@ class BackgroundModel:
 
 
 def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations:
-    """Fit the shares of pixels that are in shadow or changed to pixels that certainly show the background.
+    """Estimate the shares of shadowed pixels and of changed pixels from pixels that certainly show the background.
 
-    The shares are the weights of a mixture, by expectation maximisation. The default shares have the weight of
-    PRIOR_PIXELS pixels, so that a few pixels hardly change the learned shares.
+    The shares are the weights of a mixture model and are estimated by expectation maximisation. The default shares have
+    the weight of PRIOR_PIXELS pixels, so that a few pixels hardly change the learned shares.
 
     Args:
         plain: (N,) log densities of the pixels' colours according to the background model.
         shaded: (N,) log densities if the background is in shadow.
-        changed: (N,) log densities of the colours of the surroundings.
+        changed: (N,) log densities of the pixels' colours among the colours of the surroundings.
     """
     default = np.array([1 - Deviations.shaded - Deviations.changed, Deviations.shaded, Deviations.changed])
     density = np.stack([plain, shaded, changed]).astype(np.float64)
@@ -136,8 +136,9 @@ def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
     """Fit a background model to frames.
 
-    At each pixel, one frame is chosen: the frame whose matching frames have the largest total weight. The model is the
-    weighted mean and variance of the colours of the matching frames.
+    At each pixel, the colour of each frame is compared with all frames. The frame whose matching frames have the
+    largest total weight is chosen. The model consists of the weighted mean and variance of the colours of these
+    matching frames.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

@@ -33,7 +33,7 @@ class ColourHistogram:
 
     @staticmethod
     def mixture(distributions: Sequence[ColourHistogram], shares: Sequence[float] | None = None) -> ColourHistogram:
-        """Mix distributions with weights ``shares`` that sum to 1. None means equal weights."""
+        """Mix distributions with weights ``shares`` that sum to 1. If ``shares`` is None, all weights are equal."""
         weights = np.full(len(distributions), 1 / len(distributions)) if shares is None else np.asarray(shares)
         density = sum(
             weight * np.exp(colours.log_density) for weight, colours in zip(weights, distributions, strict=True)

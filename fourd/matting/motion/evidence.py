@@ -35,13 +35,13 @@ CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
 """Upper limit of the evidence of the hull."""
 RELIABLE_SCORE = np.float32(4.0)
-"""Voxels with a score above this value are reliable voxels: even the view with the lowest probability shows the subject
-there."""
+"""Voxels with a score above this value are reliable: even the view with the lowest log-odds shows the subject at the
+voxel."""
 RELIABLE_RANGE = np.float32(2.0)
 MAX_RELIABLE_LOG_ODDS = 6.0
 """Upper limit of the evidence of reliable voxels.
 
-The limit is large enough for colours that occur on the subject and in the background.
+The limit is large enough to decide pixels whose colour occurs both on the subject and in the background.
 """
 SMOOTHING = 20.0
 COLOUR_EDGE = 8.0
@@ -136,9 +136,9 @@ def combine_views(
         motions: length (h, w) of the optical flow in pixels in each camera, or None for a capture of one frame.
         grid: voxels of the hull, or None for a single camera or parallel cameras. Without a grid, each camera is
             processed independently.
-        local: local colours of the background. With local colours, there is a second pass. The result of the first pass
-            gives the local colours of the subject, and the local colours of subject and background give the evidence
-            for a second hull.
+        local: local colours of the background. If they are given, a second pass follows the first. The first pass
+            determines the local colours of the subject. In the second pass, a second hull is carved with evidence from
+            the local colours of subject and background.
         painted: log-odds (h, w) that the user painted, by camera; 0 where nothing is painted.
     """
     strokes = [None] * len(pictures) if painted is None else painted

@@ -27,7 +27,7 @@ MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
 """Colour log-odds at which :func:`_background_weight` is 0.5.
 
-:func:`_background_confirmation` is 0.5 at the negative of this value.
+:func:`_background_confirmation` is 0.5 at the colour log-odds -COLOUR_MARGIN.
 """
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
@@ -106,7 +106,7 @@ class Learner:
             alpha: (T, h, w) probabilities that a pixel shows the subject.
             off_hull: (T, h, w) bool, True outside the other views' visual hull.
             rng: random generator for subsampling colours.
-            is_trusted: whether a low probability confirms the background without further evidence inside the other
+            is_trusted: whether a low probability of the subject is sufficient to confirm background inside the other
                 views' hull.
         """
         rgb = self.sample.rgb
@@ -130,7 +130,7 @@ class Learner:
         self._fit_deviations(off_hull)
 
     def _fit_deviations(self, off_hull: Flags) -> None:
-        """Learn the shares of known background that are in shadow or change, from the pixels far from the hull.
+        """Learn which shares of the known background are in shadow or change. Only pixels far from the hull are used.
 
         ``off_hull`` (T, h, w) is True outside the other views' visual hull. Frames without a hull do not count.
         """
@@ -201,7 +201,7 @@ def _background_weight(odds: Floats) -> Floats:
 def _background_confirmation(odds: Floats) -> Floats:
     """Weight in (0, 1] with which a colour confirms the background, from the subject's colour log-odds.
 
-    Typical background colours have a high confirmation.
+    Typical background colours have a high weight.
 
     A static part of the subject keeps its colour over as many frames as the background does. A constant colour is
     therefore no evidence for background at pixels that are always inside the other views' hull. Only a colour that is

@@ -44,8 +44,9 @@ class LocalColours:
     ) -> LocalColours:
         """Compute local histograms of an image (h, w, 3) from the pixels for which ``counted`` (h, w) is True.
 
-        ``reach_px`` is the standard deviation of the spatial smoothing in pixels. The grid spacing is half of it, so
-        that interpolation artefacts are negligible. The time is proportional to ``bins`` ** 3 / ``reach_px`` ** 2.
+        ``reach_px`` is the standard deviation of the spatial smoothing in pixels. The grid spacing is half of
+        ``reach_px``, so that interpolation artefacts are negligible. The run time is proportional to ``bins`` ** 3 /
+        ``reach_px`` ** 2.
         """
         height, width = counted.shape
         step = max(1, round(reach_px / 2))

@@ -1,8 +1,8 @@
 """Log-odds from local colours, at pixels whose background is unknown.
 
-The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image. In these histograms, a
-colour that occurs both on the subject and on the floor is ambiguous. In a small part of the image, this colour is
-seldom ambiguous, because the floor next to the part of the subject with this colour usually has another colour.
+The histograms of :class:`~fourd.matting.motion.evidence.Appearance` cover the whole image. In a histogram of the whole
+image, a colour that occurs both on the subject and on the floor is ambiguous. In a small part of the image, few colours
+are ambiguous, because a part of the subject and the floor next to it usually have different colours.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ MIN_CONFIDENCE = 0.9
 SUBJECT_LOG_ODDS = np.float32(2.0)
 """Log-odds above which a pixel's colour counts as a colour of the subject."""
 GLOBAL_SHARE = 0.15
-"""Weight of the subject's colours from the whole recording. These colours are needed for parts of the subject whose
-colour occurs at no nearby pixel that certainly shows the subject."""
+"""Weight of the subject's colours from the whole recording. The colours from the whole recording are needed for parts
+of the subject whose colour is missing at nearby pixels that certainly show the subject."""
 MAX_LOG_ODDS = np.float32(8.0)
 WEIGHT = np.float32(1.0)
 

@@ -28,11 +28,12 @@ Floats = NDArray[np.float32]
 Picture = NDArray[np.uint8]
 
 SUBJECT, BACKGROUND = 204, 51
-"""Smallest value of white strokes, and largest value of black strokes; values between them are unknown."""
+"""Smallest grey value of white strokes, and largest grey value of black strokes. Pixels with a grey value between the
+two are unknown."""
 PAINTED_LOG_ODDS = np.float32(16.0)
 REACH_FRAMES = 12
 MAX_COLOUR_CHANGE = 24
-"""Maximum change of a pixel's 8-bit value along the optical flow at which a stroke is propagated."""
+"""A stroke is propagated only to pixels whose 8-bit values change by at most this amount along the optical flow."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +121,7 @@ def read_strokes(paints: Sequence[Paint], capture: Capture, cameras: Sequence[Ca
 def strokes_in_frame(
     strokes: Sequence[Strokes], capture: Capture, cameras: Sequence[Camera], frame: int
 ) -> list[Floats | None]:
-    """Painted log-odds (h, w) of one frame in each camera, or None in cameras without strokes nearby in time."""
+    """Painted log-odds (h, w) of one frame in each camera, or None in cameras that have no strokes on nearby frames."""
     found: list[Floats | None] = [None] * len(cameras)
     for each in sorted(strokes, key=lambda stroke: -abs(stroke.frame - frame)):
         distance = abs(each.frame - frame)
@@ -130,7 +131,8 @@ def strokes_in_frame(
         if distance:
             odds = _carried(each, capture, cameras[each.camera], frame)
         before = found[each.camera]
-        # Strokes on nearer frames come later and replace strokes on farther frames.
+        # The loop goes from the farthest to the nearest frames, so that strokes on near frames replace strokes on far
+        # frames.
         found[each.camera] = odds if before is None else np.where(odds != 0, odds, before)
     return found
 

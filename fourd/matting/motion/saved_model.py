@@ -21,7 +21,7 @@ from fourd.matting.motion.mattes import MatteMaker
 from fourd.matting.motion.subject import Subject
 
 MAX_BYTES_PER_PIXEL = 64
-"""Maximum size of a model in bytes for each pixel of its cameras. Models have 20 bytes for each pixel."""
+"""Maximum size of a model in bytes per pixel of its cameras. The models that fourd writes have 20 bytes per pixel."""
 MAX_OTHER_BYTES = 256 << 20
 """Maximum size in bytes of the other arrays of a model, such as histograms of colours."""
 
@@ -74,7 +74,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
 
 
 def _check_size(path: Path, cameras: Sequence[Camera]) -> None:
-    """Raise ValueError if the arrays are larger than those of any model, because they are compressed."""
+    """Raise ValueError if the decompressed arrays would be larger than those of any valid model."""
     most = MAX_OTHER_BYTES + MAX_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in cameras)
     with zipfile.ZipFile(path) as archive:
         size = sum(member.file_size for member in archive.infolist())

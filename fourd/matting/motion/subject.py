@@ -36,16 +36,16 @@ LOCAL_ITERATIONS = 2
 """Number of additional iterations after the first ITERATIONS iterations. The E-step of the additional iterations uses
 local colours. In the M-step of the additional iterations, a low probability of the subject confirms background even
 inside the other views' hull. Background between the subject's limbs therefore becomes known. The first additional
-iteration makes the edges of the subject more accurate than before. In the second additional iteration, background that
-is visible only next to the subject becomes known."""
+iteration makes the edges of the subject more accurate. In the second additional iteration, background that is visible
+only next to the subject becomes known."""
 MIN_REGION_PIXELS = 20
-"""Minimum number of changing pixels in at least one camera. If every camera has fewer changing pixels than this
-minimum, there is no moving subject."""
+"""Minimum number of changing pixels in a camera that shows a moving subject. If every camera has fewer changing pixels,
+the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""The subject colours of each camera are mixed with the pooled subject colours of all cameras.
+"""Weight, in [0, 1], of the pooled subject colours of all cameras in the subject colours of each camera.
 
-The pooled colours have this weight, in [0, 1]. Mixing helps where a part of the subject is static in one view.
+Pooled colours help where a part of the subject is static in one view.
 """
 
 

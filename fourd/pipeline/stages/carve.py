@@ -41,11 +41,11 @@ class CarveStageSettings:
     Attributes:
         selection: views and frames. Held-out views are not used.
         points: maximum number of points per frame.
-        agreement: a share in (0, 1]. Of the views that see a hull point, at least this share must have the point in
-            their mattes.
-        least_views: a share in (0, 1]. At least this share of all views must see a hull point.
+        agreement: minimum share, in (0, 1], of mattes that must contain a hull point. Views that do not see the point
+            are ignored.
+        least_views: minimum share, in (0, 1], of all views that must see a hull point.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
-        inset: distance by which points are moved into the hull, in point spacings.
+        inset: distance by which points are moved into the hull, in multiples of the point spacing.
         seed: seed of the random order of the points.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """

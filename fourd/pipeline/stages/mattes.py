@@ -17,7 +17,7 @@ from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 QUALITY = DERIVED / "matte_quality.json"
-"""File with the share of each matte that the hull of the other views covers, for each frame and camera."""
+"""File with one number for each frame and camera: the share of the matte that the hull of the other views covers."""
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from fourd.training.run_layout import BACKGROUND, PLATES, POINTS
 MATTE_PATTERNS = (".fourd/mattes/*/*",)
 PLATE_PATTERNS = (f"{USER_FOLDER}/*", f"{CAPTURE_PLATES.as_posix()}/*")
 RUN_KEY = "run"
-"""Key in the cache for the plates in a run folder. This key is constant. In contrast, the key of the plates in a
-capture folder depends on the settings of the mattes."""
+"""Constant cache key of the plates in a run folder. The cache key of the plates in a capture folder depends on the
+settings of the mattes."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ def make_capture_plates(files: MatteFiles, settings: MatteStageSettings, context
 
 
 def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[RunPlateFiles, DataSelection]:
-    """Create the stage that makes plates for the training views of a run. The stage makes none if the capture has a
-    plate for each of these views."""
+    """Create the stage that makes plates for the training views of a run. The stage makes no plates if the capture has
+    a plate for each training view."""
     return Stage(
         "plates",
         make_run_plates,
@@ -70,7 +70,7 @@ def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stag
 
 
 def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Context) -> None:
-    """Make clean plates of all training views, if at least one of these plates is missing in the capture. Held-out
+    """Make clean plates of all training views, if the capture has no plate for at least one training view. Held-out
     views are not used."""
     folder = files.run / BACKGROUND
     folder.mkdir(parents=True, exist_ok=True)

@@ -27,8 +27,8 @@ PREPARED_BY = ("adjust", "carve", "points", "background")
 
 @dataclass(frozen=True)
 class TrainFiles:
-    """The folders of the capture and of the run, and the path of the LPIPS weights. If this path is None, the default
-    locations are searched; see :func:`load_lpips`."""
+    """The folders of the capture and of the run, and the path of the LPIPS weights. If the path of the weights is None,
+    the default locations are searched; see :func:`load_lpips`."""
 
     capture: Path
     run: Path

@@ -31,13 +31,14 @@ from fourd.training.run_layout import SCRATCH
 CACHE_VARIABLE = "FOURD_CACHE"
 """Environment variable with the folder of local copies on this machine."""
 OWN = ".stored"
-"""Folder in the local copy with the manifests of the stages whose files it has, and with the marks of started
-stages."""
+"""Folder with the records of the local copy: manifests of the stages whose files were copied or published, and marks of
+started stages."""
 
 
 @dataclass(frozen=True)
 class Started:
-    """The mark of a stage that was started on this machine: its key, and the states of all files before it."""
+    """The mark of a stage that was started on this machine: the key of the stage, the states of all files before the
+    stage started, and the leftovers of the stage."""
 
     key: str
     before: Mapping[str, str]
@@ -58,11 +59,11 @@ class Cache:
     root: Path
 
     def locked(self) -> AbstractContextManager[None]:
-        """A block in which no other process copies files into this folder."""
+        """Context manager: while its block runs, no other process copies files into this folder."""
         return locked_file(self.root / OWN / "lock")
 
     def started(self, name: str) -> Started | None:
-        """The mark of a stage that was started here, and whose results were not published from here."""
+        """The mark of a stage that was started on this machine and has not published its results, or None."""
         try:
             values = read_json(self._mark(name))
             leftovers = tuple(Leftovers(self.root / folder, tuple(keep)) for folder, keep in values["leftovers"])
@@ -71,14 +72,14 @@ class Cache:
             return None
 
     def mark_started(self, name: str, started: Started) -> None:
-        """Write the mark of a stage. Its files are then no longer those of a manifest."""
+        """Write the mark of a stage, and remove its local manifest, because the stage will change its files."""
         leftovers = [[each.folder.relative_to(self.root).as_posix(), each.keep] for each in started.leftovers]
         text = json.dumps({"key": started.key, "before": dict(started.before), "leftovers": leftovers})
         write_text_atomically(self._mark(name), text)
         self._copy(name).unlink(missing_ok=True)
 
     def mark_published(self, manifest: Manifest) -> None:
-        """Record that the files of a stage are those of its manifest."""
+        """Record that the local files of a stage are those of its manifest."""
         write_text_atomically(self._copy(manifest.name), manifest.to_json())
         self._mark(manifest.name).unlink(missing_ok=True)
 
@@ -104,8 +105,9 @@ class Cache:
         return found
 
     def copy(self, store: WorkStore, manifests: Sequence[Manifest], track: Track) -> None:
-        """Copy the files of stages that are missing here or have changed. Files of a later manifest replace those of an
-        earlier one. Files that the stages no longer have are removed."""
+        """Copy the files in ``manifests`` that are missing on this machine or have changed. If several manifests
+        contain a path, the file of the last manifest is copied. Local files that are no longer in a stage's manifest
+        are removed."""
         wanted = {path: manifest for manifest in manifests for path in (*manifest.files, *manifest.links)}
         for manifest in manifests:
             self._remove_old(manifest.name, wanted.keys())
@@ -122,7 +124,8 @@ class Cache:
             self.mark_published(manifest)
 
     def manifest(self, name: str, key: str, attempt: str, sent: Mapping[str, Path], links: Sequence[str]) -> Manifest:
-        """The manifest of a stage that wrote the files in ``sent``, see :meth:`uploadable`, and links."""
+        """Create the manifest of a stage that wrote the files ``sent`` (see :meth:`uploadable`) and the symbolic
+        ``links``."""
         files = {
             path: FileEntry(each.stat().st_size, (self.root / path).stat().st_mtime_ns) for path, each in sent.items()
         }
@@ -131,8 +134,8 @@ class Cache:
 
     @contextmanager
     def uploadable(self, paths: Sequence[str]) -> Iterator[dict[str, Path]]:
-        """Yield the local file to upload for each path. In the config of a run, the path of the capture is relative to
-        this folder."""
+        """Yield the local file to upload for each path. In the uploaded config of a run, the path of the capture is
+        relative to the folder ``root``."""
         with tempfile.TemporaryDirectory(prefix="fourd-") as folder:
             sent = {path: self.root / path for path in paths}
             for number, path in enumerate(filter(is_config, paths)):
@@ -142,7 +145,7 @@ class Cache:
             yield sent
 
     def _portable(self, path: Path) -> str:
-        """A path relative to this folder, or an absolute path outside of it."""
+        """The path relative to the folder ``root``, or the unchanged path if it is outside of this folder."""
         return path.relative_to(self.root).as_posix() if path.is_relative_to(self.root) else str(path)
 
     def _state(self, path: str) -> str:
@@ -190,7 +193,7 @@ class Cache:
         for path in self._copied(name) - wanted:
             if is_file_name(path) and not self._is_behind_link(path):
                 (self.root / path).unlink(missing_ok=True)
-                # An empty folder of a segment would be taken for a run.
+                # Empty folders are removed, because the empty folder of a segment would look like a run.
                 for parent in list(Path(path).parents)[:-1]:
                     with suppress(OSError):
                         (self.root / parent).rmdir()
@@ -204,7 +207,7 @@ class Cache:
             return set()
 
     def _is_behind_link(self, path: str) -> bool:
-        """Whether a folder in a path is a link, behind which are files of other folders."""
+        """Whether a parent folder of a path is a symbolic link, so that the file belongs to another folder."""
         return any((self.root / parent).is_symlink() for parent in Path(path).parents)
 
     def _mark(self, name: str) -> Path:

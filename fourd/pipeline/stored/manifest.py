@@ -15,7 +15,8 @@ from fourd.training.run_layout import CONFIG_NAME
 
 VERSION = 1
 LINKED = ("capture", "repaired", "still")
-"""Folders in which stages make symbolic links. Links elsewhere are refused, because stages write there."""
+"""Folders in which stages make symbolic links. Links in other folders are refused, because stages write to these
+folders."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class Manifest:
         key: key of the stage; see :meth:`fourd.pipeline.stage.Stage.key`.
         attempt: name of the folder with the objects. Each execution of the stage has its own folder, so that objects
             never change.
-        files: path relative to the folder for intermediate results -> the file.
+        files: path relative to the folder for intermediate results -> size and time of the file.
         links: path of a symbolic link -> its target, which is absolute, or relative to the folder for intermediate
             results.
     """
@@ -47,7 +48,7 @@ class Manifest:
     links: Mapping[str, str]
 
     def to_json(self) -> str:
-        """The text that :func:`parse_manifest` reads."""
+        """Convert the manifest to the JSON text that :func:`parse_manifest` reads."""
         return json.dumps(
             {
                 "version": VERSION,
@@ -66,8 +67,8 @@ class Manifest:
 
 
 def file_state(path: str, size: int, changed_ns: int) -> str:
-    """A text that changes when a file changes. The size of a run's config depends on the machine, because the config
-    contains the path of the capture."""
+    """A text that changes when a file changes. The text of a run's config does not contain the size of the file,
+    because the config contains the path of the capture, which depends on the machine."""
     return f"{0 if is_config(path) else size} {changed_ns}"
 
 
@@ -85,7 +86,7 @@ def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
     """Read a manifest from the object ``url``.
 
     Raises:
-        UserError: if the object is no manifest, or lists names that could be files outside the folder.
+        UserError: if the object is not a manifest, or if it contains paths that could be outside the folder.
     """
     try:
         values = json.loads(content)
@@ -102,7 +103,7 @@ def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
 
 
 def _is_link(item: tuple[str, str]) -> bool:
-    """Whether a path and a target are those of a link that a stage makes."""
+    """Whether the item, a path and a target, describes a symbolic link that a stage may make."""
     path, target = item
     parts = PurePosixPath(path).parts
     inside = is_file_name(path) and len(parts) > 1 and parts[0] in LINKED and DERIVED.name not in parts

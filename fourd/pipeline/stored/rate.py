@@ -1,4 +1,5 @@
-"""Rate: stores the frame rate of a source that was copied from an object store, so that all machines have it."""
+"""Rate: stores the frame rate of a source that was copied from an object store, so that all machines use the same
+rate."""
 
 from __future__ import annotations
 

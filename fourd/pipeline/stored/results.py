@@ -1,4 +1,4 @@
-"""The finished stages of a folder for intermediate results in an object store, for the process that starts stages."""
+"""Finished stages whose results are in an object store. The process that starts the stages uses this module."""
 
 from __future__ import annotations
 
@@ -23,7 +23,8 @@ class StoredResults:
         """Read the manifests at ``url``.
 
         Raises:
-            UserError: if a store refuses, or ``url`` is a folder with other objects.
+            UserError: if a store refuses a request, or if the folder ``url`` has objects but was not created by ``fourd
+                make``.
         """
         self._store = WorkStore(url)
         self._cache = Cache(cache_folder(url))
@@ -42,13 +43,14 @@ class StoredResults:
         return self._cache.root
 
     def source(self) -> Path:
-        """The local path of the source, which is copied first if it is a URL."""
+        """Return the local path of the source. A source at a URL is first copied to this machine."""
         if isinstance(self._source, Path):
             return self._source
         return fetch_source(self._source, self.root, self._context.track)
 
     def is_finished(self, stage: AnyStage, key: str) -> bool:
-        """Whether the results of a stage with this key are complete. Stages must be given in their order."""
+        """Whether the results of a stage with this key are complete. Call this method for the stages in the order in
+        which they run."""
         self._stages[stage.name], self._keys[stage.name] = stage, key
         manifest = self._manifests.get(stage.name)
         outside = [path for path in stage.outputs if not path.is_relative_to(self.root)]
@@ -61,7 +63,8 @@ class StoredResults:
             self._cache.copy(self._store, found, self._context.track)
 
     def execute(self, inner: Execute) -> Execute:
-        """A function that runs stages with ``inner``, on machines that get and publish files through the store."""
+        """Return a function that runs stages with ``inner``. The machines that run the stages exchange files through
+        the store."""
 
         def run(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
             by_name = {stage.name: stage for stage in stages}
@@ -91,8 +94,8 @@ class StoredResults:
         return unit_stage(UnitFiles(stage, self.root, self._store, self._source, needs), self._keys[stage.name])
 
     def _needed(self, stage: AnyStage) -> set[str]:
-        """Names of the earlier stages whose results a stage reads: all stages that ran alone, and those that it names,
-        also indirectly."""
+        """Names of the earlier stages whose results a stage reads. These are the earlier stages that are not parallel,
+        and the stages that ``after`` names directly or indirectly."""
         names, found = list(stage.after), set[str]()
         while names:
             name = names.pop()

@@ -1,4 +1,5 @@
-"""Execution of a stage whose results are in an object store: copy what it reads, work, and publish what it wrote."""
+"""Executes a stage whose results are in an object store: copies its inputs, runs its work, and publishes its
+outputs."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ class UnitFiles:
 
     Attributes:
         stage: the stage, with paths of the machine that created it.
-        root: the local copy on that machine.
+        root: the folder of the local copy on the machine that created the stage.
         store: the folder for intermediate results.
         source: the URL and the version of the source if it is in an object store. Otherwise, the path of the source,
             which all nodes need.
@@ -96,8 +97,8 @@ def fetch_source(source: FetchSettings, root: Path, track: Track) -> Path:
 
 
 def moved(value: Any, old: Path, new: Path) -> Any:
-    """A copy of ``value`` in which paths in the folder ``old`` are in the folder ``new``. Paths in dataclasses and
-    tuples are also changed."""
+    """Return a copy of ``value`` in which paths in the folder ``old`` are replaced by paths in the folder ``new``.
+    Paths in dataclasses and tuples are also replaced."""
     if isinstance(value, Path):
         return new / value.relative_to(old) if value.is_relative_to(old) else value
     if isinstance(value, tuple):
@@ -117,7 +118,7 @@ def _prepare(
     folders: Sequence[Path],
     track: Track,
 ) -> Started:
-    """Copy everything that the stage reads. Files that it wrote with another key are removed."""
+    """Copy everything that the stage reads. Files that the stage wrote with another key are removed."""
     started = cache.started(stage.name)
     own = cache.own_paths(stage.name, folders)
     if started is None or started.key != key:
@@ -125,13 +126,14 @@ def _prepare(
         for leftovers in stage.leftovers:
             leftovers.remove()
     if not stage.is_parallel:
-        # Such a stage may read whole folders, in which files of other settings would be used.
+        # A stage that is not parallel may read whole folders, so files from other settings are removed from the
+        # folders.
         cache.remove_others({stage.name, *(need.name for need in needs)})
     if isinstance(files.source, FetchSettings):
         fetch_source(files.source, cache.root, track)
     cache.copy(files.store, needs, track)
     if started is None:
-        # Files that the stage wrote with another key, and keeps, are also its results.
+        # Files that the stage wrote with another key and that were not removed are also results of the stage.
         before = {path: state for path, state in cache.states(folders).items() if path not in own}
         started = Started(key, before, stage.leftovers)
         cache.mark_started(stage.name, started)
@@ -139,7 +141,7 @@ def _prepare(
 
 
 def _folders(stage: AnyStage, root: Path) -> list[Path]:
-    """The folders into which a stage writes. Other stages may write to the other folders if the stage is parallel."""
+    """The folders into which a stage writes. While a parallel stage runs, other stages may write to other folders."""
     return [leftovers.folder for leftovers in stage.leftovers] if stage.is_parallel else [root]
 
 

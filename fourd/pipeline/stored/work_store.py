@@ -1,8 +1,8 @@
 """The objects of a folder for intermediate results: manifests, and the files of each execution of a stage.
 
-``work.json`` marks the folder, ``units/STAGE.json`` is the manifest of a stage, and ``units/STAGE/ATTEMPT/`` has its
-files. Objects of an execution are never replaced. A reader therefore gets the files of one execution, and a killed
-upload leaves those of the previous execution.
+``work.json`` marks the folder, ``units/STAGE.json`` is the manifest of a stage, and ``units/STAGE/ATTEMPT/`` has the
+files of one execution. Objects of an execution are never replaced. A reader therefore gets the files of a single
+execution, and an interrupted upload does not damage the files of the previous execution.
 """
 
 from __future__ import annotations
@@ -41,12 +41,13 @@ class WorkStore:
     url: StorageUrl
 
     def open(self) -> dict[str, Manifest]:
-        """Mark the folder as one of ``fourd make``, and read the manifests of all complete stages.
+        """Mark the folder as a folder of ``fourd make``, and read the manifests of all complete stages.
 
         Objects of interrupted uploads are removed. A stage with missing objects is not complete.
 
         Raises:
-            UserError: if the store refuses, or the folder contains other objects.
+            UserError: if the store refuses a request, or if the folder has objects but was not created by ``fourd
+                make``.
         """
         check_writable(self.url.join(MARK))
         sizes = {item.key: item.size for item in find_objects(self.url)}
@@ -68,15 +69,16 @@ class WorkStore:
         return found
 
     def read(self, name: str) -> Manifest | None:
-        """Read the manifest of a stage. Returns None if there is none."""
+        """Read the manifest of a stage. Returns None if the stage has no manifest."""
         content = self._read(_manifest(name))
         return None if content is None else parse_manifest(content, self.url.join(_manifest(name)))
 
     def publish(self, manifest: Manifest, files: Mapping[str, Path], track: Track = untracked) -> None:
-        """Upload the files of a stage, and then its manifest. The objects of its previous execution are removed.
+        """Upload the files of a stage, and then its manifest. Then remove the objects of the stage's previous
+        execution.
 
         Args:
-            manifest: the manifest, with a new attempt; see :func:`new_attempt`.
+            manifest: the manifest. Its ``attempt`` must be new; see :func:`new_attempt`.
             files: path of each file in the manifest -> the local file to upload.
             track: reports progress.
         """
@@ -111,7 +113,7 @@ class WorkStore:
 
 
 def new_attempt() -> str:
-    """A new name for the folder of the files of an execution."""
+    """A new random name for the folder with the files of one execution."""
     return secrets.token_hex(8)
 
 

@@ -25,7 +25,7 @@ class Scene:
 def rasterize_brute_force(pos: Tensor, tri: Tensor, height: int, width: int) -> Tensor:
     """Rasterize (B, V, 4) vertices in float64 without clipping: u, v, z/w and id, (B, H, W, 4) with the dtype of pos.
 
-    A pixel on an edge counts as inside, and at equal depths, the pixel shows the smaller id.
+    A pixel on an edge counts as inside. At equal depths, the pixel shows the triangle with the smaller id.
     """
     x = (2 * torch.arange(width, dtype=torch.float64) + 1) / width - 1
     y = (2 * torch.arange(height, dtype=torch.float64) + 1) / height - 1

@@ -1,4 +1,4 @@
-"""Tests which pixels triangles cover, by a comparison with exact integer arithmetic."""
+"""Tests which pixels are covered by triangles. The expected pixels are computed with exact integer arithmetic."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ def small_model() -> PointModel:
 
 
 def frame_gradients(model: PointModel, frame: int) -> None:
-    """Compute the gradients of a loss of the points of one frame, which depend on the frame."""
+    """Compute the gradients of a loss of one frame's points. Points and loss depend on the frame."""
     points = torch.Generator().manual_seed(frame)
     xyz = torch.rand(200, 3, generator=points, dtype=torch.float64)
     evaluated = model.evaluate(xyz, torch.full((200,), 0.05, dtype=torch.float64), frame / 3)
@@ -40,7 +40,8 @@ def frame_gradients(model: PointModel, frame: int) -> None:
 
 
 def average(group: ProcessGroup, out: Path) -> None:
-    """Average the gradients of a small model in float64 over the ranks. The harmonics have a gradient on rank 0."""
+    """Average the gradients of a small model in float64 over the ranks. Only rank 0 has a gradient of the spherical
+    harmonics."""
     model = small_model()
     frame_gradients(model, group.rank)
     group.average_gradients(model.parameters())

@@ -61,7 +61,8 @@ def browser() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def object_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site of an object scene. Most pixels of the subject have more than K layers. Tests must not change it."""
+    """The site of an object scene. Most pixels of the subject have more than K layers of points. Tests must not change
+    it."""
     folder = tmp_path_factory.mktemp("object")
     write_scene(folder / "scene.4dv", frames=6, points=4000)
     write_site(folder / "scene.4dv", folder / "site", "full", 'A <scene> & "more"')

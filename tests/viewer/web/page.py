@@ -60,7 +60,7 @@ class PlayerPage:
         self.run("player.seek(argument); await player.settled();", frame)
 
     def pixels(self, camera: Camera, mode: str = "sorted") -> NDArray[np.uint8]:
-        """The image (H, W, 3) of the current frame from a camera, which has the size of the canvas."""
+        """The image (H, W, 3) of the current frame from a camera. The image has the size of the canvas."""
         described = {
             "intrinsics": camera.intrinsics.ravel().tolist(),
             "rotation": camera.rotation.ravel().tolist(),
