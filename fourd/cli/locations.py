@@ -51,7 +51,7 @@ def refuse_urls(arguments: object, words: Sequence[str]) -> None:
 
     Args:
         arguments: the parsed arguments of a command, as a dataclass.
-        words: the words on the command line, which contain the URLs as they were written.
+        words: the words on the command line, with the URLs as the user wrote them.
     """
     urls = [text for word in words for text in (word, word.partition("=")[2]) if is_url(text)]
     for path in _paths(arguments) if urls else ():

@@ -63,19 +63,19 @@ FILE_ERRORS = (
 """File system errors that the user can fix."""
 
 SYSTEM_FOLDERS = ("/proc", "/sys")
-"""Folders in which no files can be created. If a program tries to create a file there, Linux reports that the file does
-not exist."""
+"""Folders in which no files can be created. If a program tries to create a file in such a folder, Linux reports that
+the file does not exist."""
 
 MAX_MESSAGE = 4000
-"""Maximum number of characters of an error message. If a message that quotes text from a file is longer, its middle is
-left out."""
+"""Maximum number of characters of an error message. The middle of a longer message, which may quote text from a file,
+is left out."""
 MAX_SHOWN = 200
 """Maximum number of characters of a wrong name that an error message shows."""
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
 VIDEO_PACKAGE = "av"
-"""The package PyAV, which some commands import when they are called."""
+"""The import name of the package PyAV. Some commands import PyAV only when they run."""
 TRAINING_PACKAGES = ("h5py", "pycolmap", "safetensors", "tensorboard", "torch", "xatlas")
 """Python packages of the extra ``fourd[train]``. Playing a scene does not need these packages."""
 
@@ -149,8 +149,8 @@ def console_main() -> int:
 
 
 def _reader_is_gone() -> bool:
-    """Return whether the program that reads the standard output has ended. If it has ended, all further output is
-    discarded."""
+    """Return whether the program that reads the standard output has ended. If the program has ended, all further output
+    is discarded."""
     try:
         output = sys.stdout.fileno()
     except OSError:
@@ -160,14 +160,15 @@ def _reader_is_gone() -> bool:
         poll.register(output, 0)
         if not any(event & select.POLLERR for _, event in poll.poll(0)):
             return False
-    # Python flushes the output again when it exits. The null device makes sure that the second flush does not fail.
+    # Python flushes the output a second time when it exits. With the null device as output, the second flush does not
+    # fail.
     os.dup2(os.open(os.devnull, os.O_WRONLY), output)
     return True
 
 
 def _report_errors(words: list[str]) -> int:
     """Run a command, and report an error as one line."""
-    # GNU OpenMP reads GOMP_SPINCOUNT when a command imports torch, so the variable is set here.
+    # GOMP_SPINCOUNT is set before a command imports torch, because GNU OpenMP reads the variable during this import.
     os.environ.setdefault("GOMP_SPINCOUNT", SPIN_COUNT)
     if not words or words[0] in ("-h", "--help"):
         print(HELP, end="")

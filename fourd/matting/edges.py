@@ -37,8 +37,8 @@ CHROMA_VARIANCE = np.float32(0.1)
 """Variance of a pixel's chroma, as a share of the squared difference in chroma between subject and background. JPEG
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
 NORMALISER_WEIGHT = np.float32(0.3)
-"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The estimated variance of the
-subject's colours is usually too large, and larger than that of the background's colours. With weight 1, the larger
+"""Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The variance of the subject's
+colours is a rough estimate that is larger than the variance of the background's colours. With weight 1, the larger
 variance would move the edge into the subject."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
 """Standard deviation of alpha around the blurred mask, for each pass that estimates alpha. The first passes correct the

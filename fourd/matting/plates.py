@@ -2,8 +2,8 @@
 
 A plate is the mean of a camera's frames over time, weighted by the mattes, as in 4K4D, sec. 4.1. The computation of
 plates differs from 4K4D in three ways. The mean is a running mean, which needs constant memory. The exposure of each
-frame is matched to the first frame. A second pass excludes pixels that differ too much from the mean of the first pass,
-because the mattes have probably missed the subject at these pixels.
+frame is matched to the first frame. A second pass excludes pixels that differ too much from the mean of the first pass.
+At the excluded pixels, the matte has probably missed the subject.
 """
 
 from __future__ import annotations

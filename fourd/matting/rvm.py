@@ -117,7 +117,7 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
 
     Loading a TorchScript file (.torchscript, .pt) executes its code, so load only trusted files. Checkpoints (.pth)
     are refused, because they contain weights only. fourd does not include the network's source code, because the code's
-    licence is incompatible with that of fourd.
+    licence is incompatible with fourd's licence.
 
     Args:
         path: TorchScript file.

@@ -70,8 +70,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
 
     The models are learned from the whole recording, even if only some frames are selected. Mattes from an earlier call
     with the same inputs and settings are kept, including the mattes of frames that are not selected. If the inputs or
-    settings differ, all mattes are computed again. The old mattes are replaced only when all new mattes are written, so
-    that they are not lost if the call fails or is interrupted.
+    settings differ, all mattes are computed again. The old mattes are replaced only when all new mattes are written. If
+    the call fails or is interrupted, the old mattes are therefore not lost.
 
     Args:
         selection: the capture. Evidence is combined over all selected cameras.
@@ -169,7 +169,7 @@ def record_choice(capture: Path, settings: MatteSettings) -> None:
 
 
 def chosen_method(capture: Path) -> str | None:
-    """The method of the existing mattes if the user chose their settings, otherwise None.
+    """The method of the existing mattes, if the user chose the settings of these mattes. Otherwise None.
 
     Raises:
         UserError: if the files of the capture have changed since the user chose the settings.

@@ -164,8 +164,8 @@ def join_cluster(address: str, segment_cores: int) -> Iterator[Cluster]:
     """Connect to a Ray cluster for the duration of the ``with`` block.
 
     Args:
-        address: HOST:PORT of a running cluster, or "auto" for the cluster that runs on this machine. If no cluster
-        runs, one is started on this machine, and is stopped at the end of the block.
+        address: HOST:PORT of a running cluster, or "auto" for the cluster that runs on this machine. With "auto", if no
+        cluster runs, a new cluster is started on this machine and is stopped at the end of the block.
         segment_cores: see :class:`Cluster`.
 
     Raises:

@@ -25,8 +25,8 @@ class FetchSettings:
 
 
 def fetch_stage(url: StorageUrl, folder: Path) -> Stage[FetchFiles, FetchSettings]:
-    """Create the stage that copies the objects at ``url`` into ``folder``. This function lists the objects, and raises
-    UserError if they cannot be listed.
+    """Create the stage that copies the objects at ``url`` into ``folder``. Raises UserError if the objects cannot be
+    listed.
     """
     settings = FetchSettings(str(url), list_objects(url).version)
     return Stage("fetch", run_fetch, FetchFiles(folder), settings, outputs=(fetched_path(url, folder),))

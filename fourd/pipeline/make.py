@@ -222,7 +222,7 @@ def _run_graph(
     runner: Runner,
 ) -> None:
     """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run.
-    Its field ``capture`` is the path of the source, which may need an import."""
+    The field ``source.capture`` is the path of the input, which may need an import."""
     given, train = source.capture, source.train
     to_capture = stages_to_capture(given, work / CAPTURE, options)
     remove_unfinished_file(out)
@@ -243,7 +243,8 @@ def _run_graph(
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
     request = replace(source, capture=capture, train=train, still=is_still)
-    # A capture with masks may be on a read-only disk, so its folder .fourd/ is locked only if mattes are made.
+    # A capture with masks may be on a read-only disk. The folder .fourd/ of the capture is therefore locked only if
+    # mattes are made.
     with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
         runner.run(stages_to_scene(request, mattes.settings_for(capture, context), out))
 

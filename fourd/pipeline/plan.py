@@ -31,7 +31,7 @@ BACKGROUND_S = 170.0
 TRAIN_S_PER_STEP = 0.3
 """Seconds per training step. Measured: 821 steps in 246 s with 20,000 points on 2 cores."""
 SAMPLED_FRAMES = 3
-"""Number of frames of each camera that an import matches; see :mod:`fourd.importing.importer`."""
+"""Number of frames of each camera in which an import matches features; see :mod:`fourd.importing.importer`."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class SourceFacts:
 
 
 def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bool = False) -> str:
-    """One line of text that lists the stages from ``source`` to a scene, and their expected duration.
+    """One line of text with the stages from ``source`` to a scene and the expected duration of these stages.
 
     Args:
         source: a capture, or a source that :mod:`fourd.importing` can read.
@@ -114,7 +114,7 @@ def _read_facts(source: Path, train: TrainConfig) -> SourceFacts:
     if needs_import:
         imported = pick_format(None, source).read(source)
     else:
-        # Errors of a capture are ignored here, because the check stage reports them later.
+        # The plan ignores errors in a capture, because the check stage reports these errors later.
         imported = Imported((), ())
         with suppress(UserError):
             imported = pick_format(None, source).read(source)

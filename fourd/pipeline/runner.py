@@ -55,7 +55,8 @@ class Runner:
             execute: function that runs the work of stages. To run stages in other processes or on a cluster, pass
                 another function.
             is_parallel: whether ``execute`` runs several stages at the same time.
-            stored: results in an object store. If they are given, they replace the record file and the local results.
+            stored: results in an object store. If given, the stored results replace the record file and the local
+                results.
         """
         self._context = context
         self._record = record
@@ -83,8 +84,8 @@ class Runner:
                 self._stored.copy()
 
     def _start(self, stage: AnyStage) -> bool:
-        """Return whether the work of the stage must run. If it must run, files that were written with an older key are
-        removed."""
+        """Return whether the work of the stage must run. If the work must run, files that were written with an older
+        key are removed."""
         if self._stored is not None:
             return self._start_stored(stage, self._stored)
         key = self._keys[stage.name] = stage.key(self._keys)
@@ -92,7 +93,7 @@ class Runner:
             self._report(f"{stage.name}: up to date{self._result(stage)}")
             return False
         if self._record is not None and self._known.get(_started(stage)) != key:
-            # The keys are deleted before the files are removed. If the removal of the files is interrupted, no key then
+            # The keys are deleted before the files are removed. If the removal of the files is interrupted, no key
             # matches the remaining files.
             self._write({stage.name: None, _started(stage): None})
             for leftovers in stage.leftovers:

@@ -1,5 +1,5 @@
-"""Stages of a run with segments. The stages before training work on all frames. Each segment is then trained by its
-own stage, as a run of its own in ``RUN/segments/``.
+"""Stages of a run with segments. The stages before training work on all frames. After these stages, each segment is
+trained by its own stage, as a separate run in ``RUN/segments/``.
 
 The run of a segment has its own links to the initial points of its frames. A segment's run can therefore be trained,
 resumed, evaluated and played like any run, on any machine that has the capture.
@@ -45,7 +45,7 @@ DIVIDE = "segments"
 
 @dataclass(frozen=True)
 class DivideFiles:
-    """The folders of the capture and of the run. The config of the run is written to its folder."""
+    """The folders of the capture and of the run. The config of the run is written to the folder of the run."""
 
     capture: Path
     run: Path

@@ -1,7 +1,8 @@
 """Connections to object stores through fsspec, and messages for the user about errors of stores.
 
-The packages are imported when the first connection is made, because they are optional. Credentials and endpoints are
-read from each store's standard settings, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for s3://.
+The packages for object stores are optional, so they are imported when the first connection is made. Credentials and
+endpoints are read from each store's standard settings, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for
+s3://.
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def storage_errors(url: StorageUrl) -> Iterator[None]:
 
 
 def changed(url: StorageUrl) -> UserError:
-    """The error for an object that was replaced or removed while it was read."""
+    """Return the error for an object that was replaced or removed while fourd was reading the object."""
     return UserError(
         f"{url}: expected an object that stays the same while it is read, got one that was replaced or removed; run "
         "the command again when the object is complete"

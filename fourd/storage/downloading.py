@@ -42,8 +42,8 @@ class StoredObject:
     """An object in a store.
 
     Attributes:
-        key: name relative to the listed folder, with slashes. If the URL names a single object, the last part of its
-            name.
+        key: name relative to the listed folder, with slashes. If the URL names a single object, the key is the last
+            part of the URL.
         size: size in bytes.
         version: the store's identifiers of the content, such as ETag and time of the last change.
         seconds: time of the last change in seconds since 1970, or None if the store does not report it.
@@ -75,7 +75,8 @@ def list_objects(url: StorageUrl) -> Listing:
     """List the object ``url``, or all objects in the folder ``url``.
 
     Raises:
-        UserError: if nothing exists at ``url``, a name cannot be a file name, or there are too many objects.
+        UserError: if nothing exists at ``url``, an object's name cannot be a file name, or the folder has too many
+            objects.
     """
     found = _find(url)
     if not found:
@@ -230,7 +231,8 @@ def _require_space(url: StorageUrl, folder: Path, size: int) -> None:
 
 
 def _open_record(url: StorageUrl, parent: Path) -> dict[str, tuple[int, str]]:
-    """Read size and version of each copied object in ``parent``. Creates the record if there is no copy of ``url``."""
+    """Read size and version of each copied object in ``parent``. Creates the record if ``parent`` has no copy of
+    ``url``."""
     record = parent / RECORD
     first_line = f"{json.dumps([str(url)])}\n"
     if record.is_file():

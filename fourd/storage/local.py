@@ -52,7 +52,7 @@ def local_output(location: Location, track: Track = untracked) -> Iterator[Path]
 
 @contextmanager
 def _temporary_folder(url: StorageUrl) -> Iterator[Path]:
-    """Yield a temporary folder. In error messages, the URL replaces the path of the file in this folder."""
+    """Yield a temporary folder. In error messages, the URL replaces the path of the file in the temporary folder."""
     with tempfile.TemporaryDirectory(prefix="fourd-") as name:
         try:
             yield Path(name)

@@ -21,7 +21,7 @@ def open_object(url: StorageUrl) -> BinaryIO:
     All bytes come from the version of the object that existed when the object was opened.
 
     Raises:
-        UserError: if the store returns an error or there is no such object. Reads raise UserError if the object has
+        UserError: if the store returns an error or the object does not exist. Reads raise UserError if the object has
         changed.
     """
     require_object(url)

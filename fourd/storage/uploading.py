@@ -28,8 +28,7 @@ MEGABYTE = 1 << 20
 PART_BYTES = 16 * MEGABYTE
 """Size of the parts of an upload. One part is in memory at a time."""
 MAX_PARTS = 9000
-"""S3 accepts at most 10,000 parts. If a file has more than MAX_PARTS parts of PART_BYTES, it is sent in
-larger parts.
+"""S3 accepts at most 10,000 parts. A file with more than MAX_PARTS parts of PART_BYTES is sent in larger parts.
 """
 
 
@@ -38,7 +37,7 @@ def upload(path: Path, url: StorageUrl, track: Track = untracked) -> None:
     content.
 
     Raises:
-        UserError: if the store returns an error. The old object then stays, and the parts are removed.
+        UserError: if the store returns an error. After an error, the old object stays, and the parts are removed.
     """
     _upload(connect(url), path, url, track)
 
@@ -52,7 +51,7 @@ def upload_all(files: Mapping[str, Path], url: StorageUrl, track: Track = untrac
         track: reports progress.
 
     Raises:
-        UserError: if the store returns an error. Some of the objects may then be missing.
+        UserError: if the store returns an error. After an error, some of the objects may be missing.
     """
     store, stop = connect(url), Event()
 
@@ -112,7 +111,8 @@ def upload_changed(path: Path, url: StorageUrl, record: Path, track: Track = unt
 
 
 def _state(path: Path, url: StorageUrl) -> list[Any]:
-    """Size and modification time of the file, and the version of the object, which is None if there is no object."""
+    """Size and modification time of the file, and the version of the object. The version is None if the object does not
+    exist."""
     status, store = path.stat(), connect(url)
     with storage_errors(url):
         info = store.info(str(url)) if store.exists(str(url)) else None

@@ -48,7 +48,7 @@ class StorageUrl:
         return self.path.suffix
 
     def join(self, key: str) -> StorageUrl:
-        """The URL of an object in this folder, from its key relative to the folder."""
+        """The URL of an object in the folder at this URL, from the object's key relative to the folder."""
         return StorageUrl(f"{self.text.rstrip('/')}/{key}")
 
 

@@ -6,8 +6,8 @@ import numpy as np
 
 
 def damage(content: bytes, rng: np.random.Generator, most: int) -> bytes:
-    """Return ``content`` with 1 to ``most`` - 1 changed bytes. In one of five cases, the content is also truncated at a
-    random position.
+    """Return ``content`` with at least 1 and at most ``most`` - 1 changed bytes. In one of five cases, the content is
+    also truncated at a random position.
     """
     changed = np.frombuffer(content, np.uint8).copy()
     where = rng.integers(0, len(changed), rng.integers(1, most))

@@ -106,7 +106,7 @@ def write_full_scene(
 
 
 def read_frames(path: Path, most: int) -> None:
-    """Read the first frames of a scene file, ``most`` of them at most."""
+    """Read at most ``most`` frames from the start of a scene file."""
     reader = SceneReader(path)
     try:
         for index in range(min(reader.manifest.frame_count, most)):

@@ -53,7 +53,7 @@ def seen_views(
     noise_px: float = 0.05,
     filming: Filming = AT_ONCE,
 ) -> tuple[list[Camera], list[BoardView]]:
-    """Cameras, and all corners of the board that are in their images.
+    """Cameras, and for each image, all corners of the board that are visible in the image.
 
     ``seen_by`` limits the frames of some cameras, by the camera's index.
     """

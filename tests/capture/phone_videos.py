@@ -17,7 +17,8 @@ Picture = NDArray[np.uint8]
 MATRIX_OFFSET = 40
 """Number of bytes from the end of the tag tkhd to the rotation matrix (ISO 14496-12, version 0)."""
 CLOCKWISE = {90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0)}
-"""The values a, b, c, d of display matrices, which map (x, y) to (a x + c y, b x + d y), by clockwise angle."""
+"""The values a, b, c, d of display matrices, by clockwise angle. A display matrix maps (x, y) to (a x + c y, b x + d
+y)."""
 TICKS = 90_000
 
 
@@ -42,9 +43,9 @@ def write_phone_video(
 ) -> Path:
     """Write :func:`moving_picture` at ``times`` in seconds.
 
-    The frames are stored in a turned orientation. The display matrix in the metadata turns them ``clockwise``, so that
-    they are upright again. With the transfer "HLG" or "PQ", the video is HDR in 10 bits. The white of the picture then
-    has 203 cd/m2.
+    The frames are stored in a turned orientation. The display matrix in the metadata turns the frames by ``clockwise``
+    degrees, so that the frames are upright again. With the transfer "HLG" or "PQ", the video is HDR in 10 bits. The
+    white of an HDR picture has 203 cd/m2.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w", options={"video_track_timescale": str(TICKS)}) as container:

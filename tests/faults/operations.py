@@ -55,8 +55,8 @@ class Faults:
         safetensors.torch.serialize_file = self._wrap_serialize(safetensors.torch.serialize_file)
 
     def step(self, kind: str, target: object, tear: Callable[[], object] | None = None) -> None:
-        """Count an operation. If the operation has the index ``at``, it fails. ``tear`` is called before the fault and
-        writes half of the bytes.
+        """Count an operation. The operation with the index ``at`` fails. ``tear`` is called before the fault and writes
+        half of the bytes.
         """
         path = self._path(target)
         if path is None:

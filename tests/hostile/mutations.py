@@ -127,7 +127,7 @@ def _lines(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 def _integers(content: bytes, rng: np.random.Generator) -> bytes:
-    """Replace 2, 4 or 8 bytes by an extreme integer. Most of these positions are in the first 256 bytes."""
+    """Replace 2, 4 or 8 bytes by an extreme integer. Most of the replaced bytes are among the first 256 bytes."""
     size = int(rng.choice([2, 4, 8]))
     most = len(content) if rng.random() < 0.4 else min(len(content), 256)
     at = int(rng.integers(most))

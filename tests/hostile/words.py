@@ -1,6 +1,4 @@
-"""Random command lines with every option of every command. Values are out of range, or their type is not that of the
-option.
-"""
+"""Random command lines with every option of every command. Option values are out of range or have a wrong type."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ def turned_camera(width: int, height: int) -> Camera:
 def random_cloud(rng: np.random.Generator, count: int, channels: int) -> Cloud:
     """Return points inside and outside the image, in random order, with many difficult cases.
 
-    Some points are behind the camera or on the camera plane, some are larger than the image or smaller than a pixel,
+    Some points are behind the camera or on the camera plane. Some are larger than the image or smaller than a pixel,
     and some are centred on the image border. Some depths are equal, and some densities are 0 or 1.
     """
     xyz = rng.uniform([-1.6, -1.6, -1], [1.6, 1.6, 1], (count, 3)).astype(np.float32)

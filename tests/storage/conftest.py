@@ -35,7 +35,8 @@ def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Bucket:
 
 @pytest.fixture
 def new_connections() -> Iterator[None]:
-    """Connections made in the test read the environment again. Without this fixture, tests share their connections."""
+    """Let the test make new connections, which read the environment variables again. Without this fixture, tests share
+    connections."""
     clear = pytest.importorskip("s3fs").S3FileSystem.clear_instance_cache
     clear()
     yield

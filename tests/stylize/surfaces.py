@@ -17,7 +17,8 @@ def rays(size: int) -> NDArray[np.float64]:
 
 
 def make_surface(depth: NDArray[np.float64], normal: NDArray[np.float64], colour: object = (200, 120, 60)) -> Surface:
-    """Make an opaque surface from depths (H, W), which are infinite where there is no surface, and unit normals."""
+    """Make an opaque surface from depths (H, W) and unit normals. Where the picture shows no surface, the depth is
+    infinite."""
     seen = np.isfinite(depth)
     albedo = np.zeros((*depth.shape, 4), np.uint8)
     albedo[seen] = (*np.broadcast_to(colour, 3), 255)  # type: ignore[call-overload]

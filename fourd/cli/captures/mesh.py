@@ -111,7 +111,8 @@ def _settings(arguments: Arguments) -> MeshSettings:
 
 
 def _source(arguments: Arguments) -> tuple[Path, DataSelection, Path | None]:
-    """The capture's folder, the selected views and frames, and the run whose cameras replace those of the capture."""
+    """The capture's folder, the selected views and frames, and the run whose cameras replace the cameras of the
+    capture."""
     source, chosen = arguments.source, DataSelection()
     capture, run_folder = source, None
     if (source / CONFIG_NAME).is_file():

@@ -1,4 +1,5 @@
-"""Bake a trained run into a .4dv scene that renders in real time without torch, or export it for other programs."""
+"""Bake a trained run into a .4dv scene that renders in real time without torch, or export the run for other
+programs."""
 
 from __future__ import annotations
 

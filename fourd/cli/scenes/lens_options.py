@@ -26,8 +26,8 @@ class LensOptions:
     lens: Annotated[
         Literal["pinhole", "fisheye", "panorama", "thin-lens"] | None, option("LENS", "none: images are rasterized")
     ] = None
-    """Trace rays through a lens: pinhole, fisheye, panorama (360 x 180 degrees around the camera; use --size with twice
-    as many columns as rows) or thin-lens (depth of field)."""
+    """Trace rays through a lens: pinhole, fisheye, panorama or thin-lens. A panorama covers 360 x 180 degrees around
+    the camera and needs a --size with twice as many columns as rows. A thin lens has depth of field."""
     fov: float = 180.0
     """Field of view of a fisheye image in degrees, up to 360."""
     aperture: Annotated[float | None, option("FLOAT", "5% of the distance to the focus")] = None
@@ -109,8 +109,8 @@ def _glass_ball(
 ) -> GlassBall:
     if text == "auto":
         size = 0.28 * radius
-        # The ball is placed towards the first camera and to its right, so that the subject is seen through the ball and
-        # beside it.
+        # The ball is placed towards the first camera and to its right, so that the subject is visible both through
+        # the ball and beside the ball.
         right = np.cross(up, floor - cameras[0].centre)
         right /= -np.linalg.norm(right)
         forward = np.cross(right, up)

@@ -15,7 +15,7 @@ from fourd.storage import local_copy, local_output
 
 @dataclass(frozen=True)
 class Arguments:
-    """Frames are quantised and compressed. Each frame can be read without the others, also over a network."""
+    """Frames are quantised and compressed. Each frame can be read on its own, also over a network."""
 
     scene: SceneLocation
     """The .4dv file to convert, of any version, or its URL."""

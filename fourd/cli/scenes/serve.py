@@ -32,7 +32,8 @@ class Arguments:
     port: int = 8000
     """Port to listen on. 0 selects a free port."""
     host: str = "127.0.0.1"
-    """Address to listen on. 0.0.0.0 lets other machines connect. The page of a run then needs a token."""
+    """Address to listen on. 0.0.0.0 lets other machines connect. If other machines can connect, the page of a run needs
+    a token."""
     token: Annotated[
         str | None,
         option(

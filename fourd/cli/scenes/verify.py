@@ -17,9 +17,9 @@ from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, checkpoint_files
 
 @dataclass(frozen=True)
 class Arguments:
-    """For a run, the command compares every checkpoint, also those of segments, with its BLAKE2b digests. For a scene,
-    the command compares every member of the file with its CRC-32 checksum and decodes all frames. For a capture, the
-    command decodes every image, matte and video. No file is changed."""
+    """For a run, the command compares every checkpoint, including checkpoints of segments, with its BLAKE2b digests.
+    For a scene, the command compares every member of the file with its CRC-32 checksum and decodes all frames. For a
+    capture, the command decodes every image, matte and video. No file is changed."""
 
     path: tyro.conf.Positional[Annotated[Location, PATH_OR_URL, tyro.conf.arg(metavar="RUN|SCENE|CAPTURE")]]
     """A run folder, a .4dv file or a capture folder, or the URL of one."""

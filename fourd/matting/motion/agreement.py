@@ -1,6 +1,6 @@
 """Multi-view consistency: a soft visual hull for each view, computed from the evidence of all other views.
 
-A voxel's score is the smallest log-odds among the views in which it is visible. With many views, the score is a
+A voxel's score is the smallest log-odds among the views in which the voxel is visible. With many views, the score is a
 slightly larger value, for example the second smallest log-odds, so that a few views may be wrong.
 """
 
@@ -131,7 +131,7 @@ class Scores:
         grid: the voxel grid.
         alive: (n,) indices of the voxels that are not rejected.
         total: (n,) scores from all views.
-        leave_one_out: (C, n) scores. Row c is computed from all views except that of camera c.
+        leave_one_out: (C, n) scores. Row c is computed from all views except the view of camera c.
     """
 
     grid: VoxelGrid

@@ -35,8 +35,8 @@ class Deviations:
 
     Attributes:
         shaded: share in (0, 1) of background pixels in shadow or in reflected light.
-        changed: share in (0, 1) of background pixels with another colour than that of the model, apart from shadow and
-            light.
+        changed: share in (0, 1) of background pixels whose colour differs from the model for other reasons than shadow
+            and light.
     """
 
     shaded: float = 0.3
@@ -92,7 +92,8 @@ class BackgroundModel:
         return np.exp(-0.5 * channel_sum(np.square(rgb - self.mean) / (2 * self.variance)))
 
     def matching_weight(self, rgb: Picture, weights: Floats, noise: float) -> Floats:
-        """For each pixel, sum the ``weights`` (T, h, w) of the frames (T, h, w, 3) whose colour matches the mean."""
+        """For each pixel, sum the ``weights`` (T, h, w) of the frames ``rgb`` (T, h, w, 3) whose colour matches the
+        mean."""
         total = np.zeros(rgb.shape[1:3], np.float32)
         for value, weight in zip(rgb, weights, strict=True):
             total += weight * _match(value.astype(np.float32) - self.mean, noise)

@@ -27,8 +27,8 @@ subject."""
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)
-"""Score above which a voxel belongs to the other views' hull. The threshold is below 0, because a score is nearly the
-lowest log-odds of all views, and single views often give slightly negative log-odds on the subject."""
+"""Score above which a voxel belongs to the other views' hull. A score is nearly the lowest log-odds of all views. The
+threshold is below 0, because single views often give slightly negative log-odds on the subject."""
 HULL_RANGE = np.float32(4.0)
 """Difference between HULL_THRESHOLD and the score at which the hull's evidence saturates."""
 CONFIDENT_LOG_ODDS = np.float32(4.0)
@@ -136,9 +136,9 @@ def combine_views(
         motions: length (h, w) of the optical flow in pixels in each camera, or None for a capture of one frame.
         grid: voxels of the hull, or None for a single camera or parallel cameras. Without a grid, each camera is
             processed independently.
-        local: local colours of the background. If they are given, a second pass follows the first. The first pass
-            determines the local colours of the subject. In the second pass, a second hull is carved with evidence from
-            the local colours of subject and background.
+        local: local colours of the background. If local colours are given, a second pass follows the first. The first
+            pass determines the local colours of the subject. In the second pass, a second hull is carved with evidence
+            from the local colours of subject and background.
         painted: log-odds (h, w) that the user painted, by camera; 0 where nothing is painted.
     """
     strokes = [None] * len(pictures) if painted is None else painted

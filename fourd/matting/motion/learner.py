@@ -149,8 +149,8 @@ class Learner:
     def _confirmed_background(self, weights: Floats) -> Flags:
         """Mask (h, w) of the pixels near the subject whose background colour is known.
 
-        The background colour is known outside the moving region. Inside the moving region, the background colour is
-        known where the ``weights`` (T, h, w) of frames that match the background model sum to more than
+        The background colour is known outside the moving region. Inside the moving region, the ``weights`` (T, h, w) of
+        the frames that match the background model are summed. The background colour is known where the sum exceeds
         CONFIRMED_FRAMES.
         """
         frames = self.appearance.background.matching_weight(self.sample.rgb, weights, self.extent.noise)

@@ -26,7 +26,7 @@ Picture = NDArray[np.uint8]
 MAX_SIDE_PX = 640
 """Maximum length in pixels of the longest side of the images from which log-odds are computed.
 
-If the capture's images are larger than this size, the refinement of edges adds the missing detail.
+In larger images, the refinement of edges adds the missing detail.
 """
 
 

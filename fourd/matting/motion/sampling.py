@@ -23,7 +23,8 @@ data needs 200 MB."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4
-"""Maximum distance, in frames, between the two frames of an optical flow. Four frames take 67 ms at 60 Hz."""
+"""Maximum distance, in frames, between the two frames of an optical flow. At 60 frames per second, 4 frames take 67
+ms."""
 
 
 @dataclass(frozen=True, eq=False)

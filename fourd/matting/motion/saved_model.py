@@ -45,7 +45,7 @@ def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundM
 
 
 def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
-    """Load a matte maker for ``cameras``. The image sizes of ``cameras`` must be those of the saved backgrounds.
+    """Load a matte maker for ``cameras``. The image sizes of ``cameras`` must equal the sizes of the saved backgrounds.
 
     Raises:
         UserError: if the file is damaged or belongs to other cameras.
@@ -74,7 +74,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
 
 
 def _check_size(path: Path, cameras: Sequence[Camera]) -> None:
-    """Raise ValueError if the decompressed arrays would be larger than those of any valid model."""
+    """Raise ValueError if the decompressed arrays would be larger than the arrays of any valid model."""
     most = MAX_OTHER_BYTES + MAX_BYTES_PER_PIXEL * sum(camera.width * camera.height for camera in cameras)
     with zipfile.ZipFile(path) as archive:
         size = sum(member.file_size for member in archive.infolist())

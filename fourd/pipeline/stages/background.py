@@ -109,7 +109,7 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
 def _log_unstable(shares: dict[str, float], log: Log) -> None:
     """Warn about cameras whose background changes over time.
 
-    ``shares`` maps the name of each such camera to the share of changing pixels.
+    ``shares`` maps the name of each camera with a changing background to the share of changing pixels.
     """
     if not shares:
         return

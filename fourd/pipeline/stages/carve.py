@@ -117,8 +117,8 @@ def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context)
 def _require_hull(capture: Capture, settings: CarveStageSettings, context: Context) -> None:
     """Raise UserError if the hulls of a few frames cover less than a third of the mattes' area.
 
-    If a hull is empty, no error is raised here, because carving raises an error that names the views that disagree
-    most.
+    An empty hull is not an error in this check, because carving later reports an empty hull and names the views that
+    disagree most.
     """
     quality = measure_mattes(
         capture,

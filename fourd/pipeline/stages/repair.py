@@ -27,7 +27,8 @@ RESULT = "repair.json"
 MAX_MEDIAN_PX = 1.0
 """Corrections are tried if the median residual is above this value in pixels."""
 MIN_SHARE = 0.5
-"""Corrections are tried if the share of matches within 3 pixels of their epipolar lines is below this value."""
+"""Corrections are tried if too few matches are within 3 pixels of their epipolar lines. This value is the minimum share
+of such matches."""
 
 
 @dataclass(frozen=True)

@@ -58,8 +58,8 @@ def run_train(files: TrainFiles, config: TrainConfig, context: Context) -> None:
 
 
 def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, context: Context) -> None:
-    """Train an existing run until the budget of ``config`` is spent, from its newest checkpoint if there is one. All
-    ranks call this function."""
+    """Train an existing run until the budget of ``config`` is spent. Training starts from the run's newest checkpoint,
+    if the run has checkpoints. All ranks call this function."""
     lpips, group = load_lpips(lpips_weights), context.group or ALONE
     if lpips is None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")

@@ -37,8 +37,8 @@ started stages."""
 
 @dataclass(frozen=True)
 class Started:
-    """The mark of a stage that was started on this machine: the key of the stage, the states of all files before the
-    stage started, and the leftovers of the stage."""
+    """The mark of a stage that was started on this machine. The mark contains the key and the leftovers of the stage,
+    and the states of all files before the start."""
 
     key: str
     before: Mapping[str, str]
@@ -54,7 +54,7 @@ def cache_folder(url: StorageUrl) -> Path:
 
 @dataclass(frozen=True)
 class Cache:
-    """The local copy in the folder ``root``. Several processes of a machine may use it at the same time."""
+    """The local copy in the folder ``root``. Several processes of a machine may use the folder at the same time."""
 
     root: Path
 
@@ -79,13 +79,13 @@ class Cache:
         self._copy(name).unlink(missing_ok=True)
 
     def mark_published(self, manifest: Manifest) -> None:
-        """Record that the local files of a stage are those of its manifest."""
+        """Record that the local files of a stage agree with its manifest."""
         write_text_atomically(self._copy(manifest.name), manifest.to_json())
         self._mark(manifest.name).unlink(missing_ok=True)
 
     def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:
-        """Paths of the files and links in ``folders`` that a stage wrote in earlier executions on this machine, or that
-        were copied from its manifest."""
+        """Paths of the files and links in ``folders`` that belong to a stage. The stage wrote them in earlier
+        executions on this machine, or they were copied from the stage's manifest."""
         started = self.started(name)
         if started is None:
             return self._copied(name)
@@ -199,7 +199,7 @@ class Cache:
                         (self.root / parent).rmdir()
 
     def _copied(self, name: str) -> set[str]:
-        """Paths of the files and links of a stage that were copied to or published from this machine."""
+        """Paths of a stage's files and links that were copied to this machine or published from this machine."""
         try:
             manifest = read_json(self._copy(name))
             return {*manifest["files"], *manifest["links"]}

@@ -67,8 +67,8 @@ class Manifest:
 
 
 def file_state(path: str, size: int, changed_ns: int) -> str:
-    """A text that changes when a file changes. The text of a run's config does not contain the size of the file,
-    because the config contains the path of the capture, which depends on the machine."""
+    """A text that changes when a file changes. For the config of a run, the text leaves out the file size, because the
+    size depends on the path of the capture on each machine."""
     return f"{0 if is_config(path) else size} {changed_ns}"
 
 

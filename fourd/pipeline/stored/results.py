@@ -57,7 +57,7 @@ class StoredResults:
         return manifest is not None and manifest.key == key and all(path.exists() for path in outside)
 
     def copy(self) -> None:
-        """Copy the results of the finished stages to this machine, except those of segments."""
+        """Copy the results of the finished stages to this machine, except the results of segments."""
         found = [self._manifests[name] for name, stage in self._stages.items() if self._is_read_here(name, stage)]
         with self._cache.locked():
             self._cache.copy(self._store, found, self._context.track)

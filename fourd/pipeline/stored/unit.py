@@ -56,9 +56,9 @@ def unit_stage(files: UnitFiles, key: str) -> Stage[UnitFiles, UnitSettings]:
 
 
 def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None:
-    """Copy the results that the stage reads, execute it, and publish its results.
+    """Copy the results that the stage reads, execute the stage, and publish its results.
 
-    If an earlier call on this machine was interrupted, the stage resumes from the files of this call.
+    If an earlier call on this machine was interrupted, the stage resumes from the files of the interrupted call.
     """
     if isinstance(files.source, Path) and not files.source.exists():
         raise UserError(

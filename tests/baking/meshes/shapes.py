@@ -13,7 +13,7 @@ DISTANCE = 3.0
 
 
 def front_camera(size: int) -> Camera:
-    """A camera at the origin that looks along +z. It has the intrinsics of the camera in tests/stylize/surfaces.py."""
+    """A camera at the origin that looks along +z, with the intrinsics of the camera in tests/stylize/surfaces.py."""
     intrinsics = np.array([[FOCAL, 0, size / 2], [0, FOCAL, size / 2], [0, 0, 1]])
     return Camera(intrinsics, np.eye(3), np.zeros(3), size, size)
 

@@ -24,7 +24,7 @@ Read = Callable[[Path], Imported]
 
 
 def uneven_cameras(count: int, distortion: np.ndarray | None = None) -> list[Camera]:
-    """Cameras in a ring. All numbers of their intrinsics are different, so that tests detect swapped intrinsics."""
+    """Cameras in a ring. All intrinsic parameters have different values, so that tests detect swapped parameters."""
     cameras = []
     for index, camera in enumerate(ring_cameras(count, WIDTH)):
         intrinsics = np.array([[26.0 + index, 0, 11.3], [0, 27.5, 8.9 - 0.1 * index], [0, 0, 1]])

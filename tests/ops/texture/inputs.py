@@ -37,8 +37,8 @@ def random_lookup(
     picture: tuple[int, int] = (30, 40),
     size: tuple[int, int] = (8, 16),
 ) -> Lookup:
-    """Make two pictures of random positions inside and outside the texture. Their mip levels range from below 0 to
-    above the last level.
+    """Make two pictures of random positions inside and outside the texture. The mip levels of the positions range from
+    below 0 to above the last level.
     """
     is_cube = boundary_mode == "cube"
     coordinates = 3 if is_cube else 2

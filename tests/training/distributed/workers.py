@@ -1,4 +1,4 @@
-"""Work of one rank. Tests run it in a process: ``python -m tests.training.distributed.workers FOLDER``."""
+"""Work of one rank. Tests run this module in a process: ``python -m tests.training.distributed.workers FOLDER``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Chromium that all tests of the web player share, and the sites that it opens."""
+"""A Chromium browser that all tests of the web player share, and the sites that the browser opens."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def browser() -> Iterator[Any]:
 @pytest.fixture(scope="session")
 def object_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site of an object scene. Most pixels of the subject have more than K layers of points. Tests must not change
-    it."""
+    the site."""
     folder = tmp_path_factory.mktemp("object")
     write_scene(folder / "scene.4dv", frames=6, points=4000)
     write_site(folder / "scene.4dv", folder / "site", "full", 'A <scene> & "more"')

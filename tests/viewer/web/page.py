@@ -19,7 +19,7 @@ IS_READY = "player.firstImageMs > 0 || (!player.panel.message.hidden && player.p
 
 
 class PlayerPage:
-    """Opens a page and runs functions with its player, which is `player` in scripts."""
+    """Opens a page and runs scripts with the page's player. In the scripts, the player has the name `player`."""
 
     def __init__(self, page: Any, url: str) -> None:
         self.page = page
@@ -55,7 +55,7 @@ class PlayerPage:
         return self.message()
 
     def pause(self, frame: int) -> None:
-        """Pause at a frame, and wait until it is shown."""
+        """Pause at a frame, and wait until the page shows the frame."""
         self.ready()
         self.run("player.seek(argument); await player.settled();", frame)
 
