@@ -45,7 +45,8 @@ def test_every_dependency_is_locked() -> None:
 
 
 def test_locked_versions_are_the_pinned_ones() -> None:
-    """Catches a lock file whose versions differ from those in constraints.txt, which the README's command uses."""
+    """Catches a lock file whose versions differ from the versions in constraints.txt, which the README's command
+    uses."""
     lines = (ROOT / "constraints.txt").read_text().splitlines()
     pinned = {name_of(line): line.partition("==")[2] for line in lines if line and not line.startswith("#")}
     versions: dict[str, set[str]] = {}

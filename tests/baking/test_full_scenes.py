@@ -325,7 +325,7 @@ def test_any_damage_is_a_user_error(scene: Path, rng: np.random.Generator) -> No
 
 
 def error_message(scene: Path) -> str:
-    """Return the error message of reading all frames, or '' if there is no error."""
+    """Read all frames, and return the error message, or '' if no error occurs."""
     try:
         reader = SceneReader(scene)
         for index in range(reader.manifest.frame_count):

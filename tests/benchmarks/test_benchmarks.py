@@ -100,8 +100,8 @@ def test_quick_bench_command(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 
 def test_the_textured_plane_needs_mip_levels() -> None:
-    """Catches a benchmark in which all footprints are smaller than a texel, so that no mip levels are blended, and a
-    backward pass that computes no gradients.
+    """Catches a backward pass that computes no gradients. Also catches a benchmark whose footprints are all smaller
+    than a texel, so that no mip levels are blended.
     """
     plane = make_textured_plane(64)
     by_x, by_y = plane["uv_da"].unflatten(-1, (2, 2)).unbind(-1)

@@ -73,7 +73,8 @@ def test_a_rig_is_calibrated_from_videos(videos: Path, tmp_path: Path, capsys: p
 
 
 def test_the_floor_and_known_lenses(videos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a world frame that is not that of the board in the floor frame, and known lenses that are changed."""
+    """Catches a world frame that differs from the board's coordinate frame in the floor image, and known lenses that are
+    changed."""
     out, truth = tmp_path / "calibration", cameras_in(videos / "truth")
     words = ["--intrinsics", videos / "truth", "--floor-frame", 5, "--frames", "0:24:2"]
     calibrate(capsys, videos, "--board", videos / "board.toml", "-o", out, *words)
@@ -287,7 +288,7 @@ def test_missing_arguments_are_named(videos: Path, tmp_path: Path, capsys: pytes
 
 
 def test_the_import_takes_the_calibration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches cameras of an import that are not those of the given calibration, and a calibration that is ignored."""
+    """Catches an import whose cameras differ from the given calibration, and a calibration that is ignored."""
     videos, renamed = tmp_path / "videos", tmp_path / "renamed"
     make_board_videos(videos, BoardSettings(frames=3, cameras=2, size=128), untracked)
     renamed.mkdir()

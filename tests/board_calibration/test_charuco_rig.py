@@ -47,7 +47,8 @@ def compare_pairs(found: dict[str, Calibration]) -> tuple[float, float]:
 
 
 def test_poses_with_known_lenses(tmp_path: Path) -> None:
-    """Catches wrong corners on the back of the board, and camera poses that disagree with those of another program."""
+    """Catches wrong corners on the back of the board, and camera poses that disagree with the poses of another
+    program."""
     out = tmp_path / "calibration"
     words = ["calibrate", RIG, "--board", RIG / "board.toml", "-o", out, "--intrinsics", LENSES]
     assert main([str(word) for word in words]) == 0

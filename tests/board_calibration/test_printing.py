@@ -82,7 +82,8 @@ def test_squares_are_printed_at_true_scale(page: str, size: tuple[float, float],
 
 
 def test_the_back_is_mirrored(tmp_path: Path) -> None:
-    """Catches a back whose corners are not behind those of the front when the sheet is turned about its long edge."""
+    """Catches a back side whose corners are not behind the corners of the front when the sheet is turned about its long
+    edge."""
     board = replace(BOARD, inverted=True, double_sided=True)
     write_board(tmp_path / "board.toml", board)
     path = tmp_path / "board.pdf"

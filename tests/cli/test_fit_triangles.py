@@ -104,7 +104,7 @@ def test_an_interrupted_fit_writes_its_mesh(
 def test_captures_without_masks_are_refused(
     ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a message that differs from that of fourd mesh."""
+    """Catches a message that differs from the message of fourd mesh."""
     bare = tmp_path / "bare"
     shutil.copytree(ball_capture, bare, ignore=shutil.ignore_patterns("masks", ".fourd"))
     assert main(["fit-triangles", str(bare), "-o", str(tmp_path / "a.glb")]) == 2

@@ -45,7 +45,7 @@ def test_wrong_options_are_one_line(
 
 
 def test_masks_of_the_capture_are_used(ball_capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches mattes that are made for a capture with masks, and clean plates that are not made for such a capture."""
+    """Catches a capture with masks for which mattes are made, or for which no clean plates are made."""
     capture = tmp_path / "capture"
     shutil.copytree(ball_capture, capture)
     assert main(["matte", str(capture), "--workers", "1"]) == 0

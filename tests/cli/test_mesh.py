@@ -110,7 +110,7 @@ def test_runs_give_their_views_and_frames(capture: Path, tmp_path: Path) -> None
 
 
 def test_captures_without_masks_are_refused(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a message that differs from that of fourd carve, and files that are written before the check."""
+    """Catches a message that differs from the message of fourd carve, and files that are written before the check."""
     bare = tmp_path / "bare"
     shutil.copytree(capture, bare, ignore=shutil.ignore_patterns("masks", ".fourd"))
     assert main(["mesh", str(bare), "-o", str(tmp_path / "meshes")]) == 2

@@ -29,7 +29,7 @@ def pack(*words: object) -> int:
 def test_pack_writes_a_smaller_scene_and_prints_sizes(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a tier that is ignored, and sizes that are not those of the file."""
+    """Catches a tier that is ignored, and reported sizes that differ from the sizes in the file."""
     sizes = {}
     for tier in ("full", "stream", "video", "light"):
         out = tmp_path / f"{tier}.4dv"

@@ -148,8 +148,8 @@ def all_faults(chain: Chain) -> list[tuple[int, Mode, int]]:
 
 
 def test_some_faults_lose_nothing(chain: Chain, rng: np.random.Generator) -> None:
-    """Catches files that are written in part, lost results, leftover files, and results of the next run that differ
-    from those of a run without faults.
+    """Catches partly written files, lost results, leftover files, and a next run whose results differ from the results
+    without faults.
     """
     faults = all_faults(chain)
     chosen = [

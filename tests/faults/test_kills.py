@@ -41,8 +41,8 @@ def run_kills(tmp_path: Path, rng: np.random.Generator, count: int) -> None:
 
 
 def test_killed_commands_end_with_the_same_scene(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches damaged or lost results of a stage, a scene that differs from that of an uninterrupted command, and
-    leftover files, after kill -9 and Ctrl-C at random times.
+    """Catches damaged or lost results of a stage after kill -9 or Ctrl-C at a random time. Also catches leftover files,
+    and a scene that differs from the scene of an uninterrupted command.
     """
     run_kills(tmp_path, rng, QUICK)
 

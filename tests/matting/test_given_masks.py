@@ -67,8 +67,8 @@ def test_mattes_are_kept_if_another_method_fails(capture: Path, tmp_path: Path) 
 def test_mattes_are_kept_until_new_ones_are_complete(
     capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches old mattes that are deleted before all new masks are read, new mattes that are mixed with old ones, and
-    finished new mattes that are written again by the next call.
+    """Catches old mattes that are deleted before all new masks are read, and new mattes that are mixed with old mattes.
+    Also catches finished new mattes that the next call writes again.
     """
     own, masks = tmp_path / "capture", tmp_path / "masks"
     shutil.copytree(capture, own, copy_function=shutil.copy2)
@@ -116,8 +116,8 @@ def _fail_after(count: int) -> Callable[[Path, np.ndarray], None]:
 def test_a_killed_exchange_of_mattes_loses_nothing(
     at: int, capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a kill between two steps of the exchange of old and new mattes, after which the next call reports
-    complete mattes that are those of other settings, or makes finished mattes again.
+    """The command is killed between two steps of the exchange of old and new mattes. Catches a next call that keeps
+    mattes of other settings, or that makes finished mattes again.
     """
     own = tmp_path / "capture"
     shutil.copytree(capture, own, copy_function=shutil.copy2)

@@ -123,8 +123,8 @@ def test_a_missing_package_is_named(ball_capture: Path, tmp_path: Path, capsys: 
 
 @needs_ray
 def test_a_killed_worker_is_replaced_and_failures_wait_for_the_others(cluster: Cluster, tmp_path: Path) -> None:
-    """Catches a command that fails because a worker is lost, a failed stage that stops the other stages, and a message
-    that does not name the node.
+    """Catches a command that fails because a worker is lost, and a failed stage that stops the other stages. Also
+    catches a message that does not name the node.
     """
     stages: list[AnyStage] = [
         Stage("bad", fail, CounterFiles(tmp_path / "bad"), NoSettings(), is_parallel=True),

@@ -99,8 +99,8 @@ def test_videos_become_a_scene(tmp_path: Path) -> None:
 def test_mattes_of_the_chosen_method_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches mattes of fourd matte --method masks that fourd make replaces by mattes of the default method, mattes of
-    earlier images that are kept silently, and --method of fourd make without an effect.
+    """Catches mattes of fourd matte --method masks that fourd make replaces by mattes of the default method. Also
+    catches mattes of earlier images that are kept silently, and an option --method of fourd make that has no effect.
     """
     monkeypatch.setenv("COLUMNS", "1000")
     capture = write_capture_without_masks(tmp_path, frames=3, size=64)

@@ -53,9 +53,9 @@ def test_generator_repeats_the_estimate_and_samples_reduce_its_noise() -> None:
 
 
 def test_pixels_credit_only_what_they_show_in_either_image() -> None:
-    """Catches loss differences of a pixel that are added to primitives that the pixel does not show, or that are added
-    twice to a primitive that the pixel shows in both images. Also catches a pixel that ignores the primitive of the
-    second image. In the second image, primitive 1 replaces primitive 0 in one pixel.
+    """Catches a pixel whose loss difference is added to a primitive that the pixel does not show. Also catches a loss
+    difference that is added twice to a primitive that the pixel shows in both images. Also catches a pixel that ignores
+    the primitive of the second image. In the second image, primitive 1 replaces primitive 0 in one pixel.
     """
     params = torch.zeros(3, 1, dtype=torch.float64)
     calls = iter([torch.tensor([[0, 0]]), torch.tensor([[1, 0]])])
@@ -77,8 +77,8 @@ def test_several_ids_in_a_pixel_and_epsilon_for_each_parameter() -> None:
 
 
 def test_invalid_arguments_are_named() -> None:
-    """Catches ids whose size is not that of the image and perturbations of size 0, which give wrong gradients without
-    an error.
+    """Catches wrong gradients, without an error, for ids of another size than the image and for perturbations of size
+    0.
     """
     params = torch.zeros(3, 2)
 

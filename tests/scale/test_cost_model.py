@@ -13,8 +13,8 @@ STUDIO = Capture(60, 18000, 3840 * 2160 / 1e6)
 
 
 def test_workers_share_the_cores_that_exist() -> None:
-    """Catches a model in which four workers on two cores are four times as fast, and one that forgets the works that
-    do not fill the last round of workers.
+    """Catches a model in which four workers on two cores are four times as fast as one worker. Also catches a model
+    that leaves out the jobs of an incomplete last round of workers.
     """
     works = [10.0] * 6
     assert makespan(works, slots=1, cores=2) == pytest.approx(60)

@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_a_simulation_resumes_after_the_last_unit(tmp_path: Path) -> None:
-    """Catches simulated stages that are not those of fourd make, a scene that does not depend on all of them, and units
-    that are repeated although they were finished.
+    """Catches simulated stages that differ from the stages of fourd make, and a scene that does not depend on all
+    stages. Also catches finished units that are repeated.
     """
     simulation = Simulation(tmp_path / "one", cameras=3, frames=30, segment=12, units=3, seconds=0.0)
     simulation.write_capture()

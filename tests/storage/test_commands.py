@@ -35,8 +35,8 @@ def test_a_scene_is_made_from_and_in_a_bucket(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Catches a stage between capture and scene that uses a URL as a path or reads an outdated copy, and a second
-    upload of an unchanged scene.
+    """Catches a stage between capture and scene that uses a URL as a path or reads an outdated copy. Also catches a
+    second upload of an unchanged scene.
     """
     monkeypatch.chdir(tmp_path)
     put_folder(bucket.files, small_capture, f"{bucket.name}/captures/ball")

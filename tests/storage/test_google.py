@@ -1,5 +1,5 @@
-"""Tests of gs:// URLs on a local emulator of Google Cloud Storage. They need gcsfs and gcp-storage-emulator, which are
-not in the extra dev, because the releases of gcsfs and of s3fs need different versions of fsspec.
+"""Tests of gs:// URLs on a local emulator of Google Cloud Storage. The tests need gcsfs and gcp-storage-emulator. Both
+packages are missing in the extra dev, because the releases of gcsfs and of s3fs need different versions of fsspec.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def store() -> Iterator[Any]:
 
 
 def test_objects_are_written_and_read(store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Catches parts with a size that Google Cloud Storage refuses, lost bytes of small, empty and large files, and a
-    version of an object that gcsfs reports under another name.
+    """Catches parts with a size that Google Cloud Storage refuses, and lost bytes of small, empty and large files. Also
+    catches an object's version that gcsfs reports under another name.
     """
     monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", MEGABYTE)
     contents = {"empty": b"", "small": b"text", "large": os.urandom(3 * MEGABYTE + 5)}

@@ -160,7 +160,8 @@ def test_a_refusal_comes_before_the_work(bucket: Bucket) -> None:
 def test_an_unchanged_scene_is_not_uploaded_again(
     bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches an upload of a scene that is already there, and a changed or removed object that is taken for it."""
+    """Catches a scene that is uploaded although the store has it already, and a scene that is not uploaded although its
+    object was changed or removed."""
     path, url, record = tmp_path / "scene.4dv", StorageUrl(f"{bucket.url}/scene.4dv"), tmp_path / "uploaded.json"
     key = f"{bucket.name}/scene.4dv"
     path.write_bytes(b"first")

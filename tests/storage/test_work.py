@@ -115,8 +115,8 @@ def states(printed: str) -> dict[str, str]:
 def test_an_empty_machine_reuses_finished_stages(
     bucket: Bucket, machines: Machines, videos: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches keys and files that depend on the folder of the local copy, lost links of an import, times of
-    changes that are not restored, and a scene that differs from that of a folder.
+    """Catches keys and files that depend on the folder of the local copy, lost links of an import, and modification
+    times that are not restored. Also catches a scene that differs from the scene made in a local folder.
     """
     put_folder(bucket.files, videos, f"{bucket.name}/videos")
     source = f"{bucket.url}/videos"
@@ -230,8 +230,8 @@ def test_the_frame_rate_reaches_other_machines(
 def test_a_cluster_without_shared_paths(
     bucket: Bucket, machines: Machines, ball: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Catches a node that needs a path of another machine, results that only the node has that made them, and a lost
-    worker whose stage is not repeated elsewhere.
+    """Catches a node that needs a path of another machine, and results that stay on the node that made them. Also
+    catches a lost worker whose stage is not repeated on another worker.
     """
     pytest.importorskip("ray", reason="needs ray (pip install 'fourd[cluster]')")
     put_folder(bucket.files, ball, f"{bucket.name}/ball")

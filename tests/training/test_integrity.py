@@ -29,7 +29,7 @@ def trained(ball_capture: Path, tmp_path_factory: pytest.TempPathFactory) -> Run
 
 @pytest.fixture
 def run(trained: Run, tmp_path: Path) -> Run:
-    """A copy of the run, whose checkpoints are those of the steps 3 and 6."""
+    """A copy of the run, with checkpoints of the steps 3 and 6."""
     shutil.copytree(trained.folder, tmp_path / "run")
     return open_run(tmp_path / "run")
 

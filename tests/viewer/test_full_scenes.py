@@ -55,8 +55,8 @@ CAMERAS = {
 
 @cache
 def request_from(camera: str) -> RenderRequest:
-    """A render request for a ball in a room. The points of the walls are tens of times as far away and as large as
-    those of the ball."""
+    """A render request for a ball in a room. The points of the walls are tens of times as far away and tens of times as
+    large as the points of the ball."""
     room = room_frame(1200, 6, seed=2, half=HALF)
     shadow = np.where(room.xyz[:, 2] < 0, 70, 128).astype(np.uint8)
     settings = DisplaySettings(MAX_LAYERS, (0.2, 0.4, 0.8))

@@ -128,8 +128,8 @@ def test_unchanged_requests_reuse_their_objects(scene: Path) -> None:
 
 
 def test_the_user_s_layers_override_the_scene_s(tmp_path: Path) -> None:
-    """Catches a scene that is drawn with the number of layers of the previous scene, and a number chosen by the user
-    that the next scene resets.
+    """Catches a scene that is drawn with the number of layers of the previous scene. Also catches a number of layers
+    that the user chose and that the next scene resets.
     """
     write_scene(tmp_path / "one.4dv")
     session = Session(DisplaySettings(layers=0))
@@ -183,7 +183,7 @@ def test_a_run_shows_its_newest_checkpoint(ball_capture: Path, tmp_path: Path, m
 
 
 def test_a_run_s_frames_equal_those_of_its_export(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a live view of a run whose cameras, colours or shading differ from those of the exported scene."""
+    """Catches a live view of a run whose cameras, colours or shading differ from the exported scene."""
     from fourd.baking.bake import bake_run
     from fourd.training.run import load_run
     from tests.training.small import quiet

@@ -224,7 +224,7 @@ def test_screenshots_recordings_and_the_last_view(display: Screen, scene: Path, 
 
 
 def test_a_recorded_path_becomes_a_video(viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a video whose length or size differs from that of the recorded path."""
+    """Catches a video with another length than the recorded path, or with another image size than the window."""
     import av
 
     viewer.key("F9")

@@ -31,7 +31,8 @@ TIERS: tuple[Tier, ...] = ("full", "stream", "video", "light")
 
 
 def natural_frame(points: int, views: int, rng: np.random.Generator) -> BakedFrame:
-    """Return a sphere of points like those of a trained scene, with smooth colours and views that see half of it."""
+    """Return a sphere of points that resemble the points of a trained scene, with smooth colours and views that see
+    half of the sphere."""
     normal = rng.normal(size=(points, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     frame = random_frame(points, views, seed=int(rng.integers(2**31)))

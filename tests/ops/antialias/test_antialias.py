@@ -128,7 +128,7 @@ def test_reference_gradients_equal_finite_differences(rng: np.random.Generator) 
 
 
 def test_topology_argument_gives_the_same_bits(rng: np.random.Generator) -> None:
-    """Catches a topology computed in advance whose result differs from that of a topology computed in the call."""
+    """Catches results that differ between a topology computed in advance and a topology computed in the call."""
     scene = random_scene(rng)
     upstream = upstream_of(scene, rng)
     topology = antialias_construct_topology(scene.tri)

@@ -186,7 +186,7 @@ def test_outlines_are_closed() -> None:
 
 @pytest.mark.parametrize("lines", ["sobel", "cross"])
 def test_backs_of_surfaces_have_no_lines_inside(lines: str) -> None:
-    """Catches speckle at holes of the points, where the back of a surface is visible, and missing outlines there."""
+    """Catches speckle and missing outlines at holes between points, through which the back of a surface is visible."""
     depth = np.full((60, 60), np.inf)
     depth[10:50, 10:50] = 3.0
     depth[25:35, 25:35] = 3.6

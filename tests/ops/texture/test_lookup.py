@@ -40,7 +40,8 @@ def test_a_footprint_of_two_to_the_k_texels_reads_level_k(level: float, angle: f
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_the_bias_alone_is_the_level(backend: str) -> None:
-    """Catches a level that is not 0 before the bias is added if there is no uv_da, and levels that are not clamped."""
+    """Catches levels that are not clamped. Also catches a lookup without uv_da whose level is not 0 before the bias is
+    added."""
     base, *mips = level_picture(16, 5)
     bias = torch.tensor([-2.0, 0, 0.25, 1.5, 4, 9, math.nan, math.inf, -math.inf])[None, None]
     uv = torch.full((1, 1, 9, 2), 0.4)

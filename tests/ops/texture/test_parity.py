@@ -70,8 +70,8 @@ def test_gpu_gives_own_mips_their_own_gradients(gpu: torch.device, rng: np.rando
 
 
 def test_large_textures_equal_the_reference(rng: np.random.Generator) -> None:
-    """Catches wrong gradients of texels at the borders of the bands that the backward pass divides a texture into, and
-    of bands whose pixels are summed in several parts.
+    """The backward pass divides a texture into bands. Catches wrong gradients of texels at the borders of bands, and in
+    bands whose pixels are summed in several parts.
     """
     lookup = random_lookup(rng, "wrap", 3, items=1, picture=(200, 320), size=(128, 256))
     # Many pixels read the same few texels.

@@ -53,7 +53,7 @@ def test_colours_equal_the_reference(
 
 
 def test_a_pinhole_shows_the_picture_of_the_compositor(rng: np.random.Generator) -> None:
-    """Catches discs whose shape or order differs from those of the point compositor."""
+    """Catches discs whose shape or order differs from the discs of the point compositor."""
     xyz, radius, density, colours = discs(rng, 4000)
     camera = ring(3, size=96)[1]
     rgb, alpha, _ = render_points_numpy(xyz, colours, radius, density.clip(max=1), camera, layers=12, near=0.01)

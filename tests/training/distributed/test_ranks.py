@@ -105,8 +105,8 @@ def test_a_training_step_has_the_mean_gradient_of_its_views(gradients: Path, tmp
 
 
 def test_each_rank_samples_all_views_of_its_own_frames(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches a frame that two ranks train, views that are never sampled, and a run with one rank whose samples differ
-    from those of training without ranks.
+    """Catches a frame that two ranks train, and views that are never sampled. Also catches a run with one rank whose
+    samples differ from the samples of training without ranks.
     """
     run = create_run(ball_capture, tmp_path / "run", SMALL)
     views, frames = len(run.training), run.capture.frame_count
@@ -131,8 +131,8 @@ def torchrun(ranks: int, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_a_run_resumes_with_another_number_of_ranks(ball_capture: Path, tmp_path: Path) -> None:
-    """Catches points that only one rank has, a checkpoint that another number of ranks cannot read, and steps that are
-    counted once per rank or not at all."""
+    """Catches points that only one rank has, and a checkpoint that another number of ranks cannot read. Also catches
+    steps that are counted once per rank or not at all."""
     overlay, run = tmp_path / "small.yaml", tmp_path / "run"
     overlay.write_text(OVERLAY)
     words = ["train", str(ball_capture), "-o", str(run)]

@@ -38,8 +38,8 @@ def observe(points: FramePoints, large: torch.Tensor) -> None:
 
 
 def test_new_points_lie_among_those_with_the_largest_gradients() -> None:
-    """Catches new points at a wrong position or off the surface, and new points whose attributes do not match those of
-    their parents."""
+    """Catches new points at a wrong position or off the surface, and new points whose attributes do not match the
+    attributes of their parents."""
     points = sheet()
     large = points.xyz[:, 0] > 0.175
     observe(points, large)

@@ -64,8 +64,8 @@ def test_saving_copies_the_newest_file_of_an_evicted_frame(tmp_path: Path) -> No
 
 
 def test_numbers_of_visible_points_are_rounded_up() -> None:
-    """Catches a visible point that is not selected, and a selected hidden point whose weight is less than that of an
-    unselected point."""
+    """Catches a visible point that is not selected, and a selected hidden point that has less weight than an unselected
+    point."""
     weight = torch.rand(3 * COUNT_STEP + 5, generator=torch.Generator().manual_seed(1))
     rows = select_heaviest(weight, 0.5)
     assert rows.tolist() == sorted(set(rows.tolist()))

@@ -102,7 +102,7 @@ def test_planes_are_dropped_if_points_are_added_or_removed(rng: np.random.Genera
 
 
 def test_a_cloud_with_few_points_is_not_smoothed(rng: np.random.Generator) -> None:
-    """Catches a search for more neighbours than there are points."""
+    """Catches a search for more neighbours than the cloud has points."""
     points = cloud(sphere(rng, noise=0.6)[: NEIGHBOURS - 1])
     before = points.xyz.clone()
     smooth(points, rate_spacings=0.3, steps=1)

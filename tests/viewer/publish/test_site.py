@@ -62,8 +62,8 @@ def test_transcoding_keeps_the_points(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("tier", ["stream", "video", "light"])
 def test_sites_have_normals(tier: Tier, tmp_path: Path) -> None:
-    """Catches normals whose order differs from that of the points, a site without the scene's normals, and a file in
-    which the members that every player fetches are not adjacent.
+    """Catches normals whose order differs from the order of the points, and a site without the scene's normals. Also
+    catches a file in which the members that every player fetches are not adjacent.
     """
     write_shells(tmp_path / "scene.4dv", frames=1, points=3000)
     write_site(tmp_path / "scene.4dv", tmp_path / "site", tier)

@@ -156,7 +156,7 @@ def test_waiting_returns_the_order_of_the_request(orders: BackgroundOrders) -> N
 
 
 def test_the_first_order_is_that_of_the_request(orders: BackgroundOrders) -> None:
-    """Catches a first image without points, or a crash because there is no depth order before the first image."""
+    """Catches a first image without points, or a crash, because no depth order exists before the first image."""
     request = make_request()
     assert_orders(orders.order(request, False), request)
 

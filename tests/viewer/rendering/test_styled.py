@@ -86,8 +86,8 @@ def require_equal_pictures(
 def test_shaders_equal_the_reference(
     height: int, width: int, rows: int, rng: np.random.Generator, context: moderngl.Context
 ) -> None:
-    """Catches a wrong border or tap in the shaders, a uniform that is not set, lines of the wrong image, and lines that
-    fade in where the surface moves."""
+    """Catches a wrong border or filter tap in the shaders, and a uniform that is not set. Also catches lines of the
+    wrong image, and lines that fade in where the surface moves."""
     require_equal_pictures(context, random_surface(rng, height, width), random_parameters(rng, rows), rng)
 
 
@@ -112,8 +112,8 @@ def _is_near_thresholds(previous: Surface, fresh: Surface) -> np.ndarray:
 
 @pytest.mark.parametrize("kind", [SortedBlending, DepthPeeling, DualDepthPeeling])
 def test_surfaces_equal_those_of_the_cpu(kind: type, rng: np.random.Generator, context: moderngl.Context) -> None:
-    """Catches normals in world axes, depths that are not divided by alpha, weights that differ from those of the
-    colours, and averages with the surface of a previous camera.
+    """Catches normals in world axes, depths that are not divided by alpha, and weights that differ from the weights of
+    the colours. Also catches averages with the surface of a previous camera.
     """
     frames = [add_normals(shell_frame(1500, int(rng.integers(1000))), MANIFEST) for _ in range(2)]
     camera, player, orders = small_camera(1), StyledPlayer(), ExactOrders()
@@ -193,8 +193,8 @@ def test_style_can_be_switched_off_and_on(name: RendererName, context: moderngl.
 
 @pytest.mark.parametrize("name", GL_RENDERERS)
 def test_lines_fade_in_as_with_the_cpu(name: RendererName, context: moderngl.Context) -> None:
-    """Catches lines of single images at full strength, faint lines after a change of the style or of the camera, and a
-    time of the stylizer that is not measured.
+    """Catches lines of single images at full strength, and faint lines after a change of the style or of the camera.
+    Also catches a missing measurement of the stylizer's time.
     """
     still = add_normals(shell_frame(12000, 1), MANIFEST)
     towards = small_camera(2).centre - still.xyz

@@ -56,8 +56,8 @@ def drop_style(viewer: Viewer, path: Path, text: str) -> None:
 
 
 def test_keys_and_dropped_files_choose_styles(viewer: Viewer, tmp_path: Path) -> None:
-    """Catches a style that has no effect in the window, errors in a style file that end the viewer or remove the
-    picture, and a missing notice.
+    """Catches a style that has no effect in the window, and a missing notice. Also catches errors in a style file that
+    end the viewer or remove the picture.
     """
     plain = picture(viewer)
     viewer.key("t")

@@ -29,9 +29,7 @@ def video_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_page_samples_the_same_colours(video_site: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches a projection, rounding, colour conversion or chroma position that differs from that of
-    the Python reader.
-    """
+    """Catches a projection, rounding, colour conversion or chroma position that differs from the Python reader."""
     reader = SceneReader(video_site / SCENE_NAME)
     with serving(video_site) as server:
         page = open_page(server.url)

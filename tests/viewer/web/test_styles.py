@@ -70,8 +70,8 @@ def picture_of(page: PlayerPage, scene: Path) -> NDArray[np.uint8]:
 
 @pytest.mark.parametrize("name", [*PRESETS, "mixed"])
 def test_pictures_resemble_those_of_the_cpu(name: str, folder: Path, open_page: Callable[..., PlayerPage]) -> None:
-    """Catches shaders that differ from those of the window, normals in world axes, stylizer parameters of another
-    camera, and lines of a paused frame that stay faint.
+    """Catches shaders that differ from the shaders of the window, and normals in world axes. Also catches stylizer
+    parameters of another camera, and lines of a paused frame that stay faint.
     """
     scene = folder / "site" / SCENE_NAME
     with serving(folder / "site") as server:

@@ -29,7 +29,7 @@ def test_it_plays_loops_and_pauses(open_page: Callable[..., PlayerPage], object_
 
 
 def test_keys_and_the_time_bar_select_frames(play: PlayerPage) -> None:
-    """Catches keys without effect, and a time bar whose frame differs from that of the image."""
+    """Catches keys without effect, and a time bar that shows another frame than the image."""
     play.run("player.focus();")
     for key, frame in (("End", 5), ("ArrowRight", 0), ("ArrowRight", 1), ("Home", 0), ("ArrowLeft", 5)):
         play.page.keyboard.press(key)

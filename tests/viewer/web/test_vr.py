@@ -128,7 +128,8 @@ def test_both_eyes_show_the_image_of_the_cpu(
         expected.append(Player().draw(frame, eye_camera(eye, pose), manifest)[..., :3])
     for own, other in ((0, 1), (1, 0)):
         assert expected[own].std() > 15
-        # The eyes share the source views of the head, whose weights differ a little from those of each eye.
+        # Both eyes share the source views and the weights of the head. The weights of the head differ slightly from the
+        # weights of each eye.
         assert psnr(got[own], expected[own]) > max(35, psnr(got[own], expected[other]) + 10)
     assert page.problems == []
 

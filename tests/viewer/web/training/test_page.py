@@ -86,8 +86,8 @@ def wait_for(page: Any, selector: str, text: str) -> None:
 
 
 def test_a_run_is_watched_and_controlled(run: Path, tmp_path: Path, open_run: Callable[..., Any]) -> None:
-    """Catches curves without values, a page that is wider than a phone, buttons that send another request, and a
-    page that does not show the end of the training."""
+    """Catches curves without values, a page that is wider than a phone, and buttons that send another request. Also
+    catches a page that does not show the end of the training."""
     with serving(run, tmp_path / "site") as server:
         with LiveSession(run, 1000, True, Terminal(quiet=True)) as live:
             live.show(StepCount(400, 120.0, 0.4))
