@@ -72,8 +72,8 @@ def test_temporary_files_of_one_target_are_removed(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_replaced_as_a_whole(tmp_path: Path) -> None:
-    """Catches a failed write that changes the target folder, old files that remain in the target folder, and temporary
-    folders that remain beside it."""
+    """Catches a failed write that changes the target folder, and old files that remain in the target folder. Also
+    catches temporary folders that remain beside the target folder."""
     target = tmp_path / "results"
     with atomic_folder(target) as folder:
         (folder / "a.txt").write_text("first")

@@ -25,8 +25,8 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path: Path) -> None:
 
 
 def test_missing_files_and_folders_are_errors_of_the_system(tmp_path: Path) -> None:
-    """Catches readers whose own error message for a missing file is replaced by a general one, and file descriptors of
-    folders that stay open.
+    """Catches a general error message that replaces a reader's own message for a missing file. Also catches file
+    descriptors of folders that stay open.
     """
     descriptors = len(os.listdir("/proc/self/fd"))
     require_regular(tmp_path / "absent")

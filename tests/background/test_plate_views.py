@@ -36,7 +36,7 @@ def make_plate(folder: Path, name: str, rgb: np.ndarray, seen: np.ndarray | None
 
 
 def provide(folder: Path, name: str, picture: np.ndarray) -> Path:
-    """Write a plate as the user provides it, in RGB or RGBA."""
+    """Write a plate like those of users, in RGB or RGBA."""
     path = folder / "bgs" / name
     path.parent.mkdir(exist_ok=True)
     code = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR

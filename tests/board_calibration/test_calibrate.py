@@ -73,8 +73,8 @@ def test_a_rig_is_calibrated_from_videos(videos: Path, tmp_path: Path, capsys: p
 
 
 def test_the_floor_and_known_lenses(videos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a world frame that differs from the board's coordinate frame in the floor image, and known lenses that are
-    changed."""
+    """Catches a world frame that differs from the board's coordinate frame in the floor image, and known lenses that
+    are changed."""
     out, truth = tmp_path / "calibration", cameras_in(videos / "truth")
     words = ["--intrinsics", videos / "truth", "--floor-frame", 5, "--frames", "0:24:2"]
     calibrate(capsys, videos, "--board", videos / "board.toml", "-o", out, *words)

@@ -99,8 +99,8 @@ def test_held_out_tracks_are_not_fitted(rng: np.random.Generator) -> None:
 def test_wrong_pairs_do_not_hide_mirrored_principal_points(
     rng: np.random.Generator, pairs: list[tuple[int, int]]
 ) -> None:
-    """Catches scores that are means over camera pairs. One pair with wrong matches dominates the mean, so it is large
-    with every calibration."""
+    """Catches scores that are means over camera pairs. One pair with wrong matches dominates the mean, so the mean is
+    large with every calibration."""
     true = _true_cameras(4)
     matches = _project(true, rng)
     for pair in pairs:

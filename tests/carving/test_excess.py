@@ -30,8 +30,8 @@ def distance_to_balls(xyz: np.ndarray) -> np.ndarray:
 
 
 def test_excess_is_removed_and_the_object_is_kept(views: Silhouettes) -> None:
-    """Catches a removal that leaves small pieces of the excess parts, and a removal of more of the object than the
-    cells at its surface."""
+    """Catches a removal that leaves small pieces of the excess parts, and a removal that takes more of the object than
+    the cells at its surface."""
     hull = fill_hull(views, BOX.lower, BOX.upper, 0.01)
     remaining = remove_excess(views, hull)
     before, after = (distance_to_balls(hull.centres(cells)) for cells in (hull.cells, remaining))

@@ -75,6 +75,6 @@ def test_empty_mattes_are_not_scored(tmp_path: Path) -> None:
 
 
 def test_two_views_have_no_score() -> None:
-    """Catches a warning for a capture with two cameras. Two silhouettes nearly always have a common hull, so they
+    """Catches a warning for a capture with two cameras. Two silhouettes nearly always have a common hull, so two views
     cannot disagree."""
     assert measure_mattes(capture(2)) is None

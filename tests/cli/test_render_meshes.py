@@ -104,8 +104,8 @@ def test_a_mesh_is_drawn_in_a_style_without_torch(suffix: str, tmp_path: Path) -
 
 
 def test_sequences_orbit_and_video(tmp_path: Path) -> None:
-    """Catches frames that are sorted by name instead of number, the file of the animation that is read as a frame, and
-    a video without frames.
+    """Catches frames that are sorted by name instead of number, and a video without frames. Also catches an animation
+    file that is read as a frame.
     """
     folder = tmp_path / "meshes"
     folder.mkdir()

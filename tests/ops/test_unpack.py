@@ -54,8 +54,8 @@ def test_halves_are_rounded_to_nearest() -> None:
 @pytest.mark.parametrize("every_point_has_colours", [False, True])
 @pytest.mark.parametrize("colour_step", [1, 2, 5, 127])
 def test_views_equal_the_reference(colour_step: int, every_point_has_colours: bool, rng: np.random.Generator) -> None:
-    """Catches colours that are assigned to the wrong points, sums that wrap around instead of being clamped, and sums
-    that are clamped instead of wrapping around.
+    """Catches colours that are assigned to the wrong points. Also catches sums that wrap around where they must be
+    clamped, and sums that are clamped where they must wrap around.
     """
     points, contents = 150, []
     for share in (0.0, 0.5, 1.0):

@@ -18,8 +18,8 @@ from tests.cli.test_import import write_room
 
 
 def test_a_wrong_calibration_is_corrected_in_a_linked_capture(tmp_path: Path, rng: np.random.Generator) -> None:
-    """Catches a correction that changes the user's files, and a message about a correction that does not state the
-    residuals before and after it.
+    """Catches a correction that changes the user's files, and a message that does not state the residuals before and
+    after the correction.
     """
     true = room_cameras(4, 320, 240)
     names = list("abcd")

@@ -28,7 +28,7 @@ with locked_folder(Path(sys.argv[1])):
 
 
 def hold(folder: Path) -> subprocess.Popen[str]:
-    """Start a process that locks the folder. It releases the lock when its standard input is closed."""
+    """Start a process that locks the folder. The process releases the lock when its standard input is closed."""
     process = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(folder)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )

@@ -58,7 +58,8 @@ def test_a_simulation_resumes_after_the_last_unit(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="needs ray (pip install 'fourd[cluster]')")
 def test_a_cluster_whose_nodes_fail_makes_the_same_scene() -> None:
-    """Catches a lost node that ends the command, a scene with an incomplete segment, and a bar that is not true."""
+    """Catches a lost node that ends the command, a scene with an incomplete segment, and a progress bar with wrong
+    values."""
     words = ["--nodes", "3", "--frames", "480", "--units", "4", "--seconds", "1", "--failures", "2", "--interval", "4"]
     command = [sys.executable, "tools/scale/simulate_cluster.py", *words]
     printed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout

@@ -20,7 +20,7 @@ model: {hidden: 8, planes: {levels: 1, features: 4, base_resolution: 8}}
 
 @pytest.fixture(scope="module")
 def small_capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A capture of a ball: 4 cameras, 2 frames, 48 x 48. The tests need only that the commands accept it."""
+    """A capture of a ball: 4 cameras, 2 frames, 48 x 48. The tests only need a capture that the commands accept."""
     return write_ball_capture(tmp_path_factory.mktemp("ball"), cameras=4, frames=2, size=48)
 
 

@@ -1,5 +1,5 @@
-"""Tests of copies from a store. A copy must be complete, have the content of one version, and be resumable. All its
-files must be inside its folder.
+"""Tests of copies from a store. A copy must be complete, have the content of one version, and be resumable. All files
+of a copy must be inside the folder of the copy.
 """
 
 from __future__ import annotations
@@ -153,7 +153,7 @@ def test_a_copy_must_fit_on_the_disk(bucket: Bucket, tmp_path: Path, monkeypatch
 
 
 def test_single_objects_are_copied_for_the_time_of_the_block(bucket: Bucket) -> None:
-    """Catches a temporary copy that stays, and a message that names it instead of the URL."""
+    """Catches a temporary copy that is not removed, and a message that names the copy instead of the URL."""
     url = StorageUrl(f"{put(bucket, a=b'content')}/a")
     with local_copy(url) as path:
         assert path.name == "a"

@@ -35,7 +35,7 @@ def read_bytes(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
 @pytest.fixture
 def memory_store() -> Iterator[Any]:
-    """fsspec's store in the memory of this process. Like most stores, it does not support conditional reads."""
+    """fsspec's store in the memory of this process. Like most stores, this store does not support conditional reads."""
     store = pytest.importorskip("fsspec").filesystem("memory")
     store.mkdir("/bucket")
     yield store

@@ -63,8 +63,8 @@ def test_a_kill_in_the_middle_of_an_upload_leaves_the_old_object(bucket: Bucket,
 
 @pytest.mark.parametrize("size", [0, 1, 5 * MEGABYTE, 12 * MEGABYTE + 1])
 def test_uploads_have_all_bytes(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, size: int) -> None:
-    """Catches a failed upload of an empty file, which cannot be a multipart upload. Also catches an upload without its
-    last part.
+    """Catches a failed upload of an empty file, which cannot be a multipart upload. Also catches an uploaded object
+    whose last part is missing.
     """
     monkeypatch.setattr("fourd.storage.uploading.PART_BYTES", 5 * MEGABYTE)
     path = tmp_path / "scene.4dv"

@@ -57,7 +57,7 @@ main(sys.argv[1:])
 
 
 class Machines:
-    """Machines that share only a bucket. Each has its own working folder and its own local copy."""
+    """Machines that share only a bucket. Each machine has its own working folder and its own local copy."""
 
     def __init__(self, bucket: Bucket, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.work = StorageUrl(f"{bucket.url}/work")

@@ -30,8 +30,8 @@ def frame() -> BakedFrame:
 def test_surfaces_equal_those_of_the_float_renderer(
     frame: BakedFrame, simd: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches normals in the wrong axes, depths that are not divided by their weights, points that face away and hide
-    others, and colours over a background."""
+    """Catches normals in the wrong axes, and depths that are not divided by their weights. Also catches points that
+    face away and hide other points, and colours over a background."""
     monkeypatch.setenv("FOURD_SIMD", simd)
     camera = MANIFEST.cameras[1]
     assert frame.normals is not None
@@ -144,8 +144,8 @@ def test_packed_scenes_have_no_normals(tmp_path: Path, tier: str) -> None:
 
 
 def test_tiles_that_become_empty_are_drawn_again() -> None:
-    """Catches tiles that keep the picture of points that have moved away, or of another camera, because the player
-    skips tiles that were empty before."""
+    """The player skips tiles that were empty before. Catches tiles that keep the picture of points that have moved
+    away, or of another camera."""
     left, right = (add_normals(random_frame(60, 6, seed=seed), MANIFEST) for seed in (5, 6))
     left, right = (replace(frame, xyz=frame.xyz * 0.2 + side) for frame, side in ((left, -0.4), (right, 0.4)))
     player, (first, second) = StyledPlayer(), MANIFEST.cameras[:2]

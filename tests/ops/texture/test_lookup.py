@@ -171,8 +171,8 @@ def test_huge_coordinates_stay_inside_the_texture() -> None:
 
 
 def test_one_texture_serves_all_pictures() -> None:
-    """Catches pictures of a batch that read past the end of a texture without a batch axis, and textures that are
-    assigned to the wrong pictures.
+    """Catches a batch of pictures that reads past the end of a texture without a batch axis. Also catches textures that
+    are assigned to the wrong pictures.
     """
     tex = torch.tensor([1.0, 2]).view(2, 1, 1, 1)
     uv = torch.zeros(2, 1, 3, 2)

@@ -59,7 +59,8 @@ def test_picture_and_gradients_equal_the_rasterized_ones(layers: int | None, rng
     (expected, gradients), (found_picture, found_gradients) = results
     assert float((found_picture - expected).abs().mean()) <= 1e-5
     assert float(expected[:, 3].max()) > 0.7
-    # Rounding decides whether a ray near an edge of a triangle hits it, which changes the gradient of positions most.
+    # Rounding decides whether a ray near an edge hits the triangle. These decisions change the gradient of positions
+    # most.
     for one, other, bound in zip(found_gradients, gradients, (0.05, 1e-3, 1e-3, 2e-3), strict=True):
         assert float((one - other).norm() / other.norm()) <= bound
 

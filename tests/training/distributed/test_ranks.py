@@ -70,8 +70,8 @@ def relative_difference(got: torch.Tensor, expected: torch.Tensor) -> float:
 
 
 def test_gradients_in_float64_are_those_of_one_process(gradients: Path) -> None:
-    """Catches gradients that are summed instead of averaged, parameters whose order differs between ranks, and
-    gradients that are lost because one rank has no gradient.
+    """Catches gradients that are summed instead of averaged, and parameters whose order differs between ranks. Also
+    catches gradients that are lost because one rank has no gradient.
     """
     model, expected = small_model(), dict[str, torch.Tensor]()
     for frame in range(2):

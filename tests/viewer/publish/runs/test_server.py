@@ -296,7 +296,7 @@ def test_the_choice_of_a_token(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_serving_a_run(run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    """Catches a run that is refused before its first checkpoint, a token that is missing in the printed address, and
+    """Catches a run that is refused before its first checkpoint, and a printed address without the token. Also catches
     errors of more than one line."""
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)

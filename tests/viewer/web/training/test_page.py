@@ -134,8 +134,8 @@ def test_a_run_is_watched_and_controlled(run: Path, tmp_path: Path, open_run: Ca
 def test_a_restarted_server_and_its_token(
     run: Path, tmp_path: Path, open_run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Catches a page that does not continue after a restart of the server, a token in the address, and a wrong token
-    that is not reported."""
+    """Catches a page that does not continue after a restart of the server, and a token that stays in the address. Also
+    catches a wrong token that is not reported."""
     # Without this, the threads of a stopped server would answer on connections that the browser keeps open.
     monkeypatch.setattr(RunHandler, "protocol_version", "HTTP/1.0")
     with serving(run, tmp_path / "site", token=TOKEN) as server:
