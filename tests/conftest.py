@@ -7,6 +7,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import secrets
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,14 @@ import torch
 
 from fourd.ops.gpu import cuda_unavailable_reason
 from tests.captures import write_ball_capture
+
+
+def pytest_configure() -> None:
+    """Shells start background jobs with SIGINT ignored. Commands that tests start would inherit this, and tests that
+    interrupt the commands would wait until their time limits.
+    """
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture

@@ -50,9 +50,12 @@ def test_neighbours_equal_those_of_one_search(count: int, queried: int, rng: np.
 def test_interrupted_searches_leave_no_thread_behind(delay: float, tmp_path: Path) -> None:
     """Catches threads that read freed arrays after Ctrl-C, which ended `fourd make` with a segmentation fault."""
     search = subprocess.Popen([sys.executable, "-c", SEARCH], stdout=subprocess.PIPE, text=True, cwd=tmp_path)
-    assert search.stdout is not None
-    assert search.stdout.readline() == "ready\n"
-    time.sleep(delay)
-    search.send_signal(signal.SIGINT)
-    assert search.communicate(timeout=60)[0] == "interrupted\n"
-    assert search.returncode == 0
+    try:
+        assert search.stdout is not None
+        assert search.stdout.readline() == "ready\n"
+        time.sleep(delay)
+        search.send_signal(signal.SIGINT)
+        assert search.communicate(timeout=60)[0] == "interrupted\n"
+        assert search.returncode == 0
+    finally:
+        search.kill()  # A search that is not interrupted would run without end.
