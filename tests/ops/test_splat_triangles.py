@@ -67,8 +67,8 @@ def run(
 
 def assert_parity(got: Result, wanted: Result, roundings: float = 2.0) -> None:
     """Assert that images and gradients match. The tolerance is 2e-5 for images. For gradients, the tolerance is 2e-4
-    of the largest gradient in the array. The rounding errors of the reference times ``roundings`` are added, because torch rounds
-    differently on different processors, and windows that end near a pixel amplify rounding errors.
+    of the largest gradient in the array. The rounding errors of the reference times ``roundings`` are added: torch
+    rounds differently on different processors, and windows that end near a pixel amplify rounding errors.
     """
     for name, value, expected, rounding in zip((*OUTPUTS, "weight"), got[0], wanted[0], wanted[2], strict=False):
         scale = max(1.0, float(expected.abs().max())) if expected.numel() else 1.0
