@@ -67,6 +67,20 @@ class MatteChoice:
         return None
 
 
+@dataclass(frozen=True)
+class SceneRequest:
+    """The arguments of :func:`make_scene` that do not depend on the folder for intermediate results. ``run`` has no
+    paths of a capture and of a run yet.
+    """
+
+    source: Location
+    out: Location
+    run: RunRequest
+    mattes: MatteChoice
+    imports: ImportOptions
+    context: Context
+
+
 def make_scene(
     source: Location,
     out: Location,
@@ -112,74 +126,56 @@ def make_scene(
         UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results
             exists but was not created by ``fourd make``.
     """
-    request = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
+    run = RunRequest(Path(), Path(), train, points_from, lpips_weights, accept_mattes=accept_mattes)
+    choice = MatteChoice(mattes, keep_chosen_mattes)
+    request = SceneRequest(source, out, run, choice, imports or ImportOptions(), context)
     execute = run_here if cluster is None else cluster.execute
-    options, chosen = imports or ImportOptions(), MatteChoice(mattes, keep_chosen_mattes)
     if isinstance(work, StorageUrl):
-        _make_stored(source, out, request, chosen, options, context, work, execute, cluster is not None)
+        _make_stored(request, work, execute, cluster is not None)
         return
     folder = _work_folder(out, work)
     if isinstance(out, StorageUrl):
         check_writable(out)
     with locked_folder(folder):
         runner = Runner(context, folder / RECORD, execute, is_parallel=cluster is not None)
-        _make_in_folder(source, out, request, chosen, options, context, folder, runner)
+        _make_in_folder(request, folder, runner)
 
 
-def _make_in_folder(
-    source: Location,
-    out: Location,
-    request: RunRequest,
-    mattes: MatteChoice,
-    options: ImportOptions,
-    context: Context,
-    folder: Path,
-    runner: Runner,
-) -> None:
+def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None:
     """Run the stages of :func:`make_scene` in the local ``folder``, which is locked."""
     folder.mkdir(parents=True, exist_ok=True)
     remove_unfinished(folder, deep=True)
-    given = _local_source(source, folder, runner)
+    given, out = _local_source(request.source, folder, runner), request.out
     scene = out if isinstance(out, Path) else folder / out.name
-    _run_graph(replace(request, capture=given, run=folder / RUN), folder, scene, mattes, options, context, runner)
+    _run_graph(request, replace(request.run, capture=given, run=folder / RUN), folder, scene, runner)
     if isinstance(out, StorageUrl):
-        upload_changed(scene, out, folder / UPLOADED, context.track)
+        upload_changed(scene, out, folder / UPLOADED, request.context.track)
 
 
-def _make_stored(
-    source: Location,
-    out: Location,
-    request: RunRequest,
-    mattes: MatteChoice,
-    options: ImportOptions,
-    context: Context,
-    url: StorageUrl,
-    execute: Execute,
-    is_parallel: bool,
-) -> None:
-    """Run the stages of :func:`make_scene`, and store the results at ``url``. The paths in ``request`` are the same on
-    all machines, except the paths of the capture and of the run."""
+def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, is_parallel: bool) -> None:
+    """Run the stages of :func:`make_scene`, and store the results at ``url``. The paths in ``request.run`` are the same
+    on all machines, except the paths of the capture and of the run."""
     if is_parallel and url.scheme == "memory":
         raise UserError(f"{url}: expected a store that all nodes can reach, got the memory of this process; use s3://")
+    out, context, given = request.out, request.context, request.run
     if isinstance(out, StorageUrl):
         check_writable(out)
     root = cache_folder(url)
     with locked_folder(root):
         remove_unfinished(root, deep=True)
-        stored = StoredResults(url, source, context)
+        stored = StoredResults(url, request.source, context)
         runner = Runner(context, None, execute, is_parallel=is_parallel, stored=stored)
-        background = request.train.background
-        background = replace(background, seeds=_absolute(background.seeds))
-        request = replace(
-            request,
-            train=replace(request.train, background=background),
+        background = replace(given.train.background, seeds=_absolute(given.train.background.seeds))
+        run = replace(
+            given,
+            train=replace(given.train, background=background),
             capture=stored.source(),
             run=root / RUN,
-            points_from=_absolute(request.points_from),
-            lpips_weights=_absolute(request.lpips_weights),
+            points_from=_absolute(given.points_from),
+            lpips_weights=_absolute(given.lpips_weights),
         )
         scene = root / SCENE
-        _run_graph(request, root, scene, mattes, options, context, runner)
+        _run_graph(request, run, root, scene, runner)
         stored.remove_others()
         if isinstance(out, StorageUrl):
             upload_changed(scene, out, root / UPLOADED, context.track)
@@ -212,18 +208,10 @@ def _local_source(source: Location, work: Path, runner: Runner) -> Path:
     return fetched_path(source, work / SOURCE)
 
 
-def _run_graph(
-    source: RunRequest,
-    work: Path,
-    out: Path,
-    mattes: MatteChoice,
-    options: ImportOptions,
-    context: Context,
-    runner: Runner,
-) -> None:
+def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path, runner: Runner) -> None:
     """Run the stages of :func:`make_scene` in the locked folder for intermediate results. ``source`` describes the run.
-    The field ``source.capture`` is the path of the input, which may need an import."""
-    given, train = source.capture, source.train
+    The field ``source.capture`` is the path of the input, which may need an import. ``out`` is a local file."""
+    given, train, options, context = source.capture, source.train, request.imports, request.context
     to_capture = stages_to_capture(given, work / CAPTURE, options)
     remove_unfinished_file(out)
     context.log(describe_plan(given, train, context.workers, source.points_from is not None))
@@ -242,11 +230,11 @@ def _run_graph(
         train = still_config(train, capture, context.log)
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
-    request = replace(source, capture=capture, train=train, still=is_still)
+    run = replace(source, capture=capture, train=train, still=is_still)
     # A capture with masks may be on a read-only disk. The folder .fourd/ of the capture is therefore locked only if
     # mattes are made.
     with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
-        runner.run(stages_to_scene(request, mattes.settings_for(capture, context), out))
+        runner.run(stages_to_scene(run, request.mattes.settings_for(capture, context), out))
 
 
 def _work_folder(out: Location, given: Path | None) -> Path:

@@ -271,13 +271,19 @@ def test_a_cluster_without_shared_paths(
     assert Path("scene.4dv").read_bytes() == (driver / "scene.4dv").read_bytes()
 
 
-def test_an_interrupted_stage_resumes_on_its_machine(machines: Machines, tmp_path: Path) -> None:
-    """Catches finished files of an interrupted stage that are not published, and files of other settings that are."""
+def _store_with_source(machines: Machines, folder: Path) -> tuple[WorkStore, Path]:
+    """Open the store on the first machine, and write the source file of the stages. Returns the store and the folder of
+    its local copy."""
     machines.enter("first")
     store = WorkStore(machines.work)
     store.open()
-    root = cache_folder(machines.work)
-    (tmp_path / "source").write_text("text")
+    (folder / "source").write_text("text")
+    return store, cache_folder(machines.work)
+
+
+def test_an_interrupted_stage_resumes_on_its_machine(machines: Machines, tmp_path: Path) -> None:
+    """Catches finished files of an interrupted stage that are not published, and files of other settings that are."""
+    store, root = _store_with_source(machines, tmp_path)
 
     def execute(key: str, fails: bool) -> None:
         source = tmp_path / ("missing" if fails else "source")
@@ -297,11 +303,7 @@ def test_an_interrupted_stage_resumes_on_its_machine(machines: Machines, tmp_pat
 
 def test_kept_files_of_another_key_are_published(machines: Machines, tmp_path: Path) -> None:
     """Catches mattes that a stage keeps after a change of a setting, but that other machines then lack."""
-    machines.enter("first")
-    store = WorkStore(machines.work)
-    store.open()
-    root = cache_folder(machines.work)
-    (tmp_path / "source").write_text("text")
+    store, root = _store_with_source(machines, tmp_path)
     stage = replace(copy_stage(tmp_path / "source", root / "a"), leftovers=())
 
     def execute(key: str) -> set[str]:
