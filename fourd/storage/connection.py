@@ -7,14 +7,18 @@ s3://.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from importlib import import_module
+from threading import Event
 from typing import Any
 
 from fourd.errors import UserError
 from fourd.storage.url import StorageUrl
 
+CONNECTIONS = 8
+"""Number of objects that are read or written at the same time."""
 MAX_REASON = 200
 """Maximum number of characters of a store's own message in an error message."""
 LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
@@ -103,3 +107,21 @@ def _describe(url: StorageUrl, error: Exception) -> str:
     if isinstance(error, TimeoutError) or "Connect" in kind or "Timeout" in kind or "HTTPClient" in kind:
         return f"expected a store that answers, got '{reason}'; {REACH.get(url.scheme, 'check the network')}"
     return f"expected a store that accepts the request, got '{reason}'; check the URL and the store, and try again"
+
+
+def run_together(calls: Sequence[Callable[[Event], object]]) -> Iterator[int]:
+    """Run calls with several connections, and yield the index of each call when it is finished.
+
+    After an error, or if the caller stops, the event that each call gets is set, and calls that have not started are
+    dropped. The error of a call is raised here.
+    """
+    stop = Event()
+    with ThreadPoolExecutor(CONNECTIONS) as pool:
+        futures = {pool.submit(call, stop): index for index, call in enumerate(calls)}
+        try:
+            for future in as_completed(futures):
+                future.result()
+                yield futures[future]
+        finally:
+            stop.set()
+            pool.shutdown(cancel_futures=True)

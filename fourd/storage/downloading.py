@@ -9,8 +9,8 @@ import json
 import os
 import shutil
 from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, replace
+from functools import partial
 from io import BufferedReader
 from pathlib import Path
 from threading import Event
@@ -20,14 +20,12 @@ from fourd.errors import UserError
 from fourd.files import atomic_path, is_unused, write_text_atomically
 from fourd.limits import open_regular
 from fourd.progress import Track, untracked
-from fourd.storage.connection import changed, connect, storage_errors
+from fourd.storage.connection import changed, connect, run_together, storage_errors
 from fourd.storage.url import StorageUrl
 from fourd.storage.versions import changed_seconds, object_version
 
 PIECE_BYTES = 8 << 20
 """Number of bytes that one request reads."""
-CONNECTIONS = 8
-"""Number of objects that are read at the same time."""
 MAX_OBJECTS = 1_000_000
 """Maximum number of objects in a folder."""
 MIN_FREE_BYTES = 1 << 30
@@ -173,16 +171,9 @@ def _download_all(
     url: StorageUrl, due: list[StoredObject], urls: dict[str, StorageUrl], paths: Mapping[str, Path]
 ) -> Iterator[StoredObject]:
     """Download objects with several connections. Yields each object when its copy is complete."""
-    store, stop = connect(url), Event()
-    with ThreadPoolExecutor(CONNECTIONS) as pool:
-        futures = {pool.submit(_download, store, urls[item.key], item, paths[item.key], stop): item for item in due}
-        try:
-            for future in as_completed(futures):
-                future.result()
-                yield futures[future]
-        finally:
-            stop.set()
-            pool.shutdown(cancel_futures=True)
+    store = connect(url)
+    for index in run_together([partial(_download, store, urls[item.key], item, paths[item.key]) for item in due]):
+        yield due[index]
 
 
 def _download(store: Any, url: StorageUrl, item: StoredObject, path: Path, stop: Event) -> None:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -19,8 +19,7 @@ from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.limits import open_regular, read_json
 from fourd.progress import Track, untracked
-from fourd.storage.connection import connect, storage_errors
-from fourd.storage.downloading import CONNECTIONS
+from fourd.storage.connection import connect, run_together, storage_errors
 from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
@@ -53,20 +52,15 @@ def upload_all(files: Mapping[str, Path], url: StorageUrl, track: Track = untrac
     Raises:
         UserError: if the store returns an error. After an error, some of the objects may be missing.
     """
-    store, stop = connect(url), Event()
+    store = connect(url)
 
-    def send(key: str, path: Path) -> None:
+    def send(key: str, path: Path, stop: Event) -> None:
         if not stop.is_set():
             _upload(store, path, url.join(key), untracked)
 
-    with ThreadPoolExecutor(CONNECTIONS) as pool:
-        futures = [pool.submit(send, key, path) for key, path in files.items()]
-        try:
-            for future in track(as_completed(futures), len(futures), f"upload to {url.name}"):
-                future.result()
-        finally:
-            stop.set()
-            pool.shutdown(cancel_futures=True)
+    calls = [partial(send, key, path) for key, path in files.items()]
+    for _ in track(run_together(calls), len(calls), f"upload to {url.name}"):
+        pass
 
 
 def _upload(store: Any, path: Path, url: StorageUrl, track: Track) -> None:

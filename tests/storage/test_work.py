@@ -38,7 +38,7 @@ SEGMENTS = ("--segment", "4", "--set", "segments.overlap=1")
 
 KILLED_IN_UPLOAD = """
 import os, signal, sys
-import fourd.storage.uploading
+import fourd.storage.connection, fourd.storage.uploading
 from fourd.cli.main import main
 
 send, sent = fourd.storage.uploading._upload, []
@@ -51,7 +51,7 @@ def upload(store, path, url, track):
     send(store, path, url, track)
 
 fourd.storage.uploading._upload = upload
-fourd.storage.uploading.CONNECTIONS = 1
+fourd.storage.connection.CONNECTIONS = 1
 main(sys.argv[1:])
 """
 
