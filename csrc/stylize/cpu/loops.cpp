@@ -8,6 +8,7 @@
 #include <vector>
 
 #include "common/inline.h"
+#include "common/stream.h"
 
 namespace fourd::stylize::FOURD_SIMD {
 namespace {
@@ -166,9 +167,8 @@ inline void paint(const std::uint32_t* albedo, const Taps& centre, const Shape& 
     }
 }
 
-inline void fill_paper(const Numbers& n, int count, std::uint32_t* out) {
-    const std::uint32_t paper = byte_of(n.paper[0]) | byte_of(n.paper[1]) << 8 | byte_of(n.paper[2]) << 16;
-    for (int i = 0; i < count; ++i) out[i] = paper;
+inline std::uint32_t paper_of(const Numbers& n) {
+    return byte_of(n.paper[0]) | byte_of(n.paper[1]) << 8 | byte_of(n.paper[2]) << 16;
 }
 
 // Shades a run of a row. The line filters read samples, called taps, from this row and from the rows above and below.
@@ -188,6 +188,7 @@ inline void shade_run(const Surface& surface, const Style& style, const Taps* co
 void shade_column(const Surface& surface, const Style& style, int first, int begin, int end, const LineImage& lines,
                   std::uint8_t* out) {
     Column column(surface, style.thickness, first, begin);
+    const std::uint32_t paper = paper_of(style.numbers);
     const int count = surface.width - first < kRun ? surface.width - first : kRun, reach = style.thickness;
     int last_seen = begin - 3 * kMargin;  // The last row with a surface.
     int checked = begin - reach - kGap;   // The next row to check for a surface.
@@ -196,16 +197,16 @@ void shade_column(const Surface& surface, const Style& style, int first, int beg
             if (has_surface(surface, checked, first)) last_seen = checked;
         }
         const std::size_t pixel = static_cast<std::size_t>(row) * surface.width + first;
-        std::uint32_t picture[kRun];
         if (last_seen < row - reach) {
-            std::memset(lines.state + pixel, 0, static_cast<std::size_t>(count) * sizeof(std::uint32_t));
-            fill_paper(style.numbers, count, picture);
-        } else {
-            column.read(row - reach, row + reach);
-            const Taps* rows[3] = {column.taps(row - reach), column.taps(row), column.taps(row + reach)};
-            find_lines(surface, rows, style, row, first, count, lines);
-            shade_run(surface, style, rows, row, first, count, picture);
+            stream_words(0, static_cast<std::size_t>(count), lines.state + pixel);
+            stream_words(paper, static_cast<std::size_t>(count), out + 4 * pixel);
+            continue;
         }
+        column.read(row - reach, row + reach);
+        const Taps* rows[3] = {column.taps(row - reach), column.taps(row), column.taps(row + reach)};
+        find_lines(surface, rows, style, row, first, count, lines);
+        std::uint32_t picture[kRun];
+        shade_run(surface, style, rows, row, first, count, picture);
         copy_run(picture, count, out + 4 * pixel);
     }
 }
@@ -215,6 +216,7 @@ void shade_rows(const Surface& surface, const Style& style, int begin, int end, 
     for (int first = 0; first < surface.width; first += kRun) {
         shade_column(surface, style, first, begin, end, lines, out);
     }
+    finish_streams();
 }
 
 }  // namespace
