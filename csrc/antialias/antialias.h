@@ -25,9 +25,9 @@ struct Settings {
     Simd simd;    // An instruction set that this machine supports.
 };
 
-// Writes the blended colours to `out`. A pixel forms a pair with its right neighbour, and a pair with its lower
-// neighbour. For every pixel, the function writes to `codes` which silhouette edges cross the pixel's two pairs, as a
-// Code of maths.h.
+// Writes the blended colours to `out`. Each pixel forms two pairs: one with its right neighbour and one with its lower
+// neighbour. For each pixel, the function writes a Code (maths.h) to `codes`. The code describes the silhouette edges
+// that cross these two pairs.
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
 
 // The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to `out`. The
@@ -36,8 +36,8 @@ struct Gradients {
     const float* gradient;
     const std::uint8_t* codes;
     float boost;       // The gradient of the positions is multiplied by this factor.
-    float* colours;    // In the shape of Images::colours.
-    float* positions;  // In the shape of Mesh::positions.
+    float* colours;    // Has the shape of Images::colours.
+    float* positions;  // Has the shape of Mesh::positions.
 };
 
 void blend_backward(const Mesh& mesh, const Images& images, const Settings& settings, const Gradients& gradients);

@@ -1,10 +1,10 @@
 // Finds silhouette edges, and the points where these edges cross the segment between two neighbouring pixel centres.
 //
-// Relative to the centre f of a pixel, a vertex (x, y, z, w) in clip space has the coordinates (a, b, w) with
-// a = x - f_x w and b = y - f_y w. The edge from vertex j to vertex k goes through the point f where
-// N = a_j b_k - b_j a_k is 0. N is a linear function of f, also where w <= 0. If f moves by t steps of length s along
-// the axis of a, N decreases by t D with D = s (w_j b_k - b_j w_k). The segment between the pixel centres therefore
-// crosses the edge at t = N / D.
+// Relative to the centre f of a pixel, a vertex (x, y, z, w) in clip space has the coordinates (a, b, w), where
+// a = x - f_x * w and b = y - f_y * w. The edge from vertex j to vertex k goes through the point f where N = a_j b_k -
+// b_j a_k is 0. N is a linear function of f, also where w <= 0. If f moves by t steps of length s along the axis of a,
+// N decreases by t * D, where D = s * (w_j b_k - b_j w_k). The segment between the pixel centres therefore crosses the
+// edge at t = N / D.
 #pragma once
 
 #include <cstddef>
@@ -19,7 +19,8 @@ namespace fourd::antialias {
 // The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to kTolerancePx pixels
 // away from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
-// In pixels per unit of clip space. Edges with a slope above kMaxSlope have no gradient.
+// Largest derivative of a crossing's position (Crossing::slope), in pixels per unit of clip space. Edges with a larger
+// derivative have no gradient.
 constexpr float kMaxSlope = 1.0e18f;
 
 struct Mesh {
@@ -44,15 +45,15 @@ FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vert
     return {at[0], at[1], at[3]};
 }
 
-// The determinant of p, q and r. Its sign shows on which side of the plane through p, q and the camera the vertex r
-// lies. The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
+// The determinant of p, q and r. Its sign tells on which side of a plane r lies: the plane through p, q and the camera.
+// The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
 FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
     const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
 }
 
-// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette if it has no
-// neighbouring triangle, or if the neighbouring triangle does not lie on the other side of the edge in the image.
+// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette unless another
+// triangle shares the edge and, in the image, lies on the opposite side of the edge.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
@@ -139,8 +140,8 @@ struct Line {
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
 // Returns the number (1 to 3) of the silhouette edge where the segment from the owner to the other pixel leaves the
-// triangle. Returns 0 if there is no such edge. Edges whose angle to the segment, measured in pixels, is less than 45
-// degrees are ignored. Every piece of a silhouette is therefore blended along only one axis. `silhouettes` is the
+// triangle. Returns 0 if there is no such edge. An edge is ignored if its angle to the segment, in pixel coordinates,
+// is less than 45 degrees. Every piece of a silhouette is therefore blended along only one axis. `silhouettes` is the
 // result of silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {
@@ -175,7 +176,8 @@ FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vert
     return edge;
 }
 
-// The triangle of a pixel, given its rasterization (u, v, z/w, id), or kNoTriangle.
+// Returns the triangle of a pixel, or kNoTriangle. The argument `pixel` is the rasterization of the pixel (u, v, z/w,
+// id).
 FOURD_HD static inline int triangle_at(const Mesh& mesh, const float* pixel) {
     const int triangle = triangle_of_value(pixel[3]);
     return triangle >= 0 && static_cast<std::size_t>(triangle) < mesh.triangle_count ? triangle : kNoTriangle;
@@ -188,8 +190,8 @@ FOURD_HD static inline bool second_is_nearer(const float* first, int one, const 
     return second[2] < first[2] || (second[2] == first[2] && two < one);
 }
 
-// A silhouette edge that crosses a pair: which pixel changes, by what weight, and the derivatives of the crossing's
-// position.
+// A silhouette edge that crosses a pair: the pixel that changes, the blending weight, and the derivatives of the
+// crossing's position.
 struct Crossing {
     int vertex[2];        // Indices of the ends of the edge.
     Vertex slope[2];      // Derivatives of the crossing's position with respect to x, y and w of each end of the edge.

@@ -62,8 +62,8 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 
-// Whether the pair and the triangle of its owner exist. In codes from analyse(), they always exist. A caller can pass
-// other codes to the backward kernels, and the bindings do not check codes.
+// Whether the pair and the triangle of its owner exist. For codes from analyse(), they always exist. However, the
+// bindings do not check codes, so a caller can pass arbitrary codes to the backward kernels.
 FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code code) {
     if (pair.axis == 0 ? pair.column + 1 >= view.width : pair.row + 1 >= view.height) return false;
     const std::size_t first = view.pixel(pair.row, pair.column);

@@ -6,7 +6,7 @@ namespace nb = nanobind;
 namespace fourd::cuda {
 
 void bind_module(nb::module_& module) {
-    // Without this call, nanobind would report the entry estimators, which stay allocated until the process ends, as
+    // The entry estimators stay allocated until the process ends. Without this call, nanobind would report them as
     // leaks.
     nb::set_leak_warnings(false);
     nb::class_<device::EntryEstimator>(module, "EntryEstimator",

@@ -31,9 +31,9 @@ struct Inputs {
 };
 
 struct Gradients {
-    float* point;  // The shape is that of Inputs::point.
+    float* point;  // Has the shape of Inputs::point.
     float* samples;
-    float* weight;  // The shape is that of Mlp::weight.
+    float* weight;  // Has the shape of Mlp::weight.
     float* out;
     float* bias;  // (1,).
 };

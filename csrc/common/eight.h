@@ -28,8 +28,8 @@ template <typename Pointer>
 using NumberOf = std::remove_const_t<std::remove_pointer_t<Pointer>>;
 
 // Calls body(i, tag) for i in [0, count). The index i increases in steps of 8, and in steps of 1 for the last elements.
-// `tag` is always null, and only its type matters. If `tag` is a pointer to Eight, the body processes the 8 elements
-// from i. If `tag` is a pointer to float, the body processes only element i.
+// `tag` is always null, and only its type matters. If `tag` is a pointer to Eight, the body processes the elements i to
+// i + 7. If `tag` is a pointer to float, the body processes only element i.
 template <typename Body>
 FOURD_INLINE void for_eights(std::size_t count, const Body& body) {
     std::size_t i = 0;

@@ -25,8 +25,8 @@ FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
     return value;
 }
 
-// Converts float32 to half precision, rounded to the nearest value, and to even at ties. Values beyond the largest
-// finite half are clamped to it. NaN becomes an arbitrary number.
+// Converts float32 to half precision. The result is rounded to the nearest value, and ties are rounded to even. Values
+// beyond the largest finite half are clamped to it. NaN becomes an arbitrary number.
 FOURD_HD FOURD_INLINE std::uint16_t to_half(float value) {
     std::uint32_t bits;
     memcpy(&bits, &value, sizeof bits);

@@ -1,5 +1,5 @@
-// Macros and functions for forced inlining, non-aliasing pointers, bit operations and prefetching, which compilers
-// spell differently.
+// Macros and functions for forced inlining, non-aliasing pointers, bit operations and prefetching. The syntax of these
+// features depends on the compiler.
 //
 // Dispatched files (common/dispatch.h) depend on forced inlining. If a function is not inlined, the linker can replace
 // the function by a copy that was compiled for another instruction set.

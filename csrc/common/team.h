@@ -47,8 +47,8 @@ class Team {
     bool closing_ = false;
 };
 
-// Splits [0, count) into parts of `per_part` elements, and calls work(begin, end) for each part on the team. The parts do
-// not depend on the number of threads.
+// Splits [0, count) into parts of `per_part` elements, and calls work(begin, end) for each part, on all workers of the
+// team. The parts do not depend on the number of threads.
 template <typename Work>
 void run_parts(Team& team, std::size_t count, std::size_t per_part, const Work& work) {
     team.run(static_cast<int>((count + per_part - 1) / per_part), [&](int task, int) {

@@ -1,5 +1,5 @@
-// Visibility edges move with the vertices. For an image without antialiasing, this file computes the part of the
-// gradient with respect to vertex positions that is due to the motion of these edges. Callers check shapes. Indices of
+// Visibility edges move with the vertices, which changes the image. This file computes the corresponding part of the
+// gradient with respect to the vertex positions, for an image without antialiasing. Callers check shapes. Indices of
 // vertices and triangles that are out of range are ignored.
 #pragma once
 

@@ -2,11 +2,10 @@
 // the segment between the centres of two neighbouring pixels. The functions also compute the derivatives of this point
 // with respect to the vertices.
 //
-// N_i are the linear functions of the edges (antialias/maths.h). z/w of a triangle at a pixel is the sum of b_i z_i
-// with b_i = N_i / V. The number V is the sum of N_i w_i, which is the same at all pixels. z/w is therefore a linear
-// function of the pixel f: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by b_i
-// (dz - p_a da
-// - p_b db - p_w dw). At the crossing, both triangles have the same D.
+// N_i are the linear functions of the edges (antialias/maths.h). At a pixel, z/w of a triangle is the sum of b_i z_i,
+// where b_i = N_i / V. The number V is the sum of N_i w_i, which is the same at all pixels. z/w is therefore a linear
+// function of the pixel f: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
+// b_i * (dz - p_a da - p_b db - p_w dw). At the crossing, both triangles have the same D.
 #pragma once
 
 #include "antialias/maths.h"
@@ -19,7 +18,7 @@ using antialias::Mesh;
 using antialias::Sight;
 using antialias::Vertex;
 
-// Maximum number of vertices that move a crossing, which are the vertices of two triangles.
+// Maximum number of vertices on which a crossing depends: the vertices of two triangles.
 constexpr int kMaxVertices = 6;
 
 struct Position {
@@ -92,8 +91,8 @@ struct Plane {
     }
 };
 
-// Whether the two triangles intersect between the pixel centres, with the owner's triangle nearer at the owner. As with
-// silhouettes, an intersection line whose angle to the segment is below 45 degrees is ignored.
+// Whether the two triangles intersect between the pixel centres, and the owner's triangle is nearer at the owner. As
+// for silhouettes, an intersection line is ignored if its angle to the segment is below 45 degrees.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);

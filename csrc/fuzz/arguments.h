@@ -17,7 +17,7 @@ namespace fourd::fuzz {
 
 namespace nb = nanobind;
 
-// Maximum number of elements of one array. The limit keeps the time of a call to milliseconds.
+// Maximum number of elements of one array. With this limit, a call takes only milliseconds.
 constexpr std::size_t kMaxElements = 1 << 16;
 
 // Index of hatch_spacing in stylize::Numbers. This number must be at least 1; other numbers may be smaller.
@@ -33,7 +33,8 @@ inline nb::dlpack::dtype dtype_named(const std::string& name) {
     return {static_cast<std::uint8_t>(code), bits, 1};
 }
 
-// Makes the arguments of one call. `perturbed` is the number of an array that gets a wrong size along one axis, or -1.
+// Makes the arguments of one call. The array with the number `perturbed` gets a wrong size along one axis. If
+// `perturbed` is -1, no array does.
 class ArgumentMaker {
   public:
     ArgumentMaker(Bytes& bytes, Sizes& sizes, const Rules& rules, int perturbed)

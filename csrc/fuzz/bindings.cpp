@@ -114,7 +114,7 @@ bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
     return false;
 }
 
-// Finds outdated rules, with which every call fails because the function has changed.
+// Finds outdated rules. With an outdated rule, every call fails, because the function has changed.
 void check_rules() {
     for (const Function& function : state->functions) {
         for (const Rules& rules : function.rules) {

@@ -14,7 +14,7 @@ struct Query {
     const float* attr;         // (images or 1, vertices, channels).
     std::size_t vertices;
     std::size_t channels;
-    // Offset between the attributes of successive images, in vertices, or 0 if all images share the attributes.
+    // Number of vertices between the attributes of successive images, or 0 if all images share the attributes.
     std::size_t image_stride;
     const std::int32_t* tri;   // (triangles, 3).
     std::size_t triangles;
@@ -32,15 +32,15 @@ struct Query {
 };
 
 // Writes the attributes to `out` (images, height, width, channels), and their derivatives along x and y to `out_da`
-// (images, height, width, 2 diff_count). At background pixels, and at pixels whose triangle does not exist, all outputs
-// are 0.
+// (images, height, width, 2 * diff_count). At background pixels, and at pixels whose triangle does not exist, all
+// outputs are 0.
 void interpolate(const Query& query, float* out, float* out_da);
 
 // The gradients of the outputs, and the arrays that receive the gradients of the inputs.
 struct Gradients {
     const float* out;     // (images, height, width, channels).
-    const float* out_da;  // (images, height, width, 2 diff_count); null if diff_count is 0.
-    float* attr;          // Null, or an array in the shape of Query::attr.
+    const float* out_da;  // (images, height, width, 2 * diff_count); null if diff_count is 0.
+    float* attr;          // Null, or an array with the shape of Query::attr.
     float* rast;          // (images, height, width, 4), or null. The last two channels are set to 0.
     float* rast_db;       // (images, height, width, 4), or null.
 };

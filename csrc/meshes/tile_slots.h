@@ -1,6 +1,7 @@
-// Numbers the triangles that are visible in a tile of an image. Also sums values of triangle corners over all tiles,
-// for each vertex. The backward passes of several operators use this file. Values are added in a fixed order, first
-// over the pixels of a tile, then over the tiles. The sums therefore do not depend on the number of threads.
+// Assigns numbers to the triangles that are visible in a tile of an image. For each vertex, also sums the values of
+// triangle corners over all tiles. The backward passes of several operators use this file. Values are added in a fixed
+// order, first over the pixels of a tile, then over the tiles. The sums therefore do not depend on the number of
+// threads.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
 // The pixel filter: each pixel of an 8-bit image becomes a weighted mean of 3 x 3 pixels. The weights along an axis are
-// `side`, 1 - 2 side and `side`. Beyond the border of the image, the nearest pixel is repeated. Callers check shapes,
+// `side`, 1 - 2 * side and `side`. Beyond the border of the image, the nearest pixel is repeated. Callers check shapes,
 // and arrays are dense and row-major.
 #pragma once
 

@@ -25,8 +25,8 @@ struct Query {
 void sample(const Query& query, float* out);
 
 // `gradient` (count, plane_count * features) is the gradient of the loss with respect to the output of sample(). The
-// function overwrites the arrays grad_planes, one per plane, in the shape of the plane's values. The function also
-// overwrites grad_coordinates (count, 4) unless grad_coordinates is null.
+// function overwrites grad_planes, which has one array for each plane, with the shape of the plane's values. The
+// function also overwrites grad_coordinates (count, 4) unless grad_coordinates is null.
 void sample_backward(const Query& query, const float* gradient, float* const* grad_planes, float* grad_coordinates);
 
 }  // namespace fourd::planes

@@ -1,5 +1,6 @@
 // Checks and converts the arguments of the point renderer, for the CPU and a GPU. fourd/ops/points/validation.py checks
-// values. This file checks shapes, because a kernel would read past the end of an array with a wrong shape.
+// the values of the arguments. This file checks the shapes of arrays, because a kernel would read past the end of an
+// array that is too small.
 #pragma once
 
 #include <nanobind/nanobind.h>

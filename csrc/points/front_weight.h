@@ -11,8 +11,8 @@ namespace fourd::points {
 
 // The weight of a point in the depth and normal of the visible surface. The argument is the cosine between the point's
 // normal and the direction to the camera. Points on the far side of the subject are visible where the near side has
-// gaps or was not seen by any camera. Points with a normal away from the camera get a small weight, so that they matter
-// only where no other points are visible.
+// gaps or was not seen by any camera. Points whose normal faces away from the camera get a small weight, so that they
+// matter only where no other points are visible.
 constexpr float kBackWeight = 0.1f;
 
 FOURD_INLINE float front_weight(float cosine) {

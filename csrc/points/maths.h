@@ -40,17 +40,17 @@ FOURD_HD static inline TileRange tile_range_of(const Splat& splat) {
 }
 
 // Sums of gradients over the pixels that a point hits. Let g be the gradient of the loss with respect to the point's
-// alpha at a pixel. The members dx, dy, square and falloff are the sums over pixels of g dx, g dy, g distance^2 and g
-// falloff. The member z is the sum of the gradients with respect to the camera depth of the point.
+// alpha at a pixel. The members dx, dy, square and falloff are the sums over pixels of g * dx, g * dy, g * distance^2
+// and g * falloff. The member z is the sum of the gradients with respect to the camera depth of the point.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
 
 // The range, along one axis, of the pixels whose centres are within rho of `centre`. The range is clipped to [0, size),
-// and is empty if first > last. The bounds are clipped before they are rounded, which needs no branches, so the code
-// vectorises.
+// and is empty if first > last. The bounds are clipped before they are rounded. This needs no branches, so compilers
+// can vectorise the code.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
-    // The hit test has a float32 rounding error of about 4e-7 of rho^2. A margin of 1e-6 ensures that the pixel range
+    // The float32 rounding error of the hit test is about 4e-7 * rho^2. A margin of 1e-6 ensures that the pixel range
     // contains all hits.
     const double extent = static_cast<double>(rho) * (1.0 + 1e-6);
     double low = static_cast<double>(centre) - extent - 0.5, high = static_cast<double>(centre) + extent - 0.5;
@@ -107,7 +107,7 @@ FOURD_HD static inline Projection project(const Pinhole& camera, float near_dept
     out.right = last_column / kBlock;
     out.top = first_row / kBlock;
     out.bottom = last_row / kBlock;
-    // The conditions are joined by & and not by &&, which avoids branches.
+    // The conditions are joined by & instead of &&, to avoid branches.
     out.visible = (z >= near_depth) & (z <= max_float) & (radius > 0.0f) & (radius <= max_float) & (density > 0.0f) &
                   (density <= max_float) & (out.u >= -max_float) & (out.u <= max_float) & (out.v >= -max_float) &
                   (out.v <= max_float) & (out.inverse_square > 0.0f) & (out.inverse_square <= max_float) &
@@ -129,7 +129,7 @@ FOURD_HD static inline Splat splat_of(const Projection& at) {
             static_cast<std::uint16_t>(at.bottom)};
 }
 
-// Back-propagates the gradient of a splat to its point.
+// Computes the gradient of a point from the gradient of its splat.
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Splat& splat, const SplatGradient& sums,
                                              float density, float* grad_xyz, float* grad_radius, float* grad_density) {
     const float* r = camera.rotation;

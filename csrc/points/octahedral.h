@@ -11,7 +11,7 @@
 
 namespace fourd::points {
 
-// Decodes an octahedral normal, stored as the bytes 127 x + 128 and 127 y + 128, to the unit vector `normal`.
+// Decodes an octahedral normal, stored as the bytes 127 * x + 128 and 127 * y + 128, to the unit vector `normal`.
 FOURD_INLINE void from_octahedral(const std::uint8_t* bytes, float* normal) {
     const float x = static_cast<float>(bytes[0]) / 127.0f - 128.0f / 127.0f;
     const float y = static_cast<float>(bytes[1]) / 127.0f - 128.0f / 127.0f;
@@ -23,7 +23,8 @@ FOURD_INLINE void from_octahedral(const std::uint8_t* bytes, float* normal) {
     for (int axis = 0; axis < 3; ++axis) normal[axis] = scale * folded[axis];
 }
 
-// Decodes the octahedral normals (count, 2), and rotates them from world axes to camera axes, into `out` (count, 3).
+// Decodes the octahedral normals (count, 2), rotates them from world axes to camera axes, and writes them to `out`
+// (count, 3).
 FOURD_INLINE void turn_octahedral(const Pinhole& camera, const std::uint8_t* octahedral, std::size_t count,
                                   float* out) {
     float r[9];

@@ -22,7 +22,7 @@ struct Settings {
     Pinhole camera;
     float near_depth;         // Positive. Points with a camera depth below near_depth are culled.
     int layers;               // Number K of depth layers, at least 1.
-    float transmittance_min;  // Pixels are complete at or below this transmittance. With the value 0, images are exact.
+    float transmittance_min;  // Compositing of a pixel ends at this transmittance. With the value 0, images are exact.
     int threads;              // At least 1. The result is the same for any number of threads.
     Simd simd;                // An instruction set that this machine supports.
 };
@@ -42,9 +42,10 @@ struct Canvas {
 // An 8-bit image with the visible surface of each pixel.
 struct Surface {
     Canvas canvas;         // With a black background, the colours are the colours of the points multiplied by alpha.
-    float* inverse_depth;  // (height, width): coverage / mean depth, with coverage = clamp(3 alpha - 1/2, 0, 1).
-    std::uint8_t* normal;  // (height, width, 4): unit normal n as bytes 127 n + 128, then 255 * coverage. At pixels
-                           // without points, the normal is 0.
+    float* inverse_depth;  // (height, width): coverage / (mean depth), where coverage = clamp(3 * alpha - 1/2, 0, 1).
+    // (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points, the
+    // normal is 0.
+    std::uint8_t* normal;
     float persistence;     // From 0 to 1. If `persistence` is above 0, all arrays must contain the previous image of
                            // the same camera before the call. Where both images show the same surface, `persistence` is
                            // the weight of the previous depth and normal.
@@ -72,8 +73,8 @@ void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, 
 void render_backward(const Cloud& cloud, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,
                      const CloudGradient& out);
 
-// Writes to `out` (count,) the largest weight (transmittance * alpha) of each point in any pixel. cloud.features is not
-// read.
+// For each point, writes its largest weight (transmittance * alpha) over all pixels to `out` (count,). cloud.features
+// is not read.
 void visibility(const Cloud& cloud, const Settings& settings, Workspace& workspace, float* out);
 
 }  // namespace fourd::points

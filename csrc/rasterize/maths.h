@@ -29,11 +29,11 @@ constexpr float kLargestCoefficient = 1e10f;
 // Lower limit of scale / w (see Planes). Inside a triangle, scale / w is at least 1.
 constexpr float kSmallestInverseW = 1e-6f;
 constexpr float kLargestFloat = 3.402823466e38f;
-constexpr int kPlanes = 4;  // (Weight of vertex 0) / w, (weight of vertex 1) / w, 1/w, and z/w.
+constexpr int kPlanes = 4;  // Number of linear functions in the struct Planes.
 
 struct Screen {
     int width, height;
-    // Vertices with |x| > guard_x w or |y| > guard_y w are clipped. The guards are powers of two, so that the
+    // Vertices with |x| > guard_x * w or |y| > guard_y * w are clipped. The guards are powers of two, so that the
     // comparison has no rounding error. The guards limit pixel coordinates to +-2^16 from the centre of the image.
     float guard_x, guard_y;
 };
@@ -67,7 +67,7 @@ FOURD_HD static inline std::int32_t round_half_up(float value) {
     return whole + (rest >= 0.5f ? 1 : 0) - (rest < -0.5f ? 1 : 0);
 }
 
-// Requires w > 0, |x| <= guard_x w and |y| <= guard_y w.
+// Requires w > 0, |x| <= guard_x * w and |y| <= guard_y * w.
 FOURD_HD static inline Snapped snap_inside(const Screen& screen, float x, float y, float w) {
     const float u = x / w, v = y / w;
     return {round_half_up(u * static_cast<float>(kHalfPixel * screen.width)) + kHalfPixel * screen.width,
@@ -100,7 +100,8 @@ struct Bounds {
 FOURD_HD static inline int smaller(int a, int b) { return a < b ? a : b; }
 FOURD_HD static inline int larger(int a, int b) { return a > b ? a : b; }
 
-// The first and the last of the pixels, along one axis, whose centres are between two positions.
+// Along one axis, first_pixel() returns the first pixel whose centre is not before a position, and last_pixel() returns
+// the last pixel whose centre is not after a position.
 FOURD_HD static inline int first_pixel(int position) { return (position + kHalfPixel - 1) >> kSubpixelBits; }
 FOURD_HD static inline int last_pixel(int position) { return (position - kHalfPixel) >> kSubpixelBits; }
 
@@ -156,9 +157,10 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
     return static_cast<double>(2 * pixel + 1) / static_cast<double>(side) - 1.0;
 }
 
-// Linear functions over the image: s (weight of vertex 0) / w, s (weight of vertex 1) / w, s / w and z/w, in this
-// order. The scale s is the largest |w| of the vertices, which makes the functions independent of the unit of w. The
-// value at a pixel is (c + y dy) + x dx, where (dx, dy) is the vector from the reference pixel to the pixel.
+// Linear functions over the image, in this order: s * w_0 / w, s * w_1 / w, s / w and z/w, where w_0 and w_1 are the
+// barycentric weights of vertices 0 and 1. The scale s is the largest |w| of the vertices, which makes the functions
+// independent of the unit of w. The value at a pixel is (c + y * dy) + x * dx, where (dx, dy) is the vector from the
+// reference pixel to the pixel.
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];

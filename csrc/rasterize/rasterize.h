@@ -15,7 +15,7 @@ constexpr int kLongestSide = 1 << 15;  // Largest image side in pixels.
 struct Query {
     const float* pos;            // (images or 1, vertices, 4): clip coordinates x, y, z, w.
     std::size_t vertices;        // Number of vertices of an image.
-    // Offset between the positions of successive images, in vertices, or 0 if all images share the positions.
+    // Number of vertices between the positions of successive images, or 0 if all images share the positions.
     std::size_t image_stride;
     const std::int32_t* tri;     // (triangles, 3): vertices of each triangle.
     std::size_t triangles;       // At most kMaxTriangles (common/triangle_id.h).

@@ -1,5 +1,6 @@
-// Checks of the arguments that the bindings for CPU and GPU share. fourd/ops/rays/op.py checks values. This file checks
-// shapes, because a kernel would read past the end of an array with a wrong shape.
+// Checks of the arguments that the bindings for CPU and GPU share. fourd/ops/rays/op.py checks the values of the
+// arguments. This file checks the shapes of arrays, because a kernel would read past the end of an array that is too
+// small.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -1,6 +1,6 @@
-// Compositing of discs along rays. A disc faces each ray, or all discs are parallel to a plane. If the discs are
-// parallel to the image plane of a pinhole camera, and the rays are those of the camera's pixels, the result equals
-// that of the point renderer (points/points.h).
+// Compositing of discs along rays. Either each disc faces every ray, or all discs are parallel to one plane. If this
+// plane is the image plane of a pinhole camera, and there is one ray for each pixel, the result equals the image of the
+// point renderer (points/points.h).
 #pragma once
 
 #include <cstddef>
@@ -52,7 +52,7 @@ struct DiscPicture {
 };
 
 // Composites the K nearest discs of each ray front to back, in the order of (t, index). The alpha of a disc at the
-// distance d from its centre is density (1 - d^2 / radius^2). Rays::after_t and after_triangle are ignored.
+// distance d from its centre is density * (1 - d^2 / radius^2). Rays::after_t and after_triangle are ignored.
 void composite_discs(const DiscTreeView& tree, const Rays& rays, const DiscPicture& picture);
 
 }  // namespace fourd::rays

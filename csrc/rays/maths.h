@@ -16,8 +16,8 @@
 
 namespace fourd::rays {
 
-// Upper limit of the absolute coordinates of vertices and origins, and limits of the largest absolute coordinate of a
-// direction.
+// The absolute coordinates of vertices, origins and directions must be at most kMaxMagnitude. The largest absolute
+// coordinate of a direction must be at least kMinDirection.
 constexpr float kMaxMagnitude = 1e18f;
 constexpr float kMinDirection = 1e-18f;
 // Padding of boxes, as a multiple of the largest absolute coordinate of the ray's origin and the mesh. The rounding
@@ -31,14 +31,15 @@ constexpr float kMaxFloat = 3.402823466e38f;
 constexpr float kInfinity = __builtin_huge_valf();
 
 // A ray, prepared for intersection. The direction is multiplied by the power of two `scale`, so that its largest
-// coordinate is between 1 and 2. The point at the parameter t of the ray has the parameter t' = t / scale with the
-// scaled direction.
+// coordinate is between 1 and 2. The point at the parameter t along the original direction has the parameter
+// t' = t / scale along the scaled direction.
 struct Ray {
     float origin[3];
     int x, y, z;        // A permutation of the axes, in which the largest coordinate of the direction is along z.
     float shear_x, shear_y, shear_z;
     float inverse[3];
-    float enter[3], leave[3];  // The ray passes the plane at p between t' = p inverse - enter and p inverse - leave.
+    // The ray passes the plane at p between t' = p * inverse - enter and t' = p * inverse - leave.
+    float enter[3], leave[3];
     float scale, inverse_scale;
     float t_min, t_max;
 };
@@ -98,8 +99,8 @@ FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, 
     return true;
 }
 
-// The first and the last t' for t_min and t. The interval between them is slightly enlarged, because the conversion of
-// a tiny t to t' is rounded.
+// first_of() converts t_min to t', and last_of() converts t to t'. Both results are moved slightly outwards, because
+// the conversion of a tiny t is rounded.
 FOURD_HD FOURD_INLINE float first_of(const Ray& ray) {
     return ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
 }
@@ -108,7 +109,7 @@ FOURD_HD FOURD_INLINE float last_of(const Ray& ray, float t) {
     return t * ray.inverse_scale + kTiny * ray.inverse_scale;
 }
 
-// Whether (t, triangle) comes after another hit.
+// Whether the hit (t, triangle) comes after another hit.
 FOURD_HD FOURD_INLINE bool is_after(float t, std::int32_t triangle, float other_t, std::int32_t other) {
     return t > other_t || (t == other_t && triangle > other);
 }
@@ -177,11 +178,11 @@ FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float
     return out->t >= ray.t_min && out->t <= ray.t_max;
 }
 
-// The gradient of a hit. The hit solves origin + t direction = u a + v b + (1 - u - v) c. Let M be the matrix with the
-// columns -direction, a - c and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the gradient with
-// respect to the origin is y, and the gradient with respect to the direction is t y. The gradients of the corners a, b
-// and c are -u y, -v y and -(1 - u - v) y. If the ray lies in the plane of the triangle, the function returns false and
-// y = 0.
+// The gradient of a hit. The hit solves origin + t * direction = u * a + v * b + (1 - u - v) * c. Let M be the matrix
+// with the columns -direction, a - c and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the
+// gradient with respect to the origin is y, and the gradient with respect to the direction is t * y. The gradients with
+// respect to the corners a, b and c are -u * y, -v * y and -(1 - u - v) * y. If the ray lies in the plane of the
+// triangle, the function returns false and y = 0.
 FOURD_HD FOURD_INLINE bool hit_gradient(const float* direction, const float* a, const float* b, const float* c,
                                         float to_t, float to_u, float to_v, float* y) {
     double d[3], p[3], q[3];

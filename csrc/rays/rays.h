@@ -76,7 +76,7 @@ double expected_cost(const TreeView& tree);
 
 struct Rays {
     const float* origins;     // (count, 3).
-    const float* directions;  // (count, 3), of any length. The point at t is origin + t direction.
+    const float* directions;  // (count, 3), of any length. The point at t is origin + t * direction.
     std::size_t count;
     const float* t_min;  // (count,), or one number if t_min_stride is 0.
     std::size_t t_min_stride;
@@ -112,7 +112,7 @@ struct HitGradients {
     const float *t, *u, *v;
     const std::int32_t* triangle;
     const float *to_t, *to_u, *to_v;     // (count, layers).
-    float *xyz, *to_origins, *to_directions;  // In the shapes of the inputs. trace_backward() overwrites the arrays.
+    float *xyz, *to_origins, *to_directions;  // Each has the shape of its input, and is overwritten.
     int threads;
 };
 

@@ -1,6 +1,6 @@
-// Checks and converts the arguments of soft rasterization, for the CPU and a GPU. This file checks shapes, because a
-// kernel would read past the end of an array with a wrong shape. fourd/raster/triangles/soft.py checks values, and also
-// the vertex indices of arrays on a GPU.
+// Checks and converts the arguments of soft rasterization, for the CPU and a GPU. This file checks the shapes of
+// arrays, because a kernel would read past the end of an array that is too small. fourd/raster/triangles/soft.py checks
+// the values of the arguments, and the vertex indices if they are on a GPU.
 #pragma once
 
 #include <nanobind/nanobind.h>

@@ -2,11 +2,11 @@
 // fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
 // The coverage of the pixel p by a triangle is D = sigmoid(x). Inside the triangle, x = d^2 / sigma. Outside the
-// triangle, x = -d^2 / sigma. The number d is the distance of p from the nearest edge, or the smallest barycentric
-// coordinate of p. The inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The
-// barycentric coordinates of this interpolation are clamped to at least 0 and normalised to the sum 1. The weight of
-// the triangle is D exp(-z per_depth). The weight in the paper differs only by a constant factor: D
-// exp((far - z) / ((far - near) gamma)).
+// triangle, x = -d^2 / sigma. The number d is the distance of p from the nearest edge or, if Softness::barycentric is
+// true, the smallest barycentric coordinate of p. The inverse 1 / z of the triangle's depth at p is interpolated
+// linearly in the image. The barycentric coordinates of this interpolation are clamped to at least 0 and normalised to
+// the sum 1. The weight of the triangle is D * exp(-z * per_depth). The weight in the paper differs only by a constant
+// factor: it is D * exp((far - z) / ((far - near) * gamma)).
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -24,7 +24,7 @@ namespace fourd::soft_triangles {
 
 constexpr float kLog2E = 1.44269504f;
 constexpr float kNoHit = 3.4e38f;  // The depth at pixels that a triangle does not hit.
-constexpr int kShapeSums = 9;      // Sums of gradients per triangle: one ShapeGradient.
+constexpr int kShapeSums = 9;      // Number of gradient sums per triangle: the members of ShapeGradient.
 
 using tiles::constant;
 using tiles::Corners;
@@ -44,8 +44,8 @@ struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
     float sharpness;         // The factor |x| / d^2, which is 1 / sigma, or (pixel size)^2 / sigma if d is in pixels.
     float cut;               // A triangle hits the pixels where x >= -cut.
-    float reach;             // Outside the triangle, the triangle hits the pixels whose distance d is at most `reach`.
-    float per_depth;         // 1 / ((far - near) gamma).
+    float reach;             // The triangle hits a pixel outside it if the distance d is at most `reach`.
+    float per_depth;         // 1 / ((far - near) * gamma).
     float far_depth;         // A triangle hits a pixel only if its depth z at the pixel is at most far_depth.
     float background_depth;  // The background has the weight of a triangle with D = 1 at this depth.
 };
@@ -57,13 +57,13 @@ struct alignas(64) Face {
     float inverse_z[3];  // 1 / camera depth of the corners.
     float inverse_area;  // 1 / (2 * signed area).
     float inverse_square[3];     // 1 / squared length of the edges.
-    float slope_x[3], slope_y[3];  // Derivatives, along x and y, of the distance from each edge, in units of d.
+    float slope_x[3], slope_y[3];  // Derivatives of d with respect to x and y, for each edge.
     tiles::TileRange range;
 };
 
 FOURD_HD static inline tiles::TileRange tile_range_of(const Face& face) { return face.range; }
 
-// Gradients with respect to the corners in pixels and their inverse depths, summed over the pixels of a triangle.
+// Sums, over the pixels of a triangle, of the gradients with respect to its corners in pixels and their inverse depths.
 struct ShapeGradient {
     float u[3], v[3], inverse_z[3];
 };
@@ -98,8 +98,8 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
         out.slope_x[k] = zero - edges.y[k] * out.inverse_area * unit;
         out.slope_y[k] = edges.x[k] * out.inverse_area * unit;
     }
-    // If d is a barycentric coordinate, the pixels that the triangle hits lie inside the triangle scaled by 1 + 3
-    // reach.
+    // If d is a barycentric coordinate, the pixels that the triangle hits lie inside the triangle scaled by
+    // 1 + 3 * reach.
     const Number scale = constant(softness.barycentric ? 1.0f + 3.0f * softness.reach : 1.0f, tag);
     const Number margin = constant(softness.barycentric ? 0.0f : softness.reach, tag);
     const Number left = minimum(minimum(out.u[0], out.u[1]), out.u[2]) * scale + out.x;
@@ -120,9 +120,10 @@ struct Coverage {
     Number depth;              // Camera depth, or kNoHit where the triangle does not hit the pixel.
     Number total;              // Sum of the barycentric coordinates above 0.
     Number inverse_depth;
-    // For the point q of the edges that is nearest to the pixel p: the position of q along its edge, and p - q.
+    // Let q be the point on the edges that is nearest to the pixel p. The members are the position of q along its edge,
+    // and the vector p - q.
     Number along, off_x, off_y;
-    Condition nearest[3];      // Whether edge k is the nearest edge or, if `barycentric`, has the smallest coordinate.
+    Condition nearest[3];      // Whether edge k (or coordinate k, if `barycentric` is true) determines d.
     Condition inside;
 };
 
@@ -201,7 +202,7 @@ FOURD_HD static inline Odds<Number> odds_of(Number x) {
     return {select(positive, large, small), select(positive, small, large)};
 }
 
-// exp((nearest - depth) per_depth), which is at most 1.
+// Returns exp((nearest - depth) * per_depth), which is at most 1.
 template <typename Number>
 FOURD_HD static inline Number depth_weight(const Softness& softness, Number nearest, Number depth) {
     const Number* const tag = nullptr;
@@ -220,7 +221,8 @@ FOURD_HD static inline void add_gradient(const Face& face, const Softness& softn
     const Number zero = c(0.0f), one = c(1.0f);
     const Number signed_x = to_x * c(softness.sharpness);
     const Number to_square = select(at.inside, signed_x, zero - signed_x);
-    // Back-propagates the gradient of the depth, which is 1 / q with q = sum over k of max(lambda_k, 0) / z_k / total.
+    // Back-propagates the gradient of the depth. The depth is 1 / q, where q is the sum over k of
+    // max(lambda_k, 0) / (z_k * total).
     const Number to_inverse = (zero - to_depth) / (at.inverse_depth * at.inverse_depth);
     const Number to_each = to_inverse / at.total;
     Number to_lambda[3], mean = zero;
@@ -256,7 +258,7 @@ FOURD_HD static inline void add_gradient(const Face& face, const Softness& softn
     }
 }
 
-// Back-propagates the sums of a triangle to the positions of its vertices, and writes their gradients to `out` (3, 3).
+// Computes the gradients of the vertex positions of a triangle from its sums, and writes the gradients to `out` (3, 3).
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at,
                                              const ShapeGradient& sums, float* out) {
     float to_z[3];

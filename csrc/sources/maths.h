@@ -18,7 +18,7 @@ struct Pinhole {
 // A point projected into a source view. A point behind the camera gets a position far outside the image and has no
 // gradient.
 struct Projection {
-    float u, v;  // Position in pixels of the image.
+    float u, v;  // Position in the image, in pixels.
     float z;
     bool in_front;
 };
@@ -34,8 +34,8 @@ FOURD_HD FOURD_INLINE Projection project(const Pinhole& camera, const float* xyz
             at[2], true};
 }
 
-// Back-propagates the gradient with respect to the pixel position to the point. If the point is behind the camera, the
-// function does not change grad_xyz.
+// Computes the gradient of the point from the gradient of its pixel position, and writes it to grad_xyz. If the point
+// is behind the camera, the function does not change grad_xyz.
 FOURD_HD FOURD_INLINE void project_backward(const Pinhole& camera, const Projection& at, float grad_u, float grad_v,
                                             float* grad_xyz) {
     if (!at.in_front) return;
@@ -82,7 +82,7 @@ FOURD_HD FOURD_INLINE float sample(const float* map, const Bilinear& at) {
            at.weight[3] * map[at.offset[3]];
 }
 
-// The gradient with respect to a position in a map, in units of samples.
+// The gradient with respect to a position in a map. The position is measured in samples of the map.
 struct PixelGradient {
     float u, v;
 };

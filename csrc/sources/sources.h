@@ -42,7 +42,7 @@ struct Samples {
 // The visibility is treated as constant.
 struct Gradients {
     float* xyz;       // (count, 3).
-    float* features;  // Null, or an array in the shape of Maps::features.
+    float* features;  // Null, or an array with the shape of Maps::features.
 };
 
 // The four samples around a projected point, in the image of a view.

@@ -2,10 +2,10 @@
 // float32 numbers in the same order, so that kernel and reference find the same hits.
 //
 // A projected triangle has the incentre s and the inradius r. phi_k(p) is the signed distance of a pixel p from edge k,
-// which is negative inside the triangle. Because phi_k(s) = -r for every edge, this file uses
-// a_k(p) = phi_k(p) / phi_k(s) = 1 + slope_x[k] (p.x - s.x) + slope_y[k] (p.y - s.y). The window is max(min_k a_k(p),
-// 0)^sigma. With barycentric coordinates lambda_k, edge lengths l_k and the perimeter P, a_k = lambda_k P / l_k, for
-// both orientations of the triangle.
+// which is negative inside the triangle. Because phi_k(s) = -r for every edge, the quotient
+// a_k(p) = phi_k(p) / phi_k(s) is the linear function 1 + slope_x[k] * (p.x - s.x) + slope_y[k] * (p.y - s.y). The
+// window is max(min_k a_k(p), 0)^sigma. For both orientations of the triangle, a_k = lambda_k * P / l_k with the
+// barycentric coordinates lambda_k, the edge lengths l_k and the perimeter P.
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -23,8 +23,8 @@ namespace fourd::splat_triangles {
 
 constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to kMaxAlpha, so that later triangles keep a gradient.
 constexpr float kInverseMinAlpha = 255.0f;    // A triangle is skipped at pixels where its alpha is below 1 / 255.
-constexpr float kMinTransmittance = 1e-4f;    // A pixel is complete at or below this transmittance.
-constexpr float kSmallestWindow = 1e-7f;      // Values of min_k a_k below kSmallestWindow count as rounding errors.
+constexpr float kMinTransmittance = 1e-4f;    // Compositing of a pixel ends at this transmittance.
+constexpr float kSmallestWindow = 1e-7f;      // Smaller values of min_k a_k count as rounding errors.
 constexpr float kLn2 = 0.693147181f;
 
 using tiles::constant;
@@ -55,7 +55,7 @@ struct alignas(64) Splat {
 FOURD_HD static inline tiles::TileRange tile_range_of(const Splat& splat) { return splat.range; }
 
 // Sums of gradients over the pixels of a triangle. Let g_k be the gradient of the loss with respect to a_k. The members
-// `a`, `ax` and `ay` are the sums of g_k, g_k (p.x - s.x) and g_k (p.y - s.y).
+// `a`, `ax` and `ay` are the sums of g_k, g_k * (p.x - s.x) and g_k * (p.y - s.y).
 struct ShapeGradient {
     float a[3], ax[3], ay[3];
     float opacity, sigma;
@@ -133,7 +133,7 @@ FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x,
     return out;
 }
 
-// Back-propagates the sums of a triangle to the positions of its vertices, and writes their gradients to `out` (3, 3).
+// Computes the gradients of the vertex positions of a triangle from its sums, and writes the gradients to `out` (3, 3).
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at, const Splat& splat,
                                              const ShapeGradient& sums, float* out) {
     const Edges<float> edges = edges_of(at);

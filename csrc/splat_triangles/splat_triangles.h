@@ -12,7 +12,7 @@ namespace fourd::splat_triangles {
 
 constexpr int kGeometry = 4;      // Channels for geometry: the normal (3) and the depth of a triangle.
 constexpr int kMaxChannels = 36;  // 32 features and the channels for geometry.
-constexpr int kShapeSums = 11;    // Sums of gradients per triangle: one ShapeGradient.
+constexpr int kShapeSums = 11;    // Number of gradient sums per triangle: the members of ShapeGradient.
 
 struct Mesh {
     const float* xyz;          // (vertices, 3).
@@ -60,7 +60,8 @@ struct MeshGradient {
 
 struct Workspace;  // Reusable memory, which cpu/workspace.h defines.
 
-// Renders the triangles, and writes to `weight` (count,) the largest compositing weight of each triangle in any pixel.
+// Renders the triangles. For each triangle, also writes its largest compositing weight over all pixels to `weight`
+// (count,).
 void render(const Mesh& mesh, const Settings& settings, Workspace& workspace, const Image& out, float* weight);
 
 void render_backward(const Mesh& mesh, const Settings& settings, Workspace& workspace, const ImageGradient& gradient,

@@ -13,23 +13,24 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum number of pixels between the taps of a line filter.
 
-// A line at a pixel is drawn only if it reaches the sides of squares around the pixel; other lines are specks. Returns
-// half the side of the largest square, in pixels, which is at most 32.
+// A line at a pixel is drawn only if squares of several sizes around the pixel have lines on their borders. Other lines
+// are specks. Returns half the side of the largest square, in pixels, which is at most 32.
 constexpr int speck_reach(int thickness) {
     int reach = 8;
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;
     return reach;
 }
-// Minimum strength, from 0 to 255, at which a pixel's line counts as the continuation of other lines.
+// A pixel's line continues other lines only if its strength, from 0 to 255, is at least this number.
 constexpr std::uint32_t kLeastStrength = 32;
 
 // The quantity that selects the row of the shade table.
 enum class Detail { facing = 0, depth = 1, focus = 2 };
 enum class Lines { none = 0, sobel = 1, cross = 2 };
 
-// Numbers in the order of StyleParameters.numbers in fourd/ops/stylize/parameters.py.
+// The numbers of a style, in the order of StyleParameters.numbers in fourd/ops/stylize/parameters.py.
 struct Numbers {
-    float ray[6];    // Ray of pixel (x, y) with depth 1: (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5]).
+    // Ray of pixel (x, y) with depth 1: (ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5]).
+    float ray[6];
     float light[3];  // Unit vector towards the light, in camera axes.
     // Factors of the formula colour = table * (table_alone + table_times_albedo * albedo) + albedo_alone * albedo.
     float table_alone, table_times_albedo, albedo_alone;
@@ -59,8 +60,8 @@ struct Surface {
 
 // Writes the picture to `out` (height, width, 4). `line_state` (height, width) may be null. Otherwise, it has the lines
 // of the previous image from the same camera, and the function overwrites it with the lines of the new image. The
-// lowest byte of a line_state element is the strength of the line, where 0 means no line. The upper 16 bits are those
-// of a float: the sum of the inverse depths at the nine taps of the line filter.
+// lowest byte of a line_state element is the strength of the line, where 0 means no line. The upper 16 bits of the
+// element are the upper 16 bits of a float, which is the sum of the inverse depths at the nine taps of the line filter.
 void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out);
 

@@ -32,7 +32,8 @@ struct Size {
     fourd::Simd simd;
 };
 
-// The figure of fourd/benchmarks/workloads.py: a closed surface of evenly spaced points that covers 40% of the image.
+// The figure from fourd/benchmarks/workloads.py: evenly spaced points on a closed surface, which covers 40% of the
+// image.
 struct Figure {
     Floats xyz, features, radius, density;
 
@@ -98,7 +99,7 @@ std::function<void()> play_workload(const Size& size) {
     std::mt19937 random(5);
     const auto halves = [&](std::size_t count) {
         std::vector<std::uint16_t> out(count);
-        // As float16, random numbers from 0.125 to 0.5.
+        // Random numbers from 0.125 to 0.5, as float16.
         for (auto& half : out) half = static_cast<std::uint16_t>(0x3000 + random() % 0x800);
         return out;
     };

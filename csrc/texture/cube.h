@@ -7,7 +7,7 @@
 namespace fourd::texture {
 
 // The axes of a face. Let a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|. The ray in the
-// direction (x, y, z) meets the face at s = 0.5 (a / m + 1) and t = 0.5 (b / m + 1).
+// direction (x, y, z) meets the face at s = 0.5 * (a / m + 1) and t = 0.5 * (b / m + 1).
 struct CubeFace {
     int s_axis, t_axis, m_axis;
     int s_sign, t_sign, m_sign;
@@ -95,10 +95,10 @@ FOURD_HD FOURD_INLINE void cube_footprint_backward(const CubePosition& at, const
     }
 }
 
-// Returns the index of a texel on a neighbouring face. The arguments give the texel as a column or row that is one
-// texel outside `face`.
+// Returns the index of a texel on a neighbouring face. The texel is given in the grid of `face`: its column or its row
+// is one texel outside `face`.
 FOURD_HD FOURD_INLINE int neighbour_texel(int face, int column, int row, int size) {
-    // Positions are in half texels, on a cube whose faces are at +-size.
+    // The unit of positions is half a texel, and the faces of the cube are at +-size.
     const CubeFace f = cube_face(face);
     const bool is_beside = column < 0 || column >= size;
     int at[3];
@@ -106,8 +106,8 @@ FOURD_HD FOURD_INLINE int neighbour_texel(int face, int column, int row, int siz
     at[f.t_axis] = f.t_sign * (2 * row + 1 - size);
     const int axis = is_beside ? f.s_axis : f.t_axis;
     const bool is_negative = at[axis] < 0;
-    // The two faces meet at a right angle. On the neighbouring face (of `axis`), the centre of the texel is half a
-    // texel from the edge.
+    // The two faces meet at a right angle. On the neighbouring face, which is perpendicular to `axis`, the centre of
+    // the texel is half a texel from the edge.
     at[axis] = is_negative ? -size : size;
     at[f.m_axis] = f.m_sign * (size - 1);
     const int other = 2 * axis + (is_negative ? 1 : 0);

@@ -88,8 +88,8 @@ FOURD_HD FOURD_INLINE LongerAxis longer_axis(const Footprint& d) {
     return out;
 }
 
-// The mip level of a footprint before the bias: the base-2 logarithm of the length of its longer axis. A footprint that
-// is a point gives a very negative level, and NaN gives NaN.
+// The mip level of a footprint before the bias is added: the base-2 logarithm of the length of the footprint's longer
+// axis. A footprint that is a point gives a very negative level, and NaN gives NaN.
 FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
     const float square = longer_axis(d).square;
     const float level = square < kMinSquare ? -1e30f : 0.5f * log2_of(square);
@@ -100,7 +100,7 @@ FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
 FOURD_HD FOURD_INLINE Footprint level_slopes(const Footprint& d) {
     const LongerAxis axis = longer_axis(d);
     const bool is_point = !(axis.square >= kMinSquare);
-    const float factor = is_point ? 0.0f : 0.72134752f / axis.square;  // 0.5 / (ln(2) square)
+    const float factor = is_point ? 0.0f : 0.72134752f / axis.square;  // 0.5 / (ln(2) * square)
     const float inverse = axis.root > 0.0f ? 1.0f / axis.root : 0.0f;
     const float skew = 0.25f * (axis.a - axis.b) * inverse;
     const float by_a = factor * (0.5f + skew), by_b = factor * (0.5f - skew), by_c = factor * (axis.c * inverse);
@@ -157,7 +157,8 @@ FOURD_HD FOURD_INLINE int clamp_index(int i, int size) {
     return i < size ? i : size - 1;
 }
 
-// The axis of a bilinear lookup at a coordinate from wrapped(). For Boundary::cube, indices can be -1 or `size`.
+// Returns the texels of a bilinear lookup along one axis. The coordinate comes from wrapped(). For Boundary::cube,
+// indices can be -1 or `size`.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
     const float scale = static_cast<float>(size);
@@ -187,7 +188,8 @@ FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
             {out.slope[0], out.slope[1]}};
 }
 
-// The axis of a nearest lookup at a coordinate from wrapped(). The second texel has the weight 0.
+// Returns the texels of a nearest lookup along one axis. The coordinate comes from wrapped(). The second texel has the
+// weight 0.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE Axis nearest_axis(float u, int size) {
     const float scale = static_cast<float>(size);
@@ -210,8 +212,8 @@ struct Texels {
     float along_t[4];  // Derivatives of the weights with respect to the vertical coordinate.
 };
 
-// The texels of a lookup whose axes are independent. `first` is the index of the first texel of the image. `is_used` is
-// 0 for a position that is not finite, and 1 for all other positions.
+// Combines the texels along two independent axes. `first` is the index of the first texel of the image. `is_used` is 0
+// for a position that is not finite, and 1 for all other positions.
 FOURD_HD FOURD_INLINE Texels texels_of(const Axis& s, const Axis& t, int first, int width, float is_used) {
     Texels out;
     for (int k = 0; k < 4; ++k) {

@@ -13,7 +13,7 @@
 
 namespace fourd::tiles {
 
-constexpr float kThinnest = 1e-4f;             // Triangles with an inradius below kThinnest, in pixels, are culled.
+constexpr float kThinnest = 1e-4f;             // Triangles with an inradius below kThinnest pixels are culled.
 constexpr float kFarthestPixel = 16777216.0f;  // 2^24. Triangles with a pixel coordinate beyond this value are culled.
 constexpr float kMaxDepth = 1e38f;             // Triangles with a vertex at a depth above kMaxDepth are culled.
 
@@ -30,7 +30,8 @@ FOURD_HD static inline float exp2_of(float a) { return exp2f(a); }
 template <typename Number>
 FOURD_HD static inline Number floor_of(Number a) {
     const Number* const tag = nullptr;
-    const Number magic = constant(12582912.0f, tag);  // 1.5 * 2^23: floats of this magnitude are integers.
+    // 1.5 * 2^23. Floats of this magnitude are integers, so adding this number rounds.
+    const Number magic = constant(12582912.0f, tag);
     const Number rounded = (a + magic) - magic;
     return select(rounded > a, rounded - constant(1.0f, tag), rounded);
 }
@@ -122,8 +123,8 @@ FOURD_HD static inline Corners<float> corners_of(const Pinhole& camera, const fl
     return out;
 }
 
-// Back-propagates the gradients of the corners' pixel coordinates and depths to the positions of the vertices, and
-// writes the gradients of the positions to `out` (3, 3).
+// Computes the gradients of the vertex positions from the gradients of the corners' pixel coordinates and depths.
+// Writes the gradients of the vertex positions to `out` (3, 3).
 FOURD_HD static inline void corners_backward(const Pinhole& camera, const Corners<float>& at, const float* to_u,
                                              const float* to_v, const float* to_z, float* out) {
     const float* r = camera.rotation;

@@ -30,8 +30,9 @@ class DepthBins {
     void prepare(std::size_t count, int width, int height, const Project& project, Team& team);
 
     // Bins the primitives into a band of tile rows that starts at row `top`, and returns the first row after the band.
-    // The band has at least one row, and more rows only up to `max_entries` entries. Until the next call, only the rows
-    // of the band have entries. Without bands, the entries of large primitives could exceed the available memory.
+    // The band has at least one row. It gets more rows only as long as it has at most `max_entries` entries. Until the
+    // next call, only the rows of the band have entries. Without bands, the entries of large primitives could exceed
+    // the available memory.
     int fill_band(int top, std::size_t max_entries, Team& team);
 
     // Projects and sorts the primitives, without binning them. order() then returns the sorted items.

@@ -1,9 +1,10 @@
 // The type Lanes: 16 floats, one per pixel of a 4 x 4 block. The vector type of Lanes depends on the instruction set
 // that this file is compiled for. A dispatched file (common/dispatch.h) includes this file inside its namespace.
-// Additions have the same order for all instruction sets, so results have the same bits, except those of multiply_add.
+// Additions have the same order for all instruction sets, so results have the same bits, except for the results of
+// multiply_add.
 //
-// multiply_add(a, b, c) returns a b + c. With fused multiply-add, the product is not rounded; other instruction sets
-// round the product. For positive normal numbers a = m 2^e with m in [1, 2), exponent_of(a) returns e and
+// multiply_add(a, b, c) returns a * b + c. With fused multiply-add, the product is not rounded; other instruction sets
+// round the product. For positive normal numbers a = m * 2^e with m in [1, 2), exponent_of(a) returns e and
 // mantissa_of(a) returns m. times_power_of_two(a, power) returns a * 2^power, where `power` is a whole number. The
 // result must be a normal number. minimum(a, b) and maximum(a, b) return b where a or b is NaN.
 

@@ -7,8 +7,8 @@
 
 namespace fourd::tiles {
 
-// Calls work(tile, worker) for all tiles in [first, last), in any order. A task is a group of consecutive tiles of at
-// most kTilesPerTask. Without groups, two threads would often write to neighbouring tiles at the same time. Pixel rows
+// Calls work(tile, worker) for all tiles in [first, last), in any order. A task is a group of at most kTilesPerTask
+// consecutive tiles. Without groups, two threads would often write to neighbouring tiles at the same time. Pixel rows
 // of neighbouring tiles share cache lines, so every write would move a cache line between the cores.
 template <typename Work>
 void run_tiles(Team& team, int first, int last, const Work& work) {

@@ -24,7 +24,7 @@ struct Block {
     std::size_t row_count;
 };
 
-// The components of the basis are sorted by their variance, so that many blocks have no factors in the last rows.
+// The components of the basis are sorted by their variance, so in many blocks, all factors of the last rows are 0.
 FOURD_INLINE void read_factors(const Harmonics& from, std::size_t first, std::size_t count, Block* block) {
     block->row_count = 0;
     for (std::size_t row = 0; row < from.rows; ++row) {
@@ -89,7 +89,7 @@ void harmonics(const Harmonics& from, std::uint16_t* out) {
     }
 }
 
-// Adds `step` times a level, which is a signed byte, to a colour. With a step of 1, sums wrap around modulo 256, so
+// Adds step * level to a colour, where the level is a signed byte. With a step of 1, sums wrap around modulo 256, so
 // that one byte can represent every difference of two colours.
 FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int step) {
     const int sum = mean + step * static_cast<std::int8_t>(level);
@@ -97,7 +97,8 @@ FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int s
     return static_cast<std::uint8_t>(step == 1 ? sum : clamped);
 }
 
-// Writes the weight and the colour of point `i` in one view. `level` has the planes green, red and blue.
+// Writes the weight and the colour of point `i` in one view. `level` has the levels of green, red - green and blue -
+// green.
 FOURD_INLINE void write_point(const Views& from, std::size_t number, std::size_t i, const std::uint8_t (&level)[3],
                               std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     out_weights[i * from.view_count + number] = from.weights[from.views[number].codes[i]];

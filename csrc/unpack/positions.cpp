@@ -3,7 +3,7 @@
 namespace fourd::unpack {
 namespace {
 
-// Gathers every third bit of a Morton code, from bit 0 on, to the low 21 bits.
+// Gathers every third bit of a Morton code, from bit 0 on, into the low 21 bits.
 std::uint64_t gather_bits(std::uint64_t code) {
     code &= 0x1249249249249249;
     code = (code | code >> 2) & 0x10c30c30c30c30c3;

@@ -23,7 +23,7 @@ struct Harmonics {
 };
 
 // One source view: a weight code for each point, then the colour levels of the points that have a colour. The levels
-// are three planes of `colours` bytes: green, red - green and blue - green.
+// are three planes, each with `colours` bytes: green, red - green and blue - green.
 struct View {
     const std::uint8_t* codes;
     const std::uint8_t* levels;

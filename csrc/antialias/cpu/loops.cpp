@@ -41,8 +41,8 @@ void blend(const Plan& plan, const Rows& rows, float* scratch, float* out, std::
     float *ids = scratch, *below = scratch + view.width;
     std::uint8_t* const changes = reinterpret_cast<std::uint8_t*>(scratch + 2 * static_cast<std::size_t>(view.width));
     copy(plan.images.colours, begin * view.channels, end * view.channels, out);
-    // The loop starts at row rows.begin - 1, because pixels of that row form pairs with pixels of row rows.begin, and
-    // blending changes both.
+    // The loop starts at row rows.begin - 1, because the pixels of this row form pairs with the pixels of row
+    // rows.begin. Blending can change either pixel of a pair.
     const int first = rows.begin > 0 ? rows.begin - 1 : 0;
     copy_ids(view.rast(view.pixel(first, 0)), view.width, below);
     for (int row = first; row < rows.end; ++row) {
@@ -119,7 +119,7 @@ void blend_backward(const Plan& plan, const Rows& rows, const Gradients& gradien
                 if (edge_of(codes[column], axis) == 0) continue;
                 const Pair pair{row, column, axis};
                 if (!has_owner(view, pair, codes[column])) {
-                    // The crossings in these codes are included in the result of count().
+                    // count() also counts these crossings, so their contributions are set to 0.
                     if (own && contributions) *contributions++ = {0, 0, 0, 0}, *contributions++ = {0, 0, 0, 0};
                     continue;
                 }

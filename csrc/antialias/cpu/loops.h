@@ -18,18 +18,19 @@ struct Loops {
     // Writes the colours and the codes of some rows. `scratch` has 3 * width floats.
     void (*blend)(const Plan&, const Rows&, float* scratch, float* out, std::uint8_t* codes);
 
-    // Counts the crossings between the pixels of some rows and their right and lower neighbours.
+    // Counts the crossings in the pairs that the pixels of some rows form with their right and lower neighbours.
     std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
 
-    // Writes the gradient with respect to the colours of some rows. If `contributions` is not null, also writes, for
-    // each crossing, two contributions to the gradient with respect to the positions.
+    // Writes the gradient with respect to the colours of some rows. If `contributions` is not null, the function also
+    // writes two contributions to the gradient with respect to the positions for each crossing.
     void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
 
-    // Adds the contributions to vertices [begin, end) to `positions`, in the order of the contributions.
+    // Adds those contributions that belong to vertices [begin, end) to `positions`, in order.
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 
-// The loops are not compiled for AVX-512, because memory accesses and branches limit their speed.
+// The loops are not compiled for AVX-512: memory accesses and branches limit their speed, so wider vectors would not
+// help.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::antialias

@@ -28,7 +28,7 @@ std::size_t sums_size(const Mlp& mlp) {
     return (static_cast<std::size_t>(mlp.channels) * mlp.hidden + mlp.hidden + 1) * kLanes;
 }
 
-// Returns the total of the kLanes partial sums of sum i.
+// Returns sum i, which is stored as kLanes partial sums.
 float total(const float* sums, std::size_t i) {
     float out = 0.0f;
     for (int lane = 0; lane < kLanes; ++lane) out += sums[i * kLanes + lane];

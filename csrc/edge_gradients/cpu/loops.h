@@ -19,11 +19,12 @@ struct Loops {
 
     void (*contribute)(const Plan&, const Rows&, const float* gradient, const std::uint8_t* codes, Contribution* out);
 
-    // Adds the contributions to vertices [begin, end) to `positions`, in the order of the contributions.
+    // Adds those contributions that belong to vertices [begin, end) to `positions`, in order.
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 
-// The loops are not compiled for AVX-512, because memory accesses and branches limit their speed.
+// The loops are not compiled for AVX-512: memory accesses and branches limit their speed, so wider vectors would not
+// help.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::edge_gradients

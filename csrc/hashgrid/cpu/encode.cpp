@@ -37,7 +37,7 @@ void encode_backward(const Query& query, const float* gradient, float* grad_tabl
         // One worker processes all points of a level, in order. Therefore, no locks are needed, and the order of
         // additions is fixed.
         team.run(query.level_count, [&](int task, int) {
-            // The last tasks are small levels, which balances the load of the workers.
+            // The last tasks process small levels, so that the workers finish at about the same time.
             const int l = query.level_count - 1 - task;
             clear(query, l, grad_table);
             loops.scatter(query, l, gradient, grad_table);

@@ -1,5 +1,5 @@
-// The hash grid (hashgrid/hashgrid.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are
-// in GPU memory, except query.levels, which is in host memory.
+// The hash grid (hashgrid/hashgrid.h) on a GPU. Functions queue work on a stream and do not wait for the GPU. All
+// arrays are in GPU memory, except query.levels, which is in host memory.
 #pragma once
 
 #include "hashgrid/hashgrid.h"

@@ -1,5 +1,5 @@
-// The interpolation (interpolate/interpolate.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All
-// arrays are in GPU memory.
+// The interpolation (interpolate/interpolate.h) on a GPU. Functions queue work on a stream and do not wait for the GPU.
+// All arrays are in GPU memory.
 #pragma once
 
 #include "interpolate/interpolate.h"

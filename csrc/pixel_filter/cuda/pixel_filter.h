@@ -1,5 +1,5 @@
-// The pixel filter (pixel_filter/pixel_filter.h) on a GPU. The function is asynchronous, as in points/cuda/render.h, and
-// all arrays are in GPU memory.
+// The pixel filter (pixel_filter/pixel_filter.h) on a GPU. The function queues work on a stream and does not wait for
+// the GPU. All arrays are in GPU memory.
 #pragma once
 
 #include "pixel_filter/pixel_filter.h"

@@ -29,8 +29,8 @@ FOURD_INLINE void locate_run(const Plan& plan, std::size_t begin, int count, con
     }
 }
 
-// Prefetches the samples of point i of a batch. Only planes in [first, last) that do not fit in the caches of a core are
-// prefetched. `values(k)` returns the array of plane k, or another array of the same shape.
+// Prefetches the samples of point i of a batch. Only planes in [first, last) that do not fit in the caches of a core
+// are prefetched. `values(k)` returns the values of plane k, or the gradient of these values.
 template <typename Values>
 FOURD_INLINE void prefetch_samples(const Plan& plan, const RunPositions& positions, int i, int first, int last,
                                    const Values& values) {

@@ -10,8 +10,8 @@ namespace fourd::planes {
 
 constexpr int kRun = 64;  // Number of points per batch. The positions of a batch stay in the L1 cache.
 
-// A coordinate along which planes have `size` samples. Several planes can share an axis, so the sample indices of a
-// point are computed once per axis, not once per plane.
+// A coordinate, and the number of samples that planes have along it. Several planes can share an axis, so the sample
+// indices of a point are computed once per axis, not once per plane.
 struct Axis {
     int coordinate;
     int size;
@@ -25,7 +25,7 @@ struct Plan {
     int axis_count;
     const int* x_axis;  // For each plane, the index of its x axis in axes.
     const int* y_axis;
-    const int* large;  // Ascending indices of the planes that are larger than the caches of a core.
+    const int* large;  // Indices, in ascending order, of planes that are larger than the caches of a core.
     int large_count;
     const std::uint32_t* order;
 };

@@ -1,12 +1,12 @@
-// K-Planes (planes/planes.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU
-// memory, except query.planes and the array of pointers grad_planes, which are in host memory.
+// K-Planes (planes/planes.h) on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in
+// GPU memory, except query.planes and the array of pointers grad_planes, which are in host memory.
 #pragma once
 
 #include "planes/planes.h"
 
 namespace fourd::planes::cuda {
 
-constexpr int kMaxPlanes = 64;  // Limits the size of the kernel arguments, because planes are passed by value.
+constexpr int kMaxPlanes = 64;  // Limits the size of the kernel arguments, which contain all planes.
 
 void sample(const Query& query, float* out, void* stream);
 

@@ -1,5 +1,5 @@
-// Draws a baked frame on a GPU, from float16 arrays to an 8-bit image. Functions are asynchronous, as in
-// points/cuda/render.h. Pointers point to GPU memory.
+// Draws a baked frame on a GPU, from float16 arrays to an 8-bit image. Functions queue work on a stream and do not wait
+// for the GPU. Pointers point to GPU memory.
 #pragma once
 
 #include "play/frame.h"

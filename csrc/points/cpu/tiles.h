@@ -35,15 +35,15 @@ struct Visits {
 
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
-// The features of a point for draw_surface are its colour, its normal times its weight, its weight (front_weight in
-// points/front_weight.h), and its depth times its weight. They are adjacent in memory, because tiles read the features of
-// scattered points.
+// Number of features of a point for draw_surface: its colour (3), its normal times its weight (3), its weight
+// (front_weight in points/front_weight.h), and its depth times its weight. The features of a point are adjacent in
+// memory, because a tile reads points that are scattered in memory.
 constexpr int kSurfaceFeatures = 8;
 constexpr std::size_t kJoinedPoints = 64;
 
 struct Loops {
-    // Projects points [begin, end) into splats and tile_ranges, which are both indexed by point. Lists the visible
-    // points in items and returns their number.
+    // Projects the points [begin, end) into `splats` and `tile_ranges`, which are both indexed by point. Lists the
+    // visible points in `items`, and returns their number.
     std::size_t (*project)(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, TileRange* tile_ranges, Item* items);
 
@@ -52,7 +52,7 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // Joins the colours and the normals of the points [begin, end), which are at most kJoinedPoints points. `xyz`
+    // Joins the colours and the normals of the points [begin, end). There are at most kJoinedPoints points. `xyz`
     // (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count, kSurfaceFeatures) are indexed by
     // point. The normals are decoded (points/octahedral.h) and rotated to the axes of the camera.
     void (*join_normals)(const Pinhole& camera, const float* xyz, const float* colours, const std::uint8_t* octahedral,

@@ -33,8 +33,8 @@ struct Workspace {
     template <typename Draw>
     bool draw_tiles(Team& team, const Draw& draw);
 
-    // Calls fill() unless `bins` already belong to the same inputs. The inputs of a backward pass are usually those of
-    // the last call, which was the forward pass.
+    // Calls fill() unless `bins` were already computed from the same inputs. A backward pass usually has the same
+    // inputs as the call before it, which was the forward pass.
     void fill_unless_current(const Cloud& cloud, const Settings& settings, Team& team);
 
     // Returns the inputs for rendering the tile with this index. Tiles are numbered row by row. Call fill() before this

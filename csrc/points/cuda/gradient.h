@@ -6,8 +6,7 @@
 namespace fourd::points::cuda {
 
 // The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula. The
-// term for alpha is computed separately, because it would suffer from cancellation in a common sum where alpha is close
-// to 1.
+// term for alpha is computed separately. In a common sum, it would suffer from cancellation where alpha is close to 1.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];
@@ -60,7 +59,8 @@ struct GradientPixel {
             const std::uint32_t next_entry = lane.max(own_entry);
             if (next_entry == 0) break;
             const std::size_t rank = list.rank(next_entry - 1);
-            float parts[5 + kCapacity] = {};  // First the members of SplatGradient, then the gradients of the features.
+            // The members of SplatGradient, followed by the gradients of the features.
+            float parts[5 + kCapacity] = {};
             if (own_entry == next_entry) {
                 --count;
                 const Splat& splat = view.entries.splats[rank];
@@ -98,8 +98,8 @@ struct GradientPixel {
     }
 };
 
-// Back-propagates the gradients that were summed over pixels to the gradient of a point. Sums are indexed by rank,
-// which is the position of the point in depth order. Culled points get zero gradients.
+// Computes the gradient of a point from gradients that were summed over pixels. Sums are indexed by rank, which is the
+// position of the point in depth order. Culled points get zero gradients.
 struct GradientPoint {
     Entries entries;
     Pinhole camera;

@@ -1,5 +1,5 @@
-// Kernels that render images or compute the largest weight of each point. Each pixel has one thread, including pixels
-// outside the image in tiles at its border (traversal.h).
+// Kernels that render images or compute the largest weight of each point. Each pixel of a tile has one thread
+// (tiles/cuda/traversal.h), even if the pixel is outside the image.
 #pragma once
 
 #include "points/cuda/project.h"

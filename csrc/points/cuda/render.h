@@ -1,5 +1,5 @@
 // The point renderer on a GPU. Callers check shapes and sizes. Every pointer points to a dense row-major array in GPU
-// memory. Functions are asynchronous: they queue work on a stream and do not wait for the GPU.
+// memory. Functions queue work on a stream and do not wait for the GPU.
 #pragma once
 
 #include <cstddef>
@@ -28,7 +28,7 @@ void draw(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffe
 void render_backward(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer,
                      const ImageGradient& gradient, const CloudGradient& out, void* stream);
 
-// Writes to `out` (count,) the largest weight of each point in any pixel. cloud.features is not read.
+// For each point, writes its largest weight over all pixels to `out` (count,). cloud.features is not read.
 void visibility(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, float* out, void* stream);
 
 }  // namespace fourd::points::cuda

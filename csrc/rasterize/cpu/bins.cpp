@@ -74,7 +74,7 @@ void Bins::cut(const Query& query, int first, std::size_t begin, std::size_t end
             const std::size_t a = static_cast<std::uint32_t>(query.tri[3 * triangle]);
             const std::size_t b = static_cast<std::uint32_t>(query.tri[3 * triangle + 1]);
             const std::size_t c = static_cast<std::uint32_t>(query.tri[3 * triangle + 2]);
-            // Converted to an unsigned integer, a negative index also fulfils this condition.
+            // As an unsigned integer, a negative index is larger than every valid index.
             if (std::max({a, b, c}) >= query.vertices) continue;
             for_pieces(screen, vertices[a], vertices[b], vertices[c], pos + 4 * a, pos + 4 * b, pos + 4 * c,
                        static_cast<int>(triangle), [&](const Piece& piece, const Bounds& bounds) {

@@ -1,5 +1,5 @@
-// The rasterizer (rasterize/rasterize.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays
-// are in GPU memory. `longest_range` is the largest number of triangles of an image.
+// The rasterizer (rasterize/rasterize.h) on a GPU. Functions queue work on a stream and do not wait for the GPU. All
+// arrays are in GPU memory. `longest_range` is the largest number of triangles of an image.
 #pragma once
 
 #include "rasterize/rasterize.h"

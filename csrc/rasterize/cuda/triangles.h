@@ -61,7 +61,7 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
     return depth;
 }
 
-// The buffer to which the kernels write the nearest triangle of each pixel, with the previous layer.
+// The buffer to which the kernels write the nearest triangle of each pixel, and the previous layer.
 struct Target {
     Screen screen;
     std::uint64_t* keys;    // (images, height, width).

@@ -1,7 +1,7 @@
 // Builds the tree from the top down. The centres of a range of primitives are sorted into 16 bins along each axis. The
-// range is split at the border of two bins where the cost by the surface area heuristic (Wald 2007, On fast
-// Construction of SAH-based Bounding Volume Hierarchies) is lowest. A node splits its range until it has eight
-// children. The top of the tree is built on one thread. The subtrees below the top are built on all threads.
+// range is split between two neighbouring bins, where the cost is lowest. The cost follows the surface area heuristic
+// (Wald 2007, On fast Construction of SAH-based Bounding Volume Hierarchies). A node splits its range until it has
+// eight children. The top of the tree is built on one thread. The subtrees below the top are built on all threads.
 #include "rays/cpu/topology.h"
 
 #include <algorithm>
@@ -150,7 +150,7 @@ void split(Reference* references, const Range& range, bool in_halves, Range* lef
     left->end = right->begin = at;
 }
 
-// Splits a range into up to eight ranges, of which the range with the largest area is split first. Ranges of up to
+// Splits a range into up to eight ranges. Each step splits the range with the largest box area in two. Ranges of up to
 // kWidth primitives are not split.
 std::vector<Range> children_of(Reference* references, const Range& range, bool in_halves) {
     std::vector<Range> out{range};
@@ -202,7 +202,7 @@ std::int32_t build_subtree(Reference* references, const Range& range, int depth,
     return index;
 }
 
-// A range whose subtree is built by a task, and the place of the subtree in the top of the tree.
+// A task builds the subtree of a range. The members node and lane are the place of the subtree in the top of the tree.
 struct Task {
     Range range;
     std::int32_t node;

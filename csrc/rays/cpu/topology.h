@@ -1,4 +1,4 @@
-// The structure of a tree over the boxes of any primitives.
+// The structure of a tree over the boxes of primitives of any kind.
 #pragma once
 
 #include <cstddef>
@@ -25,7 +25,7 @@ inline void extend(Box* box, const Box& by) {
     }
 }
 
-// A primitive and its box, as the builder of the tree sorts them.
+// The index of a primitive and its box. The builder of the tree sorts these references.
 struct alignas(16) Reference {
     Box box;
     std::int32_t index;

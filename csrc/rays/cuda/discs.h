@@ -1,5 +1,5 @@
-// Compositing of discs along rays (rays/discs.h) on a GPU. The function is asynchronous, as in points/cuda/render.h. All
-// arrays are in GPU memory. Trees are built on the CPU.
+// Compositing of discs along rays (rays/discs.h) on a GPU. The function queues work on a stream and does not wait for
+// the GPU. All arrays are in GPU memory. Trees are built on the CPU.
 #pragma once
 
 #include "rays/discs.h"

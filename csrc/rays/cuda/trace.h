@@ -1,5 +1,5 @@
-// Ray tracing (rays/rays.h) on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU
-// memory. Trees are built on the CPU.
+// Ray tracing (rays/rays.h) on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in
+// GPU memory. Trees are built on the CPU.
 #pragma once
 
 #include "rays/rays.h"

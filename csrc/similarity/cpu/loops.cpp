@@ -16,7 +16,7 @@ constexpr float kLuminance = 0.01f * 0.01f, kContrast = 0.03f * 0.03f;
 constexpr int kLanes = 8;
 
 // Computes the window means along columns for element i of a row. If Number is Eight, the function also computes the
-// means of the next seven elements. `out` has kMeans rows of plan.stride floats.
+// means of the next seven elements. `out` has kMeans rows, each with plan.stride floats.
 template <typename Number>
 FOURD_INLINE void column_means_at(const Plan& plan, const float* picture, const float* truth, std::size_t i,
                                   float* out) {
@@ -62,9 +62,8 @@ FOURD_INLINE void row_means(const Window& window, const float* from, std::size_t
     });
 }
 
-// Computes the similarities of a row from its means, which have plan.stride floats per row. If kWithDerivatives is
-// true, the function also computes the derivatives of the similarities, which are kDerivatives rows of plan.valid
-// floats.
+// Computes the similarities of a row from its window means. `means` has kMeans rows, each with plan.stride floats. If
+// kWithDerivatives is true, the function also writes `derivatives`: kDerivatives rows, each with plan.valid floats.
 template <bool kWithDerivatives>
 FOURD_INLINE void compare(const Plan& plan, const float* means, float* FOURD_RESTRICT values,
                           float* FOURD_RESTRICT derivatives) {
@@ -127,7 +126,7 @@ void gradient_row(const Plan& plan, int row, const float* derivatives, float* sc
     float *padded = scratch, *smoothed = scratch + stride + border;
     for (int derivative = 0; derivative < kDerivatives; ++derivative) {
         // The derivatives are padded with zeros outside the valid part. The backward pass correlates the derivatives
-        // with the reversed window. The window is symmetric, so the same weights are used.
+        // with the reversed window. The window is symmetric, so the reversed window has the same weights.
         std::memset(padded, 0, border * sizeof(float));
         std::memset(padded + stride, 0, border * sizeof(float));
         const int first = row < plan.valid_rows ? 0 : row - plan.valid_rows + 1;

@@ -36,12 +36,12 @@ constexpr int kDerivatives = 3;
 
 struct Loops {
     // Returns the sum of the similarities of one pixel row, over the pixels whose window lies inside the image. Unless
-    // `derivatives` is null, the function also writes the derivatives of the similarities.
-    // `scratch` has 2 * kMeans rows of plan.stride floats.
+    // `derivatives` is null, the function also writes the derivatives of the similarities. `scratch` has 2 * kMeans
+    // rows, each with plan.stride floats.
     double (*compare)(const Plan&, std::size_t row, float* scratch, float* derivatives);
 
     // Computes the gradient of a row of the picture from the derivatives of all windows that contain the row. `scratch`
-    // has 2 rows of plan.stride + kBorder * channels floats.
+    // has 2 rows, each with plan.stride + kBorder * channels floats.
     void (*gradient)(const Plan&, int row, const float* derivatives, float* scratch, float* out);
 };
 

@@ -28,7 +28,8 @@ struct Tile {
     int width, height;  // Size of the image.
 };
 
-// Scratch memory. A visit is a pair of an entry and a block in which the entry's triangle hits at least one pixel.
+// Scratch memory. A visit is one (entry, block) pair in which the entry's triangle hits at least one pixel of the
+// block.
 struct Visits {
     std::uint16_t* blocks;   // (count,): mask of the blocks that each entry may hit.
     std::uint32_t* entries;  // (count,): entry of each visit of a block.
@@ -37,8 +38,8 @@ struct Visits {
 };
 
 struct Loops {
-    // Projects triangles [begin, end) into faces and tile_ranges, which are both indexed by triangle. Lists the visible
-    // triangles in items and returns their number.
+    // Projects the triangles [begin, end) into `faces` and `tile_ranges`, which are both indexed by triangle. Lists the
+    // visible triangles in `items`, and returns their number.
     std::size_t (*project)(const Mesh& mesh, const Settings& settings, std::size_t begin, std::size_t end, Face* faces,
                            TileRange* tile_ranges, Item* items);
 

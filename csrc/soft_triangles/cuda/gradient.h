@@ -28,7 +28,7 @@ struct GradientPixel {
             const auto at = view.coverage(rank, pixel);
             const bool taken = nearest.takes(at.depth) && pixel.inside;
             if (!lane.any(taken)) continue;
-            // First the members of ShapeGradient, then the gradients of the channels.
+            // The members of ShapeGradient, followed by the gradients of the channels.
             float parts[kShapeSums + kCapacity] = {};
             if (taken) {
                 const Odds<float> odds = odds_of(at.x);
@@ -86,8 +86,8 @@ struct GradientPixel {
     }
 };
 
-// Back-propagates the gradients that were summed over pixels to the gradient of a triangle. Sums are indexed by rank,
-// which is the position of the triangle in depth order. Culled triangles get zero gradients.
+// Computes the gradient of a triangle from gradients that were summed over pixels. Sums are indexed by rank, which is
+// the position of the triangle in depth order. Culled triangles get zero gradients.
 struct GradientTriangle {
     Entries entries;
     Mesh mesh;

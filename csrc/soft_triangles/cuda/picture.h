@@ -1,5 +1,5 @@
-// Kernels that project triangles and render images. Each pixel has one thread, including pixels outside the image in
-// tiles at its border (tiles/cuda/traversal.h).
+// Kernels that project triangles and render images. Each pixel of a tile has one thread (tiles/cuda/traversal.h), even
+// if the pixel is outside the image.
 #pragma once
 
 #include <cstring>
@@ -63,8 +63,8 @@ struct View {
     }
 };
 
-// Selects at most `layers` nearest triangles of a pixel. These are all triangles in front of the depth `last`, and the
-// first `ties` triangles at the depth `last`.
+// Selects the nearest triangles of a pixel, at most `layers` of them: all triangles in front of the depth `last`, and
+// the first `ties` triangles at the depth `last`.
 struct Nearest {
     float depth;  // The smallest depth of the triangles and the background.
     float last;
@@ -93,9 +93,9 @@ FOURD_DEVICE static inline float float_of(std::uint32_t bits) {
     return value;
 }
 
-// If a pixel has at most `layers` hits, it uses all of them. Otherwise, a binary search finds the depth of the last
-// triangle that it uses. The search runs over the bits of the depths, read as integers. These integers have the same
-// order as the depths, because depths are positive.
+// If a pixel has at most `layers` hits, the pixel uses all of them. Otherwise, a binary search finds the depth of the
+// last triangle that the pixel uses. The search runs over the bits of the depths, read as integers. These integers have
+// the same order as the depths, because depths are positive.
 FOURD_DEVICE static inline Nearest find_nearest(const View& view, const EntryList& list, const Pixel& pixel) {
     Nearest out{view.softness.background_depth, kNoHit, 0};
     int hits = 0;

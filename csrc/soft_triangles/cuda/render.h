@@ -1,4 +1,5 @@
-// Soft rasterization on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU memory.
+// Soft rasterization on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in GPU
+// memory.
 #pragma once
 
 #include <cstddef>

@@ -1,12 +1,12 @@
-// Samples source views on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU memory,
-// except query.cameras, which is in host memory.
+// Samples source views on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in GPU
+// memory, except query.cameras, which is in host memory.
 #pragma once
 
 #include "sources/sources.h"
 
 namespace fourd::sources::cuda {
 
-constexpr int kMaxViews = 16;  // Limits the size of the kernel arguments, because cameras are passed by value.
+constexpr int kMaxViews = 16;  // Limits the size of the kernel arguments, which contain all cameras.
 
 void sample(const Query& query, const Samples& out, void* stream);
 

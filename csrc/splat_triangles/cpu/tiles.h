@@ -29,8 +29,8 @@ struct Tile {
 };
 
 struct Loops {
-    // Projects triangles [begin, end) into splats and tile_ranges, which are both indexed by triangle. Lists the visible
-    // triangles in items and returns their number.
+    // Projects the triangles [begin, end) into `splats` and `tile_ranges`, which are both indexed by triangle. Lists
+    // the visible triangles in `items`, and returns their number.
     std::size_t (*project)(const Mesh& mesh, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, TileRange* tile_ranges, Item* items);
 

@@ -24,8 +24,8 @@ struct Workspace {
     Buffer<float> corners;                   // Gradients of the positions of the 3 vertices of each triangle.
     std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
 
-    // Projects, sorts and bins the triangles of a mesh, unless `bins` already belong to the same inputs. The inputs of
-    // a backward pass are usually those of the last call, which was the forward pass.
+    // Projects, sorts and bins the triangles of a mesh, unless `bins` were already computed from the same inputs. A
+    // backward pass usually has the same inputs as the call before it, which was the forward pass.
     void fill(const Mesh& mesh, const Settings& settings, Team& team);
 
     // Returns the inputs for rendering the tile with this index. Tiles are numbered row by row.

@@ -57,7 +57,7 @@ struct GradientPixel {
             const PixelCoverage coverage = pixel_coverage(splat, pixel.x, pixel.y);
             const bool hit = open && coverage.alpha > 0.0f;
             if (!lane.any(hit)) continue;
-            // First the members of ShapeGradient, then the gradients of the channels.
+            // The members of ShapeGradient, followed by the gradients of the channels.
             float parts[kShapeSums + kCapacity] = {};
             if (hit) {
                 const float weight = transmittance * coverage.alpha;
@@ -103,8 +103,8 @@ struct GradientPixel {
     }
 };
 
-// Back-propagates the gradients that were summed over pixels to the gradient of a triangle. Sums are indexed by rank,
-// which is the position of the triangle in depth order. Culled triangles get zero gradients.
+// Computes the gradient of a triangle from gradients that were summed over pixels. Sums are indexed by rank, which is
+// the position of the triangle in depth order. Culled triangles get zero gradients.
 struct GradientTriangle {
     Entries entries;
     Mesh mesh;

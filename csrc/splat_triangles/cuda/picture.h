@@ -1,5 +1,5 @@
-// Kernels that project triangles and render images. Each pixel has one thread, including pixels outside the image in
-// tiles at its border (tiles/cuda/traversal.h).
+// Kernels that project triangles and render images. Each pixel of a tile has one thread (tiles/cuda/traversal.h), even
+// if the pixel is outside the image.
 #pragma once
 
 #include <cstring>

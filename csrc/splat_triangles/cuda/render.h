@@ -1,4 +1,5 @@
-// Triangle splatting on a GPU. Functions are asynchronous, as in points/cuda/render.h. All arrays are in GPU memory.
+// Triangle splatting on a GPU. Functions queue work on a stream and do not wait for the GPU. All arrays are in GPU
+// memory.
 #pragma once
 
 #include <cstddef>
@@ -13,8 +14,8 @@ using tiles::cuda::EntryBuffer;
 // The size in bytes of the workspace for render or render_backward.
 std::size_t workspace_bytes(std::size_t count, int channels, int width, int height, std::size_t entries);
 
-// Renders the triangles, and writes to `weight` (count,) the largest compositing weight of each triangle in any pixel.
-// The function ignores settings.threads and settings.simd.
+// Renders the triangles. For each triangle, also writes its largest compositing weight over all pixels to `weight`
+// (count,). The function ignores settings.threads and settings.simd.
 void render(const Mesh& mesh, const Settings& settings, const EntryBuffer& buffer, const Image& out, float* weight,
             void* stream);
 

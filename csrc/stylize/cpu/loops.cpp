@@ -94,8 +94,8 @@ inline void measure(const Taps& centre, const Style& style, int row, int first, 
     if (has_rows && !by_facing) measure_depth_detail(centre, style, out.detail);
 }
 
-// Returns the distance to the nearest line of a set of parallel lines, which is 0 on a line and 1 halfway between two
-// lines.
+// Returns 1 if `position` is a whole number, and 0 if it is halfway between two whole numbers. The function is linear
+// in between.
 inline float wave(float position) {
     const float whole = static_cast<float>(static_cast<int>(position)), part = position - whole;
     return size_of(2.0f * part - 1.0f);

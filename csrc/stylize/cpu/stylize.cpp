@@ -14,8 +14,8 @@ namespace {
 // in the cache.
 constexpr int kRowsPerTask = 8;
 
-// Decides when the lines of a task's rows can be drawn. All tasks with rows at a distance of at most `reach` must be
-// finished before. Lines are drawn soon after shading, while the rows are still in the L2 cache.
+// Decides when the lines of a task's rows can be drawn: all tasks with rows at a distance of at most `reach` must have
+// finished. Lines are drawn soon after shading, while the rows are still in the L2 cache.
 class Progress {
   public:
     Progress(int tasks, int reach) : tasks_(tasks), neighbours_((reach + kRowsPerTask - 1) / kRowsPerTask), missing_(tasks) {

@@ -1,5 +1,5 @@
-// Lists the pixels that read the texels of a band (called entries), and sums their gradients. Only dispatched files
-// (common/dispatch.h) include this file.
+// An entry is a pixel that reads texels of a band. This file lists entries and sums their gradients. Only dispatched
+// files (common/dispatch.h) include this file.
 #pragma once
 
 #include <cstring>
@@ -40,7 +40,8 @@ FOURD_INLINE void append(EntryList& list, std::uint32_t band, Entry entry) {
     list.entries[list.count++] = entry;
 }
 
-// Lists the bands of the texels of each pixel. `first` is the index of the batch's first pixel in its task.
+// Appends the entries of the pixels of a batch to `list`: one entry for each band that a pixel reads. `first` is the
+// index of the batch's first pixel in its task.
 FOURD_INLINE void list_entries(const Query& query, const Batch& b, const float* gradient, const Bands& bands, int first,
                                EntryList& list) {
     const std::size_t channels = static_cast<std::size_t>(query.texture.shape.channels);
@@ -110,7 +111,7 @@ struct Four {
 };
 #endif
 
-// Adds weight times `from` to four floats.
+// Adds weight * from to the four floats of `to`.
 FOURD_INLINE void add_four(const Four& from, float weight, float* to) {
 #if defined(__GNUC__)
     Four sum;

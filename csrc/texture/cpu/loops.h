@@ -26,7 +26,7 @@ struct Bands {
 };
 
 // An entry is a pixel of a task that reads texels of a band. The value of an entry is twice the index of the pixel in
-// its task, plus 1 if the texels belong to the second of the two mip levels that are blended for the pixel.
+// its task, plus s. The number s is 0 or 1, and states to which of the two mip levels of the lookup the texels belong.
 using Entry = std::uint16_t;
 // Maximum number of entries of a task: four texels in each of two levels for each pixel.
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;
@@ -37,7 +37,7 @@ struct EntryList {
     std::size_t count;
 };
 
-// The sums of the gradients of the texels [begin, end) of a level, which all belong to one band.
+// The sums of the gradients of the texels [begin, end) of a level. All these texels belong to one band.
 struct BandSums {
     int level;
     int begin, end;

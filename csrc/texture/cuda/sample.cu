@@ -63,7 +63,8 @@ struct SampleBackward {
 
   private:
     // Adds the contribution of one of the two mip levels that a lookup blends. The derivative with respect to the mip
-    // level is the difference of the values of both levels, in which this level's value has the sign `sign` (1 or -1).
+    // level is the difference of the values of the two levels. In this difference, the value of this level has the sign
+    // `sign` (1 or -1).
     FOURD_DEVICE void add(const Lookup& at, int level, float blend, float sign, std::size_t pixel,
                           PixelGradient& sum) const {
         const Texels texels = at.texels(query, level);
