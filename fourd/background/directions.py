@@ -16,13 +16,14 @@ Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
 FAR_QUANTILE = 0.8
-"""The distance assigned to a cell is this quantile of the distances of the points in the cell. With a high quantile,
-objects in front of the farthest wall do not count."""
+"""The distance assigned to a cell is this quantile of the distances of the points in the cell. Because the quantile is
+high, the distance is that of the farthest surface, and objects in front of it have no influence."""
 
 
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
-    """A grid of directions around a point. Rows are elevations and columns are azimuths.
+    """A grid of directions around a point. The elevation changes from row to row, and the azimuth from column to
+    column.
 
     Attributes:
         centre: (3,) world point at which the directions start.
@@ -78,7 +79,7 @@ def summarize_cells(
     Returns:
         known: (count,) bool, whether the cell has points.
         inverse: (count,) inverse of the cell's distance; 0 in cells without points. The distance of a cell is the
-            FAR_QUANTILE of the distances of its points.
+            quantile FAR_QUANTILE of the distances of the points in the cell.
         rgb: (count, 3) mean colour of the points at or beyond the cell's distance.
     """
     order = np.lexsort((distance, cells))

@@ -17,7 +17,7 @@ from fourd.formats.ply import ColouredPoints
 from fourd.progress import Log, Track, untracked
 
 MIN_SHARE = 0.1
-"""Minimum share of the visible cells of all depth maps that have a measured depth."""
+"""Minimum share of cells with a measured depth, among the visible cells of all depth maps."""
 
 
 def seed_from_stereo(
@@ -30,7 +30,7 @@ def seed_from_stereo(
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
-    """Create coloured points of a static background, evenly spread over the plates' images.
+    """Create coloured points of a static background. The points are evenly spread over the plates' images.
 
     COLMAP matches features of the plates along epipolar lines and triangulates them with fixed cameras. The depth map
     of each plate is initialised from the triangulated features and from dominant planes that are fitted to these
@@ -44,7 +44,7 @@ def seed_from_stereo(
         fill: whether to extrapolate depth into areas in which stereo finds no match.
         seed: seed of the random numbers.
         workers: number of worker processes.
-        log: reports the number of features and of points.
+        log: reports the number of features and the number of points.
         track: progress callback.
 
     Returns:

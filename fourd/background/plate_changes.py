@@ -1,4 +1,5 @@
-"""Detection of backgrounds that are not static, by comparing images with the clean plates outside the mattes."""
+"""Detection of backgrounds that are not static. The area outside the mattes is compared between frames and clean
+plates."""
 
 from __future__ import annotations
 
@@ -14,8 +15,8 @@ from fourd.capture.layout import sample_indices
 FRAMES = 6
 """Number of compared frames per camera. The compared frames are evenly spaced over the capture."""
 MAX_DIFFERENCE = 24.0
-"""Maximum colour difference of an unchanged pixel in 8-bit levels. The images are compared after blurring and exposure
-compensation."""
+"""Maximum colour difference, in 8-bit levels, between an unchanged pixel and the plate. The difference is computed
+after blurring and exposure compensation."""
 BLUR_PX = 2.0
 MARGIN = 1 / 50
 """Width of a band around the matte, as a share of the image's longer side. Pixels in the band are not compared, because
@@ -27,16 +28,16 @@ MAX_CHANGED_SHARE = 0.02
 def find_changing_backgrounds(
     capture: Capture, cameras: Sequence[int], plates: Sequence[PlateView]
 ) -> dict[str, float]:
-    """Find the cameras whose background differs from the plate. A camera is returned if more than 2% of the
-    background's area differs in at least one frame.
+    """Find the cameras whose background differs from the plate. A camera is returned if there is a frame in which more
+    than 2% of the background's area differs.
 
     Args:
         capture: a capture with mattes.
-        cameras: index in the capture of each plate's camera.
+        cameras: for each plate, the index of its camera in the capture.
         plates: clean plates.
 
     Returns:
-        camera name -> share in [0, 1] of the background that changed, in the frame with the largest change.
+        camera name -> changed share of the background, in [0, 1], in the frame with the largest change.
     """
     shares = {
         plate.name: max(
@@ -48,7 +49,7 @@ def find_changing_backgrounds(
 
 
 def _changed_share(capture: Capture, camera: int, frame: int, plate: PlateView) -> float:
-    """Share in [0, 1] of the visible background that differs from the plate in a frame."""
+    """Share, in [0, 1], of the visible background that differs from the plate in a frame."""
     reach = max(1, round(MARGIN * max(plate.seen.shape)))
     square = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     compared = (cv2.dilate(capture.mask(camera, frame), square) == 0) & plate.seen

@@ -23,8 +23,8 @@ from fourd.progress import Log
 Picture = NDArray[np.uint8]
 
 USER_FOLDER = "bgs"
-"""Folder in a capture with plates that the user provides. The files are CAM.png or CAM.jpg. The plates have the same
-lens distortion as the frames."""
+"""Folder for the plates that the user provides, inside a capture's folder. The files are CAM.png or CAM.jpg. The plates
+have the same lens distortion as the frames."""
 MIN_SEEN_SHARE = 0.5
 MIN_CAMERAS = 2
 
@@ -37,8 +37,8 @@ class PlateView:
         name: name of the camera.
         camera: pinhole camera of the undistorted plate.
         rgb: (H, W, 3) uint8 colours; undefined in holes.
-        seen: (H, W) bool, true where the background is visible. Holes and pixels outside the lens's field of view are
-            false.
+        seen: (H, W) bool, true where the background is visible, and false in holes and outside the lens's field of
+            view.
     """
 
     name: str
@@ -127,7 +127,8 @@ def _files(capture: Capture, names: Sequence[str], folder: Path) -> dict[str, _F
 
 
 def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
-    """The cameras ``names``, with the names as keys, with lens distortion and with the full size of the frames."""
+    """The cameras ``names`` as a dictionary from name to camera. The cameras include the lens distortion and have the
+    full size of the frames."""
     calibrations = read_calibration(capture.path)
     with open_capture(capture.path, views=names, frames="0:1", mattes=False) as whole:
         return {
@@ -138,7 +139,8 @@ def _lenses(capture: Capture, names: list[str]) -> dict[str, Camera]:
 
 @dataclass(frozen=True, eq=False)
 class _Still:
-    """Make an image in memory look like a video with one frame to the frame reader."""
+    """An image in memory with the interface of a video, so that the frame reader can read it as a video with one
+    frame."""
 
     path: Path
     picture: Picture
@@ -166,7 +168,7 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
         )
     if file.made:
         # In plates that fourd made, pixels outside the lens's field of view are black and opaque. To find these pixels,
-        # an opaque matte is undistorted.
+        # a fully opaque matte is undistorted: the pixels outside the field of view become transparent.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)

@@ -19,16 +19,16 @@ HORIZONTAL_WEIGHT = 6.0
 """Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. Floors, walls and skies vary
 less in the horizontal direction than in the vertical direction."""
 SMALL_GAP_DEG = 1.5
-"""Maximum size in degrees of gaps that are closed. Gaps of this size are common between neighbouring points of a
-surface."""
+"""Gaps of up to this many degrees are closed. Such gaps are common between neighbouring points of a surface."""
 RIM_FACTOR = 0.985
 """Factor that multiplies the inverse distances of the shell's rim. The rim consists of known cells beside unknown
 cells. The factor places the rim slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
-"""Maximum angle in degrees between an unknown cell and the nearest known cell at which every unknown cell gets a point.
-Of the unknown cells beyond this angle, only one in sixteen gets a point."""
+"""Every unknown cell whose angle to the nearest known cell is at most this many degrees gets a point. At larger angles,
+only one in sixteen unknown cells gets a point."""
 OCCLUSION_RATIO = 0.9
-"""Ratio of a shell point's depth to a known point's depth below which the shell point occludes the known point."""
+"""A shell point occludes a known point if the shell point's depth, divided by the known point's depth, is below this
+ratio."""
 DEPTH_CELL_PX = 6.0
 
 
@@ -51,20 +51,21 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
     chosen = _select_cells(sphere, known)
-    # The rim of the shell overlaps the known points and is placed behind these points. Without this overlap, a slit
-    # would be visible between shell and known points from other viewpoints.
+    # The rim of the shell overlaps the known points and is placed behind these points. Without this overlap, some
+    # viewpoints would show a slit between the shell and the known points.
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Shell points whose distance from the centre is smaller than the median distance of the cameras are dropped. The
-    # space near the centre is seen by some cameras, so gaps there are caused by sparse points and need no shell.
+    # Shell points whose distance from the centre is smaller than the median distance of the cameras are dropped. Some
+    # cameras see the space near the centre. Gaps in this space are therefore caused by sparse points and need no shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
 
 
 def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
-    """Share in [0, 1] of the directions around ``centre`` that have points. Small gaps are treated as covered."""
+    """Share, in [0, 1], of directions with points among all directions around ``centre``. Small gaps are treated as
+    covered."""
     sphere = direction_grid(cameras, centre)
     cells, _ = sphere.cells(points.xyz.astype(np.float64))
     known = np.zeros(sphere.rows * sphere.columns, bool)
@@ -101,8 +102,8 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
     step = np.where(degrees > NEAR_GAP_DEG, 4 * step, step)
     level = np.where(degrees > NEAR_GAP_DEG, row % 4 == 0, True)
-    # In the sparse area, every second row is offset by half a step. The resulting hexagonal layout covers the sphere
-    # most evenly.
+    # Far from known cells, every second row with points is offset by half a step. The resulting hexagonal layout covers
+    # the sphere most evenly.
     offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
     return np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
 

@@ -41,10 +41,10 @@ MAX_FRAMES = 400
 """Maximum number of frames that are searched if --frames is not given."""
 MIN_FRAMES = 3
 SAMPLED_PICTURES = 5
-"""Number of images per camera in which the reason is searched if no board is found."""
+"""If no board is found, the program examines this number of images per camera to find the reason."""
 RATIO_PICTURES = 6
 MAX_RATIO_DIFFERENCE = 0.04
-"""Largest relative difference between the measured and the given ratio of marker and square."""
+"""Maximum relative difference between the measured and the given ratio of a marker's side to a square's side."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class CalibrationSettings:
         frames: range A:B[:S] of the frames to search, or None for all frames, at most 400.
         floor_frame: number of a frame in which the board lies on the floor, or None. The world's origin is then a
             corner of the board, and z points up. Without a floor frame, the world has the axes of the first camera.
-        offsets: delays of the videos in frames, by camera name.
+        offsets: delay, in frames, of each camera's video, by camera name.
     """
 
     board: CalibrationBoard
@@ -255,7 +255,7 @@ def _lay_on_floor(fit: RigFit, views: Sequence[BoardView], settings: Calibration
         float(to_board.rotation[0, 2] @ fit.cameras[view.camera].centre + to_board.translation[0, 2]) for view in some
     ]
     if np.median(heights) < 0:
-        # The back of a double-sided board faces up. A rotation by 180 degrees about x makes z point up.
+        # Here, the back of a double-sided board faces up. A rotation by 180 degrees about x makes z point up.
         flip = Poses(np.diag([1.0, -1.0, -1.0])[None], np.zeros((1, 3)))
         to_board = flip.after(to_board)
     to_world = to_board.inverse()

@@ -25,9 +25,8 @@ MARKER_CLEARANCE = 0.95
 CHESSBOARD_PATCH = 0.2
 """Half the side length of the patch around a corner of a chessboard, in squares."""
 MAX_CHESSBOARD_PX = 1000
-"""Longer side of the reduced image in which a chessboard is searched first.
-
-The search in the reduced image saves time, because the search takes longest in images without a chessboard.
+"""The search for a chessboard starts in a reduced image, whose longer side has this length in pixels. This saves time,
+because the search takes longest in images without a chessboard.
 """
 
 
@@ -51,7 +50,7 @@ class BoardView:
 
 
 class BoardDetector:
-    """Finds one board in images. A double-sided board is also searched in the mirrored image."""
+    """Finds one board in images. The search for a double-sided board also uses the mirrored image."""
 
     def __init__(self, board: CalibrationBoard) -> None:
         self.board = board
@@ -112,7 +111,8 @@ class BoardDetector:
 
 
 def _is_spread(flat: Array) -> bool:
-    """Whether there are enough corners (N, 2), in squares, and they are not nearly on one line."""
+    """Whether a view has enough corners that are not nearly on one line. ``flat`` (N, 2) are the corners' positions on
+    the board, in squares."""
     if len(flat) < MIN_CORNERS:
         return False
     return bool(np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[1] >= MIN_SPREAD * np.sqrt(len(flat)))

@@ -23,7 +23,7 @@ MAX_TRIED_SQUARES = 14
 INLIER_SQUARES = 0.25
 """Maximum distance of a marker from its expected position on a board, in squares."""
 MAX_PX = 800
-"""Longer side of the reduced images in which other chessboards are searched."""
+"""Longer side, in pixels, of the reduced images that are used to search for other chessboards."""
 FEW_PICTURES = 3
 """Number of images that are searched first.
 
@@ -33,9 +33,11 @@ MAX_TRIALS = 60
 """Number of random samples per homography. Few samples are enough, because most markers are detected correctly."""
 MAX_FITTED_PICTURES = 3
 ENOUGH_PLACED = 0.9
-"""Share of the markers at their expected positions above which no further size of the board is tried."""
+"""If a size of the board places at least this share of the markers at their expected positions, no further sizes are
+tried."""
 MAX_CHESSBOARD_PICTURES = 3
-"""Maximum number of images in which chessboards of other sizes are searched, which is slow."""
+"""Maximum number of images that are used to search for chessboards of other sizes. The number is small because the
+search is slow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +64,7 @@ class _FoundMarkers:
 
 
 def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """Find the keys and values with which the board's file describes the board in the images (H, W) uint8.
+    """Find the keys and values with which the board's file would describe the board that the images (H, W) uint8 show.
 
     The function tries all dictionaries, other numbers of squares, the inverted board and the mirrored board. The result
     is a text with the keys that must be changed, or None if no board is found.
@@ -82,7 +84,8 @@ def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None
 
 
 def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> float | None:
-    """Measure the side of a marker in squares from images of a ChArUco board, or None if too few markers are found.
+    """Measure the side of a marker, in squares, in images of a ChArUco board. Returns None if too few markers are
+    found.
 
     The centres of the markers give the homography from the board to the image, so the result does not depend on
     ``board.marker_m``.
@@ -107,7 +110,8 @@ def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> f
 
 
 def _search_markers(board: CalibrationBoard, pictures: Sequence[Grey]) -> _FoundMarkers | None:
-    """The dictionary with the most markers, in the images as they are, inverted or mirrored; None without markers."""
+    """Search for markers in the images as they are, inverted and mirrored. Returns the markers of the dictionary with
+    the most markers, or None if no marker is found."""
     best, most = None, 0
     for inverted, mirrored in product((board.inverted, not board.inverted), (False, True)):
         turned = [_transform(picture, inverted, mirrored) for picture in pictures]
@@ -125,7 +129,7 @@ def _transform(picture: Grey, inverted: bool, mirrored: bool) -> Grey:
 
 
 def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerImage]) -> list[str] | None:
-    """Keys and values for the board's file that fit the markers in the images, or None if no board fits them."""
+    """Keys and values for the board's file that fit the markers in the images, or None if no board fits the markers."""
     size = _fit_size(board, name, sorted(found, key=lambda each: -len(each.ids))[:MAX_FITTED_PICTURES])
     if size is None:
         return None
@@ -145,10 +149,11 @@ def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerIm
 
 
 def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage]) -> tuple[int, int, bool] | None:
-    """Columns, rows and legacy pattern that agree with the positions of the markers in the images.
+    """Number of columns, number of rows, and whether the pattern is the legacy pattern. The values agree with the
+    positions of the markers in the images.
 
-    The values of ``board`` are returned if they agree. Returns None if no values agree with most of the markers. Not
-    all markers must agree, because some markers are false detections.
+    If the values of ``board`` agree with the markers, these values are returned. Returns None if no values agree with
+    most of the markers. Not all markers must agree, because some markers are false detections.
     """
     total = sum(len(each.ids) for each in images)
     sizes = [(board.columns, board.rows, board.legacy_pattern)]

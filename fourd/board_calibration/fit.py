@@ -53,33 +53,34 @@ MIN_LENS_VIEWS = 5
 MIN_POSE_VIEWS = 3
 """Minimum number of views of a camera whose lens is known."""
 MIN_FITTED_VIEWS = 8
-"""Minimum number of views in the fit that each camera keeps when frames are held out."""
+"""A frame is held out only if each of its cameras keeps at least this number of views in the fit."""
 MIN_FITTED_PAIRS = 4
-"""Minimum number of shared frames in the fit that each pair of cameras keeps when frames are held out."""
+"""A frame is held out only if each pair of its cameras keeps at least this number of shared frames in the fit."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales of the Huber loss in the successive adjustments, in pixels."""
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
-"""Factor of the corners' standard deviation when corners are weighed against the prior.
+"""The standard deviation of the corners is multiplied by this factor when the corners are weighed against the prior.
 
 The factor is needed because the errors of the corners in one image are correlated. Causes of this correlation are
 motion blur, a board that is not exactly flat, and cameras that do not expose at exactly the same time.
 """
 OUTLIER_MEDIANS = 6.0
-"""Maximum error of a corner in the last adjustment, as a multiple of its camera's median error. Other corners are left
-out."""
+"""Maximum error of a corner in the last adjustment, as a multiple of its camera's median error. Corners with larger
+errors are left out."""
 MIN_OUTLIER_PX = 0.3
 MAX_MEDIAN = 0.004
 """Maximum median error of a camera, as a share of the image's longer side. A larger error means that the cameras do not
 see one rigid board at the same time."""
 TIMING_GAIN = 0.97
-"""Delays and readouts are used if they multiply the mean error on held-out frames by less than this factor."""
+"""Delays and readouts are used if the mean error on held-out frames with them is below this multiple of the mean error
+without them."""
 OFFSET_STD = (0.0006, 0.0006, 0.002)
 """Standard deviations of a corner's displacement on the board along x, y and z, in squares."""
 MAX_OFFSETS = 60
-"""Maximum number of corners of boards whose corner displacements are adjusted. On boards with more corners, the
-displacements average out."""
+"""Displacements of corners are adjusted only for boards with at most this number of corners. On boards with more
+corners, the displacements average out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,12 +91,12 @@ class RigFit:
         cameras: C cameras in the coordinates of the first camera, in metres.
         frames: F frame numbers, in ascending order.
         boards: F poses from board to world.
-        held_out: (F,) whether a frame was held out in the first fit, which measures the errors. The last fit uses all
-            frames.
+        held_out: (F,) whether the first fit left the frame out. The errors are measured with the first fit. The last
+            fit uses all frames.
         corners: the corners of all frames.
         errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the pose of the
             board that fits best in each frame.
-        std: (C, 15) standard deviations of the cameras' parameters; see :mod:`fourd.board_calibration.adjustment.rig`.
+        std: (C, 17) standard deviations of the cameras' parameters; see :mod:`fourd.board_calibration.adjustment.rig`.
         pairs: pairs of cameras that see the board in the same frame.
         estimated: (C,) whether a camera's lens was estimated.
         timing: delays and readouts of the cameras, or None if all rows are assumed to be exposed at the same time.
@@ -291,8 +292,8 @@ def _choose_timing(
     held_out: set[int],
     track: Track,
 ) -> RigState:
-    """Adjust the rig without and with delays and readouts, and choose the result with the smaller error on held-out
-    frames.
+    """Adjust the rig twice: without and with delays and readouts. Delays and readouts are kept only if they clearly
+    reduce the error on held-out frames.
 
     Returns the adjusted rig with the positions of the board in all frames.
     """

@@ -33,7 +33,7 @@ AGREEMENT_M = 0.1
 """When relative poses are compared, a distance of this length in metres has the same weight as an angle of 0.1
 radians."""
 MAX_ERROR_PX = 30.0
-"""Value at which reprojection errors are clamped when poses of the board are compared."""
+"""Upper limit, in pixels, to which reprojection errors are clamped when poses of the board are compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +116,7 @@ def pair_cameras(located: Sequence[LocatedView]) -> list[CameraPair]:
 
 
 def join_cameras(count: int, pairs: Sequence[CameraPair]) -> list[list[int]]:
-    """Groups of cameras that are joined by pairs, the largest group first."""
+    """Groups of cameras that camera pairs connect with each other. The largest group comes first."""
     groups = [[index] for index in range(count)]
     for pair in pairs:
         first, second = (next(g for g in groups if index in g) for index in (pair.first, pair.second))
@@ -127,7 +127,8 @@ def join_cameras(count: int, pairs: Sequence[CameraPair]) -> list[list[int]]:
 
 
 def chain_poses(count: int, pairs: Sequence[CameraPair]) -> Poses:
-    """Poses (count) from the first camera's coordinates to each camera's, along the pairs with the most shared frames.
+    """Poses from the first camera's coordinates to the coordinates of each of the ``count`` cameras. The poses are
+    chained along the pairs with the most shared frames.
 
     The chain is a maximum spanning tree (Prim). All cameras must be joined.
     """
@@ -148,7 +149,8 @@ def chain_poses(count: int, pairs: Sequence[CameraPair]) -> Poses:
 def initial_boards(
     board: CalibrationBoard, cameras: tuple[Camera, ...], located: Sequence[LocatedView], frames: Sequence[int]
 ) -> Poses:
-    """Pose of the board in the world in each frame: the pose from one view that fits the views of all cameras best."""
+    """Pose of the board in the world for each frame. Each view of the frame gives one or two poses, and the pose that
+    best fits the views of all cameras is chosen."""
     rotations, translations = [], []
     by_frame: dict[int, list[LocatedView]] = {frame: [] for frame in frames}
     for each in located:
@@ -207,10 +209,12 @@ def _fit_lens(
 
 
 def _relative_pose(shared: Sequence[tuple[LocatedView, LocatedView]]) -> Poses:
-    """The relative pose of two cameras: the candidate that is nearest to the candidates of all frames.
+    """The relative pose of two cameras: of all candidates, the one that agrees best with the candidates of the other
+    frames.
 
-    Each frame gives up to four candidates, because each view has up to two poses. The chosen candidate has the smallest
-    median distance to the nearest candidate of each frame.
+    Each frame gives up to four candidates, because each view has up to two poses. For each candidate, the distance to
+    the nearest candidate of each frame is computed. The candidate with the smallest median of these distances is
+    chosen.
     """
     candidates, frame = [], []
     for number, (first, second) in enumerate(shared):

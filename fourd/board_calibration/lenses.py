@@ -54,7 +54,8 @@ def read_lenses(path: Path) -> dict[str, Camera]:
 def match_lenses(
     path: Path, lenses: dict[str, Camera], names: Sequence[str], sizes: Sequence[tuple[int, int]]
 ) -> tuple[Camera | None, ...]:
-    """Choose the lens of each camera by name, scaled to the size of its images, or None for cameras without a lens.
+    """Choose the lens of each camera by name, and scale it to the size of the camera's images. The result is None for
+    cameras without a lens.
 
     Raises:
         UserError: if the file contains a camera without a video, or images have another aspect ratio.

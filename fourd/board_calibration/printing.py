@@ -58,7 +58,7 @@ def print_board(path: Path, board: CalibrationBoard, page: str) -> tuple[float, 
 
 
 def page_size(page: str) -> tuple[float, float]:
-    """Width and height in millimetres of a page's name or of WIDTHxHEIGHT. Raises UserError for other texts."""
+    """Width and height in millimetres of a page's name or of WIDTHxHEIGHT. Raises UserError for any other text."""
     if page.lower() in PAGES_MM:
         return PAGES_MM[page.lower()]
     width, _, height = page.lower().partition("x")

@@ -21,21 +21,23 @@ CELLS = (8, 6)
 FEW_VIEWS = 15
 LOW_COVERAGE = 0.5
 MIN_TILT_DEGREES = 20.0
-"""Tilt of the board against the image plane that at least a tenth of the views should exceed.
+"""At least a tenth of the views should tilt the board against the image plane by more than this angle.
 
 In frontal views, a longer focal length looks almost the same as a smaller distance.
 """
 MAX_FOCAL_STD = 0.005
-"""Largest standard deviation of the focal length that is not reported, as a share of the focal length."""
+"""Maximum standard deviation of the focal length without a warning, as a share of the focal length."""
 MAX_CENTRE_STD_DEGREES = 0.3
-"""Largest standard deviation of the viewing direction that is not reported.
+"""Maximum standard deviation of the viewing direction without a warning.
 
-The standard deviation of the viewing direction is that of the principal point, divided by the focal length.
+The standard deviation of the viewing direction is computed as the standard deviation of the principal point, divided by
+the focal length.
 """
 MAX_ROTATION_STD_DEGREES = 0.2
 FEW_SHARED_FRAMES = 10
 HELD_OUT_RATIO = 1.5
-"""Ratio of the error on held-out frames to the error in the fit above which a warning is reported."""
+"""A warning is reported if the error on held-out frames exceeds this multiple of the error in the fit by more than 0.1
+px."""
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Grey = NDArray[np.uint8]
 
 HALF_SAMPLES = 4
-"""Samples of the patch on each side of its centre, along each axis."""
+"""Number of samples on each side of the patch's centre, along each axis."""
 MIN_HALF_PX = 2.0
 """Minimum distance from the centre of the patch to its edge, in pixels. Smaller patches have too few pixels."""
 MAX_STEPS = 8
@@ -67,7 +67,8 @@ def refine_corners(grey: Grey, flat: Array, pixels: Array, half: float) -> tuple
 
 
 def _patch_axes(flat: Array, pixels: Array, half: float) -> Array | None:
-    """Axes (N, 2, 2) of the patches in pixels, as columns, or None if the corners have no homography."""
+    """Axes (N, 2, 2) of the patches in pixels, as the columns of a matrix. Returns None if no homography fits the
+    corners."""
     homography, _ = cv2.findHomography(flat, pixels, cv2.LMEDS)
     if homography is None:
         return None

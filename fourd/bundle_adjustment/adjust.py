@@ -38,7 +38,7 @@ MAX_FRAMES = 2
 MIN_FEATURES = 20
 """Minimum number of features per camera. A camera with fewer features keeps its given calibration."""
 INLIER_SCALES = 4.0
-"""Reprojection error above which a feature is an outlier, as a multiple of the scale of the Cauchy loss."""
+"""A feature is an outlier if its reprojection error exceeds this multiple of the scale of the Cauchy loss."""
 FINAL_BAND_PX = 3.0
 """Maximum distance of a match from its epipolar lines in the last of the three bundle adjustments, in pixels."""
 FINAL_SCALE_PX = 1.0

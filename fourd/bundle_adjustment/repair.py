@@ -2,8 +2,8 @@
 
 The cameras are fitted to the matches of two thirds of the feature tracks. The matches of the other tracks are held out.
 The residuals of the held-out matches determine whether a correction is kept. The first correction mirrors principal
-points (see :mod:`fourd.calibration.principal_points`). Three bundle adjustments follow: of poses only, then also of
-focal lengths, then also of principal points.
+points (see :mod:`fourd.calibration.principal_points`). Three bundle adjustments follow. The first changes only poses,
+the second also focal lengths, and the third also principal points.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ HELD_OUT = 3
 MIN_MATCHES = 60
 """Minimum number of matches that a repair needs."""
 MIN_GAIN = 0.9
-"""Maximum ratio of the median residual of held-out matches after a correction to that before. Above this ratio, the
-correction is not kept."""
+"""A correction is kept only if the median residual of the held-out matches after the correction is at most this
+multiple of the median residual before the correction."""
 BAND = 0.03
 """Maximum distance of a match from its epipolar line, as a share of the longer image side."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
@@ -142,8 +142,8 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
 def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
     """Number of the track of each feature.
 
-    Because a camera sees each point at most once, a match joins two tracks only if no camera is in both tracks. If
-    matches joined tracks that share cameras, a few wrong matches would join all tracks.
+    A camera sees each point at most once, so a match joins two tracks only if no camera is in both tracks. Without this
+    rule, a few wrong matches would join all tracks.
     """
     members: list[dict[int, Feature]] = []
     track: dict[Feature, int] = {}

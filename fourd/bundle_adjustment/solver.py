@@ -197,8 +197,8 @@ def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[A
     zero = np.zeros_like(z)
     flat = np.stack([np.stack([1 / z, zero, -x / z**2], -1), np.stack([zero, 1 / z, -y / z**2], -1)], 1)
     by_position = k[:, :2, :2] @ flat
-    # The derivative of exp([w]x) p with respect to the rotation vector w at w = 0 is -[p]x, the cross-product matrix of
-    # -p.
+    # The derivative of exp([w]x) @ p with respect to the rotation vector w at w = 0 is -[p]x, the cross-product matrix
+    # of -p.
     cross_matrix = np.stack([np.stack([zero, z, -y], -1), np.stack([-z, zero, x], -1), np.stack([y, -x, zero], -1)], 1)
     by_log_focal = np.einsum("mij,mj->mi", k[:, :2, :2], in_camera[:, :2] / z[:, None])[..., None]
     by_principal = np.broadcast_to(np.eye(2), (len(in_camera), 2, 2))

@@ -105,7 +105,8 @@ def _frame_tracks(frame: FrameMatches, cameras: Sequence[Camera], band_px: float
 
 
 def _epipolar_distances(first_xy: Array, second_xy: Array, camera: Camera, other: Camera) -> Array:
-    """For each match (M,), the larger of its two features' distances from their epipolar lines, in pixels."""
+    """Distance (M,), in pixels, of each match from its epipolar lines: the larger of the distances in the two
+    images."""
     first, second = (np.column_stack([xy, np.ones(len(xy))]) for xy in (first_xy, second_xy))
     matrix = fundamental_matrix(camera, other)
     second_lines, first_lines = first @ matrix.T, second @ matrix

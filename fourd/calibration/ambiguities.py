@@ -149,8 +149,8 @@ class _SizeResolver:
         matches = match_cameras(self.pictures_by_frame, guess.cameras, self.track)
         choice = choose_size(matches, self.cameras, self.sizes, borders)
         if not choice.is_clear and self.checks_principal_points:
-            # Mirrored principal points can change the residuals more than a wrong hypothesis about the resizing of the
-            # images does. The hypotheses are therefore compared again with corrected principal points.
+            # Mirrored principal points can increase the residuals more than a wrong size hypothesis. The hypotheses are
+            # therefore compared again with corrected principal points.
             mirrors = _choose_mirrors(matches, choice.cameras)
             if mirrors is not None and mirrors.is_clear:
                 corrected = [

@@ -45,9 +45,9 @@ def match_cameras(
 
     Features are matched first. Camera pairs with fewer than 20 feature matches are treated as unmatched. Wide baselines
     can leave a camera with fewer than two matched pairs. If the world is in metres with z up, all pairs of a camera
-    with fewer than two matched pairs are also matched on the ground. Ground patches are searched at z = 0 in a 5 m
-    square centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm below and above
-    are searched too. A pair with both feature matches and ground matches keeps the larger set.
+    with fewer than two matched pairs are also matched on the ground. The patches lie at z = 0, in a 5 m square that is
+    centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm below and above are also
+    tried. A pair with both feature matches and ground matches keeps the larger set.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.
@@ -56,7 +56,7 @@ def match_cameras(
         track: progress callback.
 
     Returns:
-        The matches of each pair in pixels of the distorted images.
+        The matches of each pair. Their positions are in pixels of the distorted images.
 
     Raises:
         ValueError: if an image does not have its camera's size.

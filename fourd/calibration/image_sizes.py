@@ -22,7 +22,8 @@ MAX_BORDER_ERROR_PX = 0.75
 """Maximum difference in pixels between a measured border and the border that a hypothesis predicts."""
 MAX_GOOD_PX = 3.0
 MIN_LEAD = 1.5
-"""Ratio of the second smallest to the smallest residual of all hypotheses at and above which the evidence is clear."""
+"""The evidence is clear if the second smallest residual of all hypotheses is at least this multiple of the smallest
+residual."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ def measure_black_borders(pictures: Sequence[Picture]) -> Borders:
 
 
 def _border_width(rows: Array) -> float:
-    """Fractional width in pixels of the black border before the first row of content."""
+    """Width, in pixels, of the black border before the first row of content. The width may be fractional."""
     bright = np.percentile(rows[: len(rows) // 4], 95, axis=1) >= BLACK_LEVEL
     if bright[0] or not bright.any():
         return 0.0

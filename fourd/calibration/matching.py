@@ -46,8 +46,8 @@ class Matches:
     """Corresponding points of two images.
 
     Attributes:
-        first_px: (M, 2) positions in the first image, in pixels of the distorted image.
-        second_px: (M, 2) positions in the second image, in pixels of the distorted image.
+        first_px: (M, 2) positions in pixels of the first distorted image.
+        second_px: (M, 2) positions in pixels of the second distorted image.
     """
 
     first_px: Array

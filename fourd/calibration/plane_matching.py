@@ -1,8 +1,9 @@
 """Matches on a plane in the world, for wide baselines where features differ too much between images.
 
-The calibration is used to rectify both images to the plane. Small patches of one rectified image are then searched in
-the other rectified image, near the position that the calibration predicts. The calibration affects only the appearance
-of a patch and the centre of its search. Errors of the calibration therefore show in the positions of the matches.
+The calibration is used to rectify both images to the plane. For each small patch of one rectified image, the most
+similar patch of the other rectified image is then searched for, near the position that the calibration predicts. The
+calibration affects only the appearance of a patch and the centre of its search. Errors of the calibration therefore
+show in the positions of the matches.
 """
 
 from __future__ import annotations
@@ -79,8 +80,9 @@ def match_on_plane(
         search_radius: largest displacement between the two rectified images that is searched, in raster pixels.
 
     Returns:
-        The matches in pixels of the distorted images. Each match starts from a corner in the first rectified image. A
-        corner is matched if its normalized cross-correlation with the second rectified image has one distinct peak.
+        The matches. Their positions are in pixels of the distorted images. Each match starts from a corner in the first
+        rectified image. A corner is matched if its normalized cross-correlation with the second rectified image has one
+        distinct peak.
     """
     (raster, valid), (other, other_valid) = (
         _rectify(picture, camera, patch) for picture, camera in zip((first, second), cameras, strict=True)

@@ -22,13 +22,13 @@ from fourd.cameras import Camera
 MAX_COMBINATIONS = 1024
 MAX_GOOD_PX = 3.0
 MAX_PAIR_PX = 30.0
-"""Value in pixels at which the residual of a camera pair is clamped. A larger residual means that the pair's matches
-are wrong, and such a residual changes at random with the principal points."""
+"""Upper limit, in pixels, to which the residual of a camera pair is clamped. A larger residual means that the pair's
+matches are wrong, and such a residual changes at random with the principal points."""
 MIN_GAIN = 2.0
-"""Minimum decrease of the mean residual due to mirrored principal points, as a multiple of the typical residual."""
+"""Mirrored principal points must decrease the mean residual by at least this multiple of the typical residual."""
 MIN_LEAD = 0.5
-"""Minimum difference between the residuals of the second best and the best combination, as a multiple of the typical
-residual."""
+"""The residual of the second best combination must exceed the residual of the best combination by at least this
+multiple of the typical residual."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,16 +40,16 @@ class MirrorChoice:
         cameras: the cameras with the chosen principal points.
         given: residuals of the given calibration.
         chosen: residuals of the chosen combination.
-        given_px: mean over the camera pairs of their median residuals with the given calibration, in pixels. Each
-            median is clamped at MAX_PAIR_PX.
-        chosen_px: the mean of ``given_px``, but with the chosen combination.
-        next_px: the mean of ``given_px``, but with the second best combination.
+        given_px: mean, in pixels, of the camera pairs' median residuals with the given calibration. Each median is
+            clamped at MAX_PAIR_PX.
+        chosen_px: the same mean as ``given_px``, but with the chosen combination.
+        next_px: the same mean, but with the second best combination.
         given_score: median residual, and share of matches within 3 pixels, with the given calibration.
-        chosen_score: the values of ``given_score``, but with the chosen combination.
-        is_clear: whether the evidence is clear. Let r be the median over the camera pairs of their median residuals
-            with the chosen combination. Clear evidence requires that r is at most 3, and that ``next_px`` exceeds
-            ``chosen_px`` by at least 0.5 r. If a principal point is mirrored, ``given_px`` must also exceed
-            ``chosen_px`` by at least 2 r. Differences are compared instead of ratios, because a pair of cameras with
+        chosen_score: the same values as ``given_score``, but with the chosen combination.
+        is_clear: whether the evidence is clear. Each camera pair has a median residual with the chosen combination. Let
+            r be the median of these residuals. Clear evidence requires that r is at most 3, and that ``next_px``
+            exceeds ``chosen_px`` by at least 0.5 * r. If a principal point is mirrored, ``given_px`` must also exceed
+            ``chosen_px`` by at least 2 * r. Differences are compared instead of ratios, because a pair of cameras with
             wrong matches increases all means by the same amount.
     """
 
@@ -66,7 +66,7 @@ class MirrorChoice:
 
 
 def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
-    """The camera with each of its four possible principal points, by hypothesis name."""
+    """Four copies of the camera, one for each possible principal point, by hypothesis name."""
     found = {}
     for name, x, y in (
         ("as given", False, False),

@@ -136,7 +136,7 @@ def compute_residuals(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]
 
 
 def epipolar_distances(matches: Matches, first: Camera, second: Camera) -> Array:
-    """Signed distances (M,) in pixels of matches from their epipolar lines, averaged over the two images.
+    """Signed distances (M,), in pixels, of matches from their epipolar lines, averaged over the two images.
 
     Two cameras with the same centre have no epipolar lines, and the function then returns 0 for each match.
     """

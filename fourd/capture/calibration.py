@@ -21,7 +21,8 @@ Array = NDArray[np.float64]
 INTRINSICS_NAME = "intri.yml"
 EXTRINSICS_NAME = "extri.yml"
 MAX_ROTATION_DIFFERENCE = 1e-3
-"""Maximum difference between elements of the rotation matrix Rot_c and of the matrix from the Rodrigues vector R_c."""
+"""Maximum absolute difference between an element of the matrix Rot_c and the same element of the rotation matrix that
+is computed from the Rodrigues vector R_c."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +32,7 @@ class Calibration:
     Attributes:
         intrinsics: (3, 3) matrix K in pixels.
         rotation: (3, 3) rotation R from world to camera.
-        translation: (3,) translation t in world units, with x_camera = R x_world + t.
+        translation: (3,) translation t in world units, with x_camera = R * x_world + t.
         distortion: OpenCV distortion coefficients, or None if intri.yml does not contain them.
         width: width of the images in pixels, or None if intri.yml does not contain the width.
         height: height of the images in pixels, or None if intri.yml does not contain the height.
@@ -59,7 +60,7 @@ class CalibrationReport:
 
     Attributes:
         names: names of all cameras in intri.yml, including cameras with invalid values.
-        calibrations: the valid calibrations by camera name.
+        calibrations: the valid calibrations, keyed by camera name.
         errors: all errors found in the two files.
     """
 
@@ -69,14 +70,14 @@ class CalibrationReport:
 
 
 def read_calibration(folder: Path | str) -> dict[str, Calibration]:
-    """Read the calibrations in ``folder`` by camera name, in the order of ``names`` in intri.yml.
+    """Read the calibrations in ``folder``. The result is keyed by camera name, in the order of ``names`` in intri.yml.
 
     For each camera with the name c, the function reads these keys:
     - ``K_c``: intrinsics (3, 3) in pixels;
     - ``D_c`` or ``dist_c`` (optional): OpenCV distortion coefficients; EasyMocap's tools write ``dist_c``;
     - ``H_c`` and ``W_c`` (optional): height and width in pixels;
     - ``Rot_c`` (3, 3) or ``R_c`` (Rodrigues vector): rotation R;
-    - ``T_c`` (3,): translation T, with ``x_camera = R x_world + T``.
+    - ``T_c`` (3,): translation T, with ``x_camera = R * x_world + T``.
 
     Raises:
         UserError: if a file is missing or is not an OpenCV FileStorage, a value is missing, has a wrong shape or is not
@@ -122,7 +123,8 @@ def check_calibration(folder: Path | str) -> CalibrationReport:
 
 
 def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
-    """Read the lenses in ``folder``/intri.yml by camera name. extri.yml is not needed; the poses are the identity.
+    """Read ``folder``/intri.yml, and return the cameras, keyed by name. All cameras have the identity pose, because
+    extri.yml is not read.
 
     Raises:
         UserError: like :func:`read_calibration`, or if a camera has no image size.
@@ -161,7 +163,8 @@ def write_calibration(folder: Path | str, names: Sequence[str], cameras: Sequenc
 
 
 def _new_storage(names: Sequence[str]) -> cv2.FileStorage:
-    """A storage in memory with the names of the cameras. Storages on the disk report no error when the disk is full."""
+    """Create a FileStorage in memory, and write the camera names to it. (A FileStorage that writes to the disk reports
+    no error when the disk is full.)"""
     flags = cv2.FILE_STORAGE_WRITE | cv2.FILE_STORAGE_MEMORY | cv2.FILE_STORAGE_FORMAT_YAML
     storage = cv2.FileStorage(".yml", flags)
     storage.startWriteStruct("names", cv2.FileNode_SEQ)

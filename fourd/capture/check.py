@@ -1,4 +1,4 @@
-"""Check of a capture that reports all errors, whereas opening a capture stops at the first error."""
+"""Check of a capture. The check collects all errors, while opening a capture stops at the first error."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MIN_COVERAGE = 1e-4
 MAX_COVERAGE = 0.98
 MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
-"""Maximum distance between a camera's optical axis and the common focus, divided by the depth of the focus.
+"""Maximum distance from the common focus to a camera's optical axis, divided by the depth of the focus in the camera.
 
 Above this maximum, a warning says that the camera faces away from the focus.
 """
@@ -55,12 +55,13 @@ class Report:
         cameras: names of the cameras that have both a calibration and images.
         frames: number of frames.
         fps: frame rate of the recording in 1/s, or None if it is not known.
-        sizes: (width, height) of each camera's images in pixels, by name.
+        sizes: (width, height) of the images in pixels, keyed by camera name.
         has_masks: whether there are mattes.
         distorted: number of cameras with lens distortion.
         ring_radius: mean distance between the cameras and their common focus in world units; 0 if there is no common
             focus.
-        coverage: mean share of the image area that is white in the decoded mattes, or None if no matte was decoded.
+        coverage: share of the image area that is white, averaged over the decoded mattes, or None if no matte was
+            decoded.
         nbytes: total size of all images, videos and mattes in bytes.
     """
 

@@ -9,10 +9,10 @@ import numpy as np
 from fourd.cameras import Camera
 
 PARALLEL = 1e-4
-"""Maximum mean squared sine of the angles between optical axes and their common direction at which the axes are treated
-as parallel.
+"""Optical axes count as parallel if the mean squared sine of their angles to their common direction is below this
+value.
 
-The limit corresponds to an angle of 0.6 degrees.
+The value corresponds to an angle of 0.6 degrees.
 """
 
 

@@ -14,7 +14,7 @@ from fourd.limits import read_fraction, read_json
 NAME = "capture.json"
 VERSION = 1
 DEFAULT_FPS = 30.0
-"""Playback rate in 1/s of captures, runs and scenes if the frame rate of the recording is not known."""
+"""Playback rate in 1/s of captures, runs and scenes whose recording has no known frame rate."""
 UNKNOWN_RATE = f"frame rate not known, plays at {DEFAULT_FPS:g} per second"
 """Text that ``fourd check`` and ``fourd info`` print for recordings without a known frame rate."""
 MAX_FPS = 1000.0
@@ -24,12 +24,12 @@ STANDARD_RATES = (
     *(Fraction(1000 * rate, 1001) for rate in (24, 30, 48, 60, 120, 240)),
 )
 STANDARD_TOLERANCE = 2e-4
-"""Relative deviation from a standard rate below which the standard rate is used. The rates 29.97 and 30 differ by
-1e-3."""
+"""A frame rate is replaced by the nearest standard rate if their relative difference is below this value. The rates
+29.97 and 30 differ by 1e-3."""
 
 
 def standard_rate(fps: float | Fraction, tolerance: float = STANDARD_TOLERANCE) -> Fraction:
-    """Return the nearest standard frame rate to ``fps`` in 1/s, such as 30000/1001 for 29.97.
+    """Return the standard frame rate that is nearest to ``fps``, in 1/s, such as 30000/1001 for 29.97.
 
     If the relative deviation from the nearest standard rate is above ``tolerance``, the result is ``fps`` as a fraction
     with a denominator of at most 1001.

@@ -1,4 +1,4 @@
-"""Layout of a capture on disk: its images, mattes and videos by camera and frame."""
+"""Layout of a capture on disk: where the images, mattes and videos of each camera are, and how they are named."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def camera_folders(folder: Path) -> list[str]:
 
 
 def find_pictures(folder: Path) -> dict[str, str]:
-    """File names of a camera's images by frame name. A frame's name is the file name without suffix.
+    """File names of a camera's images in ``folder``, keyed by frame name. A frame's name is the file name without
+    suffix.
 
     Raises:
         UserError: if two files belong to the same frame.
@@ -54,7 +55,8 @@ def find_pictures(folder: Path) -> dict[str, str]:
 
 
 def find_videos(folder: Path) -> dict[str, Path]:
-    """Paths of the videos in ``folder`` by camera name, sorted. A camera's name is the file name without suffix.
+    """Paths of the videos in ``folder``, keyed by camera name and sorted. A camera's name is the file name without
+    suffix.
 
     Raises:
         UserError: if two videos have the same camera name.
@@ -74,7 +76,7 @@ def find_videos(folder: Path) -> dict[str, Path]:
 
 
 def refuse_symlinks(capture: Path, folder: Path) -> None:
-    """Check that deleting files in ``folder`` cannot delete files outside CAPTURE/.fourd through symbolic links.
+    """Check that no symbolic link makes a deletion in ``folder`` reach files outside CAPTURE/.fourd.
 
     The check is skipped if ``folder`` is not inside CAPTURE/.fourd.
 
@@ -137,7 +139,7 @@ def parse_frame_range(text: str | None, count: int, source: str = "capture") -> 
     Args:
         text: the option's value, or None for all frames.
         count: number of frames.
-        source: the name, in error messages, of the object that contains the frames.
+        source: what contains the frames, such as "capture"; used in error messages.
 
     Raises:
         UserError: if the text is not a valid range, or selects no frame.
@@ -180,7 +182,8 @@ def select_views(views: Sequence[str] | None, names: Sequence[str], option: str 
 
 
 def link_entries(capture: Path, target: Path, *, left_out: Set[str]) -> None:
-    """Link all files and folders directly in ``capture``, except those with the names ``left_out``, into ``target``.
+    """Create symbolic links in ``target`` to the files and folders that lie directly in ``capture``. Names in
+    ``left_out`` get no link.
 
     Existing links are kept.
     """

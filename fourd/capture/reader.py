@@ -80,8 +80,8 @@ class Capture:
         frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
-        time_span: indices in the whole capture of the frames between time 0 and time 1. By default, the time span
-            contains all frames.
+        time_span: range of frame indices in the whole capture: its first frame has time 0, and its last frame has time
+            1. By default, the time span contains all frames.
         fps: number of selected frames per second of the recording, or None if the frame rate is not known. If every
             S-th frame is selected, ``fps`` is the recording's frame rate divided by S.
     """
@@ -130,13 +130,13 @@ class Capture:
         return self._distorted_cameras
 
     def with_cameras(self, cameras: Sequence[Camera]) -> Capture:
-        """Copy the capture with other pinhole cameras, one for each of ``names``. The images do not change."""
+        """Return a copy with the pinhole cameras ``cameras``, one for each of ``names``. The images do not change."""
         other = copy(self)
         other.cameras = tuple(cameras)
         return other
 
     def with_time_span(self, span: range) -> Capture:
-        """Copy the capture with another ``time_span``, which contains all selected frames."""
+        """Return a copy of the capture with the time span ``span``, which must contain all selected frames."""
         other = copy(self)
         other.time_span = span
         return other
@@ -214,8 +214,8 @@ def open_capture(
     """Open a capture in the EasyMocap layout: images/CAM/FRAME.jpg or .png, masks/CAM/FRAME.png, intri.yml, extri.yml.
 
     If images/ has no camera folders, frames are read from videos/CAM.mp4 (or another video suffix) by seeking. Opening
-    a capture decodes no images. If masks/ has no mattes of a camera, its generated mattes are used. Images and mattes
-    are undistorted without changing the intrinsics K. Pixels outside the distorted image are 0.
+    a capture decodes no images. If masks/ has no mattes of a camera, the generated mattes of the camera are used.
+    Undistortion keeps the intrinsics K. Pixels that the stored image does not cover are 0.
 
     Args:
         path: the capture's folder.
@@ -223,7 +223,7 @@ def open_capture(
         frames: frame range ``A:B[:S]`` of indices in the sorted list of frames, or None for all frames.
         scale: factor in (0, 4] by which images are resized.
         cache_mb: size of the cache of decoded images in MiB.
-        cache_frames: number of frames by which the cache is enlarged, with one image per camera.
+        cache_frames: the cache also has room for this number of frames, with one image per camera.
         mattes: whether to open mattes; if any camera has mattes, all selected cameras and frames must have them.
 
     Raises:
@@ -313,7 +313,7 @@ def _open_video(video: Video, selected: range) -> Footage:
 
 
 def _open_mattes(path: Path, name: str, chosen: Sequence[str]) -> Mattes | None:
-    """Open the user's mattes of the chosen frames, or else the generated mattes; return None without mattes."""
+    """The user's mattes of the chosen frames; the generated mattes if the user has none; None if both are missing."""
     for folder, is_generated in ((path / "masks" / name, False), (path / MATTES / name, True)):
         files = find_pictures(folder)
         if files:
@@ -368,10 +368,10 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
 
 
 def undistortion_maps(camera: Camera) -> NDArray[np.float32]:
-    """Maps (2, H, W) of x and y from each pixel of the undistorted image to its position in the distorted image.
+    """For each pixel of the undistorted image, its position in the distorted image: x and y as an array (2, H, W).
 
-    The centre of the first pixel has the coordinate 0 in OpenCV and 0.5 in fourd. The principal point is therefore
-    shifted by half a pixel.
+    The positions follow OpenCV's convention: the centre of the first pixel has the coordinate 0. In fourd it has 0.5,
+    so the principal point is shifted by half a pixel.
     """
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
@@ -380,7 +380,7 @@ def undistortion_maps(camera: Camera) -> NDArray[np.float32]:
 
 
 class _ArrayCache:
-    """Cache of arrays by key, with a maximum size in bytes. The least recently used array is evicted first."""
+    """Cache of arrays by key. Its size in bytes is limited. The least recently used array is evicted first."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes

@@ -27,12 +27,11 @@ CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,h264,hevc"
 """Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams. Raw
 streams are opened only because a later check rejects them with an error message that explains the fix."""
 MAX_JITTER = 0.05
-"""Maximum deviation of a frame's time from a constant frame rate, in frame intervals.
-
-If one frame exceeds this maximum, the index stores the time of every frame.
-"""
+"""Maximum deviation of a frame's time from a constant frame rate, as a share of the interval between frames. If one
+frame exceeds it, the index stores the time of every frame."""
 MAX_RATE_ERROR = 5e-3
-"""Relative deviation of the mean rate of uneven frames from a standard rate below which the standard rate is used."""
+"""The mean rate of unevenly spaced frames is replaced by the nearest standard rate if the two rates differ by less than
+a tolerance. The tolerance grows with the jitter of the frames, up to this share."""
 MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
 """Minimum and maximum frame rate in 1/s. Scenes have the same limits."""
 PROBE_THREADS = 2
@@ -41,8 +40,8 @@ several frames in memory."""
 FRACTIONS = ("start", "fps", "tick")
 """Fields of an index that are stored in JSON as text, for example "30000/1001"."""
 GAP = 1.5
-"""Frames were dropped between two frames if the interval between them is longer than the median interval times this
-factor."""
+"""If the interval between two frames is longer than the median interval times this factor, frames between them were
+dropped."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ class VideoIndex:
         transfer: "HLG" or "PQ" for HDR video, which is converted to sRGB, otherwise "".
         scale: factor in (0, 1] that multiplies width and height of the frames when they are decoded.
         tick: unit in seconds of ``times``.
-        times: presentation time of each frame after frame 0, in ticks, if the frame times are uneven; otherwise empty.
+        times: if the frame times are uneven, the time from frame 0 to each frame, in ticks; otherwise empty.
     """
 
     width: int
@@ -82,8 +81,7 @@ class VideoIndex:
         return (self.height, self.width) if self.turn % 180 else (self.width, self.height)
 
     def reduce(self, scale: float) -> VideoIndex:
-        """Return the index of the same video with frames that are reduced by ``scale`` in (0, 1] when they are
-        decoded."""
+        """Return a copy of the index that makes the reader scale decoded frames by ``scale``, a factor in (0, 1]."""
         width, height = reduced_size(self.width, self.height, scale)
         return replace(self, width=width, height=height, scale=scale)
 
@@ -96,7 +94,7 @@ class VideoIndex:
         return self.times[frame] * self.tick if self.times else frame / self.fps
 
     def nearest(self, seconds: Fraction) -> int:
-        """Number of the frame whose time after frame 0 is nearest to ``seconds``.
+        """Number of the frame that is nearest to the time ``seconds`` after frame 0.
 
         If two frames are equally near, the number of the later frame is returned.
         """
@@ -116,8 +114,8 @@ class VideoIndex:
 def open_container(path: Path) -> InputContainer:
     """Open a video file.
 
-    Only the container formats of :data:`CONTAINERS` are read, and only from the file itself. Playlists and other
-    formats could make FFmpeg open other files or network addresses.
+    Only the container formats of :data:`CONTAINERS` are read, and only from the file itself. Some other formats, such
+    as playlists, could make FFmpeg open more files or network addresses.
 
     Raises:
         UserError: if the file is a named pipe, a socket or a device. av.FFmpegError, OSError: if it is not a video.
@@ -153,7 +151,7 @@ def index_video(path: Path, parser: ParserProcess | None = None) -> VideoIndex:
 
 
 def probe_in_child(name: str) -> dict[str, Any]:
-    """Create a video's index like :func:`index_video`, in this process. Returns the index as JSON values."""
+    """Create a video's index like :func:`index_video`, but in this process. Returns the index as JSON values."""
     return index_to_json(_probe(Path(name)))
 
 
@@ -163,8 +161,8 @@ def index_to_json(index: VideoIndex) -> dict[str, Any]:
 
 
 def index_from_json(values: Any) -> VideoIndex:
-    """Create an index from its JSON values. Raises TypeError, KeyError, ValueError or ZeroDivisionError for other
-    values."""
+    """Create an index from its JSON values. Raises TypeError, KeyError, ValueError or ZeroDivisionError if the values
+    are not those of an index."""
     values = dict(values) | {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
     values |= {name: _whole_numbers(values.get(name, ())) for name in ("keyframes", "times")}
     index = VideoIndex(**values)
@@ -194,7 +192,7 @@ def _probe(path: Path) -> VideoIndex:
                 raise UserError(f"{path}: expected a video, got a file without a video stream; remove the file")
             stream = container.streams.video[0]
             declared = stream.frames
-            # The edit list of an MP4 file can exclude frames. The decoder discards these frames.
+            # The edit list of an MP4 file can exclude frames. The decoder discards the excluded frames.
             found = [
                 (packet.pts, packet.is_keyframe, packet.is_discard) for packet in container.demux(stream) if packet.size
             ]
@@ -292,8 +290,8 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek ended after the requested frame: the frame is stored after a keyframe that is displayed later, or
-            # the container seeks beyond the requested time. Decode from the start of the video instead.
+            # The seek skipped the requested frame. Either the file stores the frame after a keyframe that is displayed
+            # later, or the container's seek went too far. Decode from the start of the video instead.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -333,7 +331,8 @@ class VideoReader:
 
 
 def first_frame(path: Path) -> tuple[int, int, int, str]:
-    """Width and height in pixels of the first frame, rotated upright; the rotation in degrees; HDR transfer function.
+    """Width and height in pixels of the upright first frame, the angle in degrees that turns it upright, and its HDR
+    transfer function.
 
     Raises:
         UserError: if no frame can be decoded, or the metadata mirrors the frames or turns them by an angle that is not
@@ -353,10 +352,11 @@ def first_frame(path: Path) -> tuple[int, int, int, str]:
 
 
 def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fraction, bool]:
-    """Frame rate in 1/s from the ascending presentation times of at least 2 frames, and whether the times are even.
+    """Compute the frame rate in 1/s from the ascending times of at least 2 frames. Also return whether the times are
+    even.
 
-    The times may be rounded to multiples of the container's time base ``base``, in seconds. If the times are uneven, as
-    in videos of phones, intervals with dropped frames are ignored.
+    The container may have rounded the times to multiples of its time base, ``base`` seconds. If the times are uneven,
+    as in videos of phones, intervals with dropped frames are ignored.
 
     Raises:
         UserError: if several frames have the same time.
@@ -370,14 +370,15 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
         return _rounded_rate(path, 1 / (step * base)), True
     usual = steps[steps <= GAP * np.median(steps)]
-    # In a short video, jitter of the first and last frame changes the mean interval.
+    # The shorter the video, the more the jitter of its first and last frame changes the mean interval.
     tolerance = min(max(2 * float(usual.std()) / float(usual.sum()), STANDARD_TOLERANCE), MAX_RATE_ERROR)
     rate = 1 / (Fraction(int(usual.sum()), len(usual)) * base)
     return standard_rate(rate, tolerance) if rate >= 1 else _rounded_rate(path, rate), False
 
 
 def _rounded_rate(path: Path, rate: Fraction) -> Fraction:
-    """Round a frame rate in 1/s to a fraction with a small denominator, or with a small numerator for time-lapses."""
+    """Round a frame rate in 1/s to a fraction. The denominator is at most 1001. For rates below 1/s, the numerator is
+    at most 1001."""
     if not MIN_FPS <= rate <= MAX_FPS:
         raise _no_times(path, f"one frame each {float(1 / rate):.3g} s")
     return rate.limit_denominator(1001) if rate >= 1 else 1 / (1 / rate).limit_denominator(1001)

@@ -14,9 +14,8 @@ from fourd.progress import Track
 
 
 def cached_indices(files: Mapping[str, Path], folder: Path, track: Track) -> dict[str, VideoIndex]:
-    """Return the index of each video by camera name, using the cache file ``folder``/.fourd/videos.json.
-
-    If a video is not in the cache file, the function creates its index and writes it to the cache file at once.
+    """Return the indices of the videos, keyed by camera name. The indices are cached in the file
+    ``folder``/.fourd/videos.json. Missing indices are created, and each is written to the cache file at once.
 
     Args:
         files: path of each video by camera name.

@@ -31,7 +31,7 @@ MAX_OFFSET = 1e9
 MAX_PIXELS = 1 << 28
 """Maximum number of pixels of a frame."""
 MAX_DRIFT_FRAMES = 0.5
-"""Maximum drift, in frames, of two videos whose frame rates count as equal."""
+"""The frame rates of two videos count as equal if the videos drift apart by at most this number of frames."""
 
 Entry = dict[str, Any]
 
@@ -58,22 +58,23 @@ class Video:
         return self.fps or self.index.fps
 
     def seconds(self, frame: int) -> Fraction:
-        """Time of a frame of the capture in seconds after the video's first frame."""
+        """Time in seconds from the video's first frame to a frame of the capture."""
         return (frame + Fraction(self.offset)) / self.rate
 
     def number(self, frame: int) -> int:
-        """Number of the video's frame that is nearest in time to a frame of the capture."""
+        """Number of the video frame that is nearest in time to the capture's frame ``frame``."""
         return self.index.nearest(self.seconds(frame))
 
     @property
     def frames_left(self) -> int:
-        """Number of frames of the capture from frame 0 to the end of the video, at least 0."""
+        """Number of frames of the capture between its frame 0 and the end of the video, or 0 if the video ends before
+        frame 0."""
         last = self.index.elapsed(self.index.frames - 1) + 1 / (2 * self.index.fps)
         return max(0, floor(last * self.rate - Fraction(self.offset)) + 1)
 
     def clock_error(self, frames: int) -> tuple[float, int]:
-        """Largest difference in seconds between the time of a capture's frame and the time of the video frame that is
-        used for it.
+        """For each frame of the capture, the nearest video frame is used. Find the largest difference in seconds
+        between the times of these two frames.
 
         Args:
             frames: number of frames of the capture.
@@ -85,12 +86,13 @@ class Video:
         return max((abs(float(self.index.elapsed(self.index.nearest(at)) - at)), frame) for at, frame in seconds)
 
     def drifts_from(self, fps: Fraction) -> bool:
-        """Whether the video drifts by more than half a frame from a video with the frame rate ``fps``."""
+        """Whether the video, over its whole length, drifts by more than half a frame from a video with the frame rate
+        ``fps``."""
         return abs(float(self.index.fps / fps) - 1) * self.index.frames > MAX_DRIFT_FRAMES
 
 
 def list_videos(capture: Path, names: Iterable[str] | None = None) -> dict[str, Video]:
-    """List the videos in ``capture``/videos by camera name.
+    """List the videos in ``capture``/videos, keyed by camera name.
 
     A video's index is read from videos.json, or else from the cache file .fourd/videos.json. If neither file contains
     the video, its index is created but not cached. :func:`fourd.capture.video_index.index_capture` caches indices.
@@ -122,10 +124,11 @@ def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
 
 
 def write_entries(path: Path, entries: Mapping[str, Entry], fps: Fraction | None = None) -> None:
-    """Atomically write the entries of videos by camera name to a file in the format of videos.json.
+    """Atomically write ``entries``, which describe videos and are keyed by camera name, to a file in the format of
+    videos.json.
 
-    ``fps`` is the frame rate of the capture in 1/s. With None, the file contains no frame rate, as in the cache file in
-    ``.fourd/``.
+    ``fps`` is the frame rate of the capture in 1/s. If ``fps`` is None, as for the cache file in ``.fourd/``, no frame
+    rate is written.
     """
     content = {"version": VERSION, **({} if fps is None else {"fps": str(fps)}), "cameras": entries}
     write_text_atomically(path, json.dumps(content, indent=1) + "\n")
@@ -227,7 +230,8 @@ def load_video(listing: Path, path: Path, entry: Entry | None, parser: ParserPro
 
 
 def read_entries(path: Path) -> dict[str, Entry]:
-    """Read a file in the format of videos.json: the entries by camera name, or no entries if the file does not exist.
+    """Read the entries, keyed by camera name, of a file in the format of videos.json. The result is empty if there is
+    no file.
 
     Raises:
         UserError: if the file is damaged.

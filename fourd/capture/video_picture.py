@@ -3,11 +3,11 @@
 HDR signals (ITU-R BT.2100) are converted in these steps:
 
 1. HLG: the inverse OETF gives scene light E. The OOTF with the system gamma 1.2 and a peak of 1000 cd/m2 gives display
-   light ``1000 Y^0.2 E``, where Y is the luminance of E. PQ: the EOTF (SMPTE ST 2084) gives display light.
+   light ``1000 * Y^0.2 * E``, where Y is the luminance of E. PQ: the EOTF (SMPTE ST 2084) gives display light.
 2. Display light is divided by 203 cd/m2, the reference white of ITU-R BT.2408.
 3. The primaries are converted from BT.2020 to BT.709. Negative values are set to 0.
 4. Let m be the maximum of red, green and blue. The colour is scaled by f(m) / m. Up to the knee 0.85, f(m) = m, so
-   colours do not change. Above the knee, ``f(m) = 0.85 + 0.15 t / (1 + t)`` with ``t = (m - 0.85) / 0.15``.
+   colours do not change. Above the knee, ``f(m) = 0.85 + 0.15 * t / (1 + t)`` with ``t = (m - 0.85) / 0.15``.
 5. The transfer function of sRGB (IEC 61966-2-1) is applied.
 """
 
@@ -36,7 +36,8 @@ HLG_PEAK = 1000.0
 HLG_GAMMA = 1.2
 KNEE = 0.85
 MAX_TURN_ERROR = 1
-"""Largest deviation in degrees of a display matrix from a multiple of 90 degrees."""
+"""A display matrix counts as a turn by a multiple of 90 degrees if its angle deviates from the multiple by at most this
+number of degrees."""
 LEVELS = 1 << 12
 """Number of entries of the tables of transfer functions.
 
@@ -48,7 +49,7 @@ BT709_FROM_BT2020 = (
     (-0.124550, 1.132900, -0.008349),
     (-0.018151, -0.100579, 1.118730),
 )
-"""Linear light in BT.709 primaries from linear light in BT.2020 primaries (ITU-R BT.2087, table 4, inverse)."""
+"""Matrix that converts linear light from BT.2020 primaries to BT.709 primaries (inverse of ITU-R BT.2087, table 4)."""
 
 
 def transfer_of(frame: av.VideoFrame) -> str:
@@ -95,9 +96,10 @@ def reduced_size(width: int, height: int, scale: float) -> tuple[int, int]:
 
 
 def _hdr_signal(frame: av.VideoFrame) -> Floats:
-    """The non-linear RGB signal (H, W, 3) in [0, 1] of an HDR frame, from its YCbCr signal (ITU-R BT.2100, table 6).
+    """Convert the YCbCr signal of an HDR frame to a non-linear RGB signal (H, W, 3) in [0, 1] (ITU-R BT.2100, table 6).
 
-    libswscale resamples the chroma planes and converts the bit depth. The matrix is applied here in floating point.
+    libswscale resamples the chroma planes and converts the bit depth. This function applies the YCbCr matrix in
+    floating point.
     """
     planes = frame.reformat(format="yuv444p16le").to_ndarray(format="yuv444p16le").astype(np.float32)
     y, cb, cr = planes if planes.shape[0] == 3 else np.moveaxis(planes, 2, 0)
@@ -135,8 +137,9 @@ def _tables(transfer: str) -> tuple[Floats, Picture, Floats]:
 
     Returns:
         Three tables. The first table has the linear light for each signal value, in units of the reference white (for
-        HLG: scene light in [0, 1]). The second table has the 8-bit sRGB value for each square root of linear light. The
-        third table, for HLG, has the OOTF's factor from scene light to display light for each luminance.
+        HLG: scene light in [0, 1]). The second table has the 8-bit sRGB values, indexed by the square root of linear
+        light. The third table is for HLG: for each luminance, it has the factor by which the OOTF multiplies scene
+        light to get display light.
     """
     steps = np.linspace(0, 1, LEVELS)
     if transfer == HLG:

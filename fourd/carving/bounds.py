@@ -85,16 +85,16 @@ def find_bounds(
         capture: cameras and masks; frames are read one at a time.
         agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
             that see it.
-        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
-            and of at least 3 views. If there are only 2 views, a hull point must project into both images.
+        least_views: a share in (0, 1]. At least this share of all views, and at least 3 views, must see a hull point.
+            If there are only 2 views, both must see it.
         margin: distance by which each face of the box is moved outwards, as a share of the box's longest side.
         max_frames: maximum number of frames that are read. The frames are evenly spaced and include the first and the
             last frame.
         track: callback that reports progress.
 
     Raises:
-        UserError: if the hull of a frame is empty. The error message names the 3 views that remove most of the hull of
-            the other views.
+        UserError: if the hull of a frame is empty. The message names the 3 views that disagree most with the others;
+            see :func:`removed_shares`.
     """
     frames = sample_indices(capture.frame_count, max_frames)
     box: Bounds | None = None
@@ -128,8 +128,8 @@ def hull_bounds(
     cube's centre is the point nearest to all optical axes. The cube is enlarged if the hull touches its faces.
 
     Raises:
-        UserError: if the hull is empty. The error message names the 3 views that remove most of the hull of the other
-            views.
+        UserError: if the hull is empty. The message names the 3 views that disagree most with the others; see
+            :func:`removed_shares`.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
@@ -149,10 +149,10 @@ def hull_bounds(
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance between this point and the farthest camera.
 
-    If the optical axes are almost parallel, no point is clearly nearest. For almost parallel axes, a weak prior
-    determines the result. The prior is a point in front of the mean of the camera centres. The distance of the prior
-    from the mean is four times the distance of the farthest camera from the mean. For other axes, the prior has almost
-    no effect, because its weight is only 0.1% of the weight of the axes.
+    If the optical axes are almost parallel, no point is clearly nearest, and a weak prior determines the result. The
+    prior is a point in front of the mean of the camera centres. The distance of the prior from the mean is four times
+    the distance of the farthest camera from the mean. If the axes are not almost parallel, the prior has almost no
+    effect, because its weight is only 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -172,8 +172,8 @@ def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
 def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | None, label: str) -> UserError:
     """Create the error for an empty hull.
 
-    The message names the three views that remove the largest share of the hull of the other views. ``half`` is half the
-    side of the search cube in world units.
+    The message names the three views with the largest :func:`removed_shares`. ``half`` is half the side of the search
+    cube in world units.
     """
     labels = list(names) if names is not None else [f"view {i}" for i in range(len(views.views))]
     blank = [name for name, view in zip(labels, views.views, strict=True) if view.distance.max() < 0]
@@ -192,11 +192,10 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
-    """For each view, compute the share in [0, 1] that the view removes from the hull of all other views.
-
-    The hull of the other views is computed with an agreement of 1. If the hull of the other views is empty, the
-    agreement is lowered in steps until the hull is not empty, but not below 0.5. The search cube is centred on the
-    origin of ``views``, and ``half`` is half the cube's side in world units.
+    """For each view, compute a share in [0, 1]: how much of the hull of all other views disappears when the view is
+    added. The hull of the other views is computed with an agreement of 1. If that hull is empty, the agreement is
+    lowered in steps, to 0.5 at the lowest, until the hull is not empty. The search cube is centred on the origin of
+    ``views``, and ``half`` is half the cube's side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):

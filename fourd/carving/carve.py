@@ -52,9 +52,9 @@ def carve_frame(
     """Carve one frame's visual hull and spread points evenly over its surface.
 
     Cells are subdivided from coarse to fine. Cells that certainly contain no surface are dropped. The finest cells are
-    so small that more cells intersect the surface than points are requested. The centres of the finest cells are moved
-    onto the surface with an error of at most a tenth of a cell's side. Finally, points are removed evenly until the
-    requested number remains.
+    so small that the surface intersects more cells than the number of requested points. The centres of the finest cells
+    are moved onto the surface with an error of at most a tenth of a cell's side. Finally, points are removed evenly
+    until the requested number remains.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object.
@@ -63,8 +63,8 @@ def carve_frame(
         points: number of points to return, at least 1.
         agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
             that see it. For example, if 20 views see the point, an agreement of 0.95 tolerates one wrong view.
-        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
-            and of at least 3 views. If there are only 2 views, a hull point must project into both images.
+        least_views: a share in (0, 1]. At least this share of all views, and at least 3 views, must see a hull point.
+            If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still
             covers all silhouettes.
         inset: distance by which points are moved into the hull, as a multiple of ``spacing``. In thin parts of the
@@ -74,7 +74,7 @@ def carve_frame(
         label: name of the masks for error messages.
 
     Raises:
-        UserError: if the hull is empty. The message names the 3 views that remove most of the hull of the other views.
+        UserError: if the hull is empty. The message names the 3 views that disagree most with the other views.
         ValueError: if the numbers or shapes of masks and cameras do not match, ``points`` is below 1, a share is
             outside (0, 1], or ``inset`` is negative.
     """
@@ -106,7 +106,7 @@ def _thin(xyz: Floats, normals: Floats, size: float, points: int, seed: int) -> 
 
 
 def _surface_candidates(views: Silhouettes, bounds: Bounds, size: float, points: int) -> tuple[Floats, Floats]:
-    """Find at least ``points`` surface points (N, 3) and their normals (N, 3), with cells of side length about
+    """Find at least ``points`` surface points (N, 3) and their normals (N, 3). The cells have a side length of about
     ``size``."""
     lower, upper = bounds.lower - views.origin, bounds.upper - views.origin
     xyz = normals = np.zeros((3, 0), dtype=np.float32)

@@ -1,10 +1,10 @@
 """Agreement of mattes: the share of each matte that the visual hull of the other views covers.
 
-The measure needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares each silhouette with that of
-the visual hull of all views. In contrast to silhouette coherence, each matte is compared with the hull of the other
-views. If a matte covers more than the object, the hull of the other views does not cover the whole matte, so the
-matte's share is low. If a matte lacks a part of the object, the hulls also lack the part, so the shares of all other
-mattes are low.
+The measure needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares the silhouette of each view
+with the silhouette of the visual hull of all views. The measure in this module instead compares each matte with the
+hull of the other views. If a matte covers more than the object, the hull of the other views does not cover the whole
+matte, so the matte's share is low. If a matte lacks a part of the object, the hulls also lack the part, so the shares
+of all other mattes are low.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from fourd.carving.silhouette import Floats
 Flags = NDArray[np.bool_]
 
 MAX_CELLS = 40_000
-"""Number of cells above which cells are not subdivided further."""
+"""Cells are subdivided until there are more cells than this number."""
 THRESHOLD = 128
 
 
@@ -54,7 +54,7 @@ def frame_coherence(
 ) -> FrameCoherence:
     """Compare the mattes of one frame with the silhouettes of their visual hulls.
 
-    The hulls consist of cells, with about 100 or more cells along the object's longest side.
+    The hulls consist of cells. At least about 100 cells span the object's longest side.
 
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.
@@ -65,8 +65,8 @@ def frame_coherence(
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)
-    # The candidate cells must include the cells of all hulls that leave out one view. A candidate may therefore be
-    # rejected by one view more than the number of tolerated outliers.
+    # The candidate cells must contain every hull that is computed with one view left out. The number of views that may
+    # exclude a candidate cell is therefore one more than the number of tolerated outliers.
     count = len(views.views)
     rejecting = int(views.tolerated_outliers(np.array(count))) + 1
     cells, size = candidate_cells(replace(views, agreement=max(0.5, 1 - rejecting / count)), 1.5 * reach)
@@ -93,8 +93,8 @@ def frame_coherence(
 
 
 def _votes(views: Silhouettes, cells: Floats, size: float) -> tuple[Flags, Flags]:
-    """Two boolean arrays (C, N). The first tells whether each view sees the centre of each cell, the second whether the
-    view's silhouette excludes the cell."""
+    """Two boolean arrays (C, N) with an element for each view and each cell: whether the view sees the cell's centre,
+    and whether the view's silhouette excludes the cell."""
     seen = np.zeros((len(views.views), cells.shape[1]), np.bool_)
     outside = np.zeros_like(seen)
     for index, view in enumerate(views.views):
@@ -110,7 +110,8 @@ def _is_hull(views: Silhouettes, seen: NDArray[np.int64], outside: NDArray[np.in
 
 
 def _silhouette(xyz: NDArray[np.float64], size: float, camera: Camera) -> Flags:
-    """Silhouette (H, W) in one camera of cells with centres (3, N) and side length ``size``."""
+    """Silhouette (H, W) in ``camera`` of the cells that have the centres ``xyz`` (3, N) and the side length
+    ``size``."""
     picture = np.zeros((camera.height, camera.width), np.uint8)
     if xyz.shape[1] == 0:
         return picture > 0

@@ -12,8 +12,8 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side length of a cell of the coarse depth map, as a multiple of the point spacing. The cells are so large that each
-cell that the nearest surface covers contains at least one point."""
+"""Side length of a cell of the coarse depth map, as a multiple of the point spacing. The cells are so large that the
+nearest surface has at least one point in every cell that it covers."""
 
 
 def colour_points(
@@ -26,9 +26,9 @@ def colour_points(
     """Colour each point with the weighted mean of the colours that the views see at the point.
 
     A view sees a point if the point faces the camera and is not occluded. A point is occluded if it lies more than a
-    few point spacings behind the nearest point in its cell of a coarse depth map. The weight of a view is the fourth
-    power of the cosine of the angle between the normal and the direction to the camera. The weight is therefore small
-    at silhouette edges, where pixels mix with the background.
+    few point spacings behind the nearest point in the same cell of a coarse depth map. The weight of a view is the
+    fourth power of the cosine of the angle between the normal and the direction to the camera. The weight is therefore
+    small at silhouette edges, where pixels mix with the background.
 
     Args:
         xyz: (N, 3) world points.

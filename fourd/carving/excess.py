@@ -1,5 +1,5 @@
-"""Removal of excess parts of the visual hull. Excess parts are protruding parts without which the hull still covers all
-silhouettes.
+"""Removal of excess parts of the visual hull. Excess parts protrude from the hull, and the hull covers all silhouettes
+even without them.
 
 The visual hull is the largest shape that agrees with all silhouettes. The hull protrudes from the object in directions
 that lie between the directions of the views, and in concave regions, which no silhouette shows. Training often cannot
@@ -30,7 +30,7 @@ from fourd.carving.silhouette import Floats, SilhouetteView, sample
 
 CELLS_PER_THICKNESS = 6
 """Number of cells across the mean thickness of the hull. The mean thickness is the hull's volume divided by its surface
-area. If the points are sparse, the cells are as large as the distance between points."""
+area. Cells are never smaller than the distance between points."""
 
 MAX_GRID_CELLS = 1 << 24
 """Maximum number of cells of the grid that encloses the hull. Cells are enlarged if the grid would exceed this
@@ -40,8 +40,8 @@ SMOOTHING_CELLS = 3.0
 """Standard deviation, in cells, of the Gaussian that measures how full the neighbourhood of a cell is."""
 
 MIN_FULLNESS = 0.48
-"""Minimum filled share of the neighbourhood of a cell. Cells with emptier neighbourhoods are removed. On a flat
-surface, the neighbourhood of a cell is half full."""
+"""A cell is removed if the filled share of its neighbourhood is below this value. On a flat surface, the neighbourhood
+of a cell is half full."""
 
 MAX_ROUNDS = 12
 
@@ -50,12 +50,12 @@ RAY_CELLS = 0.7
 shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""Minimum ratio of two filled shares: that of the neighbourhood of a ray's cell, and the largest on the adjacent rays.
-Below this ratio, the cell is a small piece of an excess part and is not kept, although it is the fullest on its ray.
-The ray of such a piece passes between the centres of the object's cells."""
+"""The cell with the fullest neighbourhood on its ray is kept only if the filled share of its neighbourhood is at least
+this factor times the largest filled share on the adjacent rays. Otherwise the cell is a small piece of an excess part,
+on a ray that passes between the centres of the object's cells."""
 
 NEAR_CELLS = 1.3
-"""Maximum distance, in cells, of a point from the centre of the cell to which it belongs."""
+"""A point belongs to a cell if its distance from the cell's centre is at most this number of side lengths of a cell."""
 
 SURFACE_SMOOTHING_CELLS = 1.2
 """Standard deviation, in cells, of the Gaussian that smooths the remaining cells before their surface is computed."""
@@ -178,8 +178,9 @@ def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
 
 
 def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Flat index of the ray through each cell centre (3, N), and the shape (rows, columns) of the grid of rays of the
-    view. The index is -1 if the centre projects outside the view's silhouette or image."""
+    """The rays of a view form a grid. Return the flat index in this grid of the ray through each cell centre (3, N),
+    and the grid's shape (rows, columns). The index is -1 if the centre projects outside the view's silhouette or
+    image."""
     x, y, z = view.project(centres)
     is_inside = view.sees(x, y, z)
     is_inside[is_inside] = sample(view.distance, x[is_inside], y[is_inside], cv2.INTER_LINEAR) >= 0

@@ -34,8 +34,8 @@ SLACK_FACTOR = np.float32(1.03)
 distance transform, which is up to 2%."""
 
 MIN_VIEWS = 3
-"""Minimum number of views that must see a point. Two views are not enough, because the viewing cones of two silhouettes
-can intersect where there is no object."""
+"""At least this number of views must see a hull point, unless there are fewer views. Two views are not enough, because
+the viewing cones of two silhouettes can intersect where there is no object."""
 
 DIAGONAL = float(np.sqrt(3) / 2)
 """Half the diagonal of a cell, divided by the cell's side length."""
@@ -90,8 +90,8 @@ class Silhouettes:
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """Number of views that may exclude each point from the hull. ``seen`` is the number of views that see each
-        point."""
+        """For each point, the number of views that are allowed to exclude it while it still belongs to the hull.
+        ``seen`` is the number of views that see each point."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
     def may_contain_object(self, cells: Floats, size: float) -> NDArray[np.bool_]:
@@ -148,8 +148,8 @@ class Silhouettes:
         proportional to the surface's area.
 
         Returns:
-            the selected cell centres (3, M), and the distance and the deciding view of each centre as in
-            :meth:`distance`.
+            the selected cell centres (3, M), and for each centre the distance and the deciding view, as
+            :meth:`distance` returns them.
         """
         kept, distance, deciding = [], [], []
         for chunk in chunks(cells):
@@ -161,8 +161,8 @@ class Silhouettes:
         return np.concatenate(kept, axis=1), np.concatenate(distance), np.concatenate(deciding)
 
     def _rank_views(self, xyz: Floats, outside: float) -> tuple[NDArray[np.int64], Floats, NDArray[np.int16]]:
-        """Compute distances and deciding views of points (3, N). Points that are more than ``outside`` away from the
-        hull are dropped.
+        """Compute distances and deciding views of points (3, N). Points that lie outside the hull by more than
+        ``outside`` are dropped.
 
         Returns:
             indices of the remaining points, their signed distances to the hull, and their deciding views.

@@ -1,4 +1,4 @@
-"""Detection of poor mattes. A matte is poor if the visual hull of the other views does not cover it."""
+"""Detection of poor mattes. A matte is poor if the visual hull of the other views covers too little of it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from fourd.files import write_text_atomically
 from fourd.progress import Track, untracked
 
 POOR = 0.7
-"""Minimum share of a matte that the hull of the other views must cover. Other mattes are reported."""
+"""A matte is reported as poor if the hull of the other views covers less than this share of the matte."""
 MIN_KEPT = 1 / 3
-"""Minimum share of the mattes' area that the hull of all views must cover."""
+"""An error is raised if the hull of all views covers less than this share of the mattes' area."""
 MAX_FRAMES = 48
 MAX_LINES = 8
 
@@ -54,8 +54,8 @@ class MatteQuality:
         return float(np.nansum(self.kept * self.area)) / total if total else 1.0
 
     def warnings(self) -> list[str]:
-        """One line of text for each view and range of frames with poor mattes. The line with the smallest share comes
-        first."""
+        """One line of text for each run of consecutive frames in which the mattes of one view are poor. The line with
+        the smallest share comes first."""
         found = sorted(self._poor_runs())
         lines = [
             f"{name}, {_frame_range(first, last)}: the hull of the other views covers {share:.0%} of this matte"
@@ -66,8 +66,8 @@ class MatteQuality:
         return lines
 
     def _poor_runs(self) -> Iterator[tuple[float, str, int, int]]:
-        """Yield one tuple for each range of frames with poor mattes: mean covered share, camera name, first frame and
-        last frame."""
+        """Yield one tuple for each run of consecutive frames in which the mattes of one view are poor: mean covered
+        share, camera name, first frame and last frame."""
         for index, name in enumerate(self.names):
             poor = self.explained[:, index] < POOR
             starts = np.flatnonzero(poor & ~np.r_[False, poor[:-1]])

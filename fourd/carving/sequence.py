@@ -39,11 +39,12 @@ VERSION = 3
 MARGIN = 0.05
 MAX_BOUNDS_FRAMES = 120
 MIN_PARALLEL_SECONDS = 10.0
-"""Minimum estimated time in seconds for carving the remaining frames at which worker processes are started. Starting
-worker processes takes some seconds."""
+"""Worker processes are started if one process would need at least this estimated time in seconds for the remaining
+frames. Starting worker processes takes some seconds."""
 INPUTS = ("masks/{camera}/*", ".fourd/mattes/{camera}/*", "images/{camera}/*", "videos/{camera}.*", "videos.json")
-"""Files in a capture from which carving reads. If a file changes, the carved points are no longer valid. The sizes and
-modification times of the files are therefore part of the key, which is a hash of all inputs of carving."""
+"""Patterns of the files that carving reads from a capture. If a file changes, the carved points are no longer valid.
+The sizes and modification times of the files are therefore part of the key, which is a hash of all inputs of
+carving."""
 
 
 @dataclass(frozen=True)
@@ -83,8 +84,8 @@ def carve_capture(
         points: number of points per frame, at least 1.
         agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
             that see it.
-        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views,
-            and of at least 3 views. If there are only 2 views, a hull point must project into both images.
+        least_views: a share in (0, 1]. At least this share of all views, and at least 3 views, must see a hull point.
+            If there are only 2 views, both must see it.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: seed of the random order of the points.
@@ -234,7 +235,8 @@ def _carve_parallel(job: _Job, workers: int) -> Iterator[Corners]:
 
 
 def _carve_frames(job: _Job) -> Iterator[Corners]:
-    """Carve the frames of a job. After each frame, yield the smallest and the largest coordinates of its points."""
+    """Carve the frames of a job. After each frame, yield the smallest and the largest coordinate of its points along
+    each axis."""
     for frame in job.frames:
         xyz = _load_or_carve(job.capture, frame, job.folder, job.search, job.settings)
         yield xyz.min(axis=0), xyz.max(axis=0)

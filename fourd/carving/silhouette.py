@@ -19,8 +19,8 @@ width and height are below 32,767."""
 
 
 MAX_SIDE_PX = 1024
-"""Maximum length in pixels of the longer side of a matte's crop around the object. Larger crops are reduced to limit
-the memory for large captures."""
+"""Maximum length in pixels of the longer side of a matte's crop around the object. Larger crops are scaled down to this
+length, which limits the memory for large captures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class SilhouetteView:
     around the object. If the crop is large, the distance image has a lower resolution than the matte.
 
     Attributes:
-        matrix: (3, 3) float32 matrix product K R of intrinsics and rotation.
+        matrix: (3, 3) float32 matrix product K * R of intrinsics and rotation.
         offset: (3,) float32 homogeneous pixel coordinates of the origin.
         focal: geometric mean of the focal lengths in pixels.
-        reach: upper bound in pixels of the displacement of a point's projection if the point, at depth 1, moves by one
-            world unit. The bound is valid for all points inside the image.
+        reach: upper bound of the distance in pixels by which the projection of a point at depth 1 moves if the point
+            moves by one world unit. The bound is valid for all points inside the image.
         frame: left, top, right and bottom borders of the whole image, in pixel coordinates of the distance image.
         distance: (h, w) float32 signed distance to the silhouette in pixels, positive inside. For a point outside the
             crop, the value at the nearest pixel of the crop gives a lower bound of the distance to the object.

@@ -16,8 +16,8 @@ CANDIDATES = 1.3
 """Number of candidate cells for each requested point. More candidates make the density of the points more even, but the
 computation slower."""
 MIN_DEPTH = 0.7
-"""Minimum distance from the surface of a point that was moved into the hull, as a share of the length of the move. At
-creases of the surface, the distance is shorter than the move."""
+"""A move into the hull is acceptable if the moved point's distance from the surface is at least this share of the
+length of the move. At creases of the surface, the distance is shorter than the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
@@ -62,9 +62,9 @@ def project_to_surface(
 def move_inwards(views: Silhouettes, xyz: Floats, normals: Floats, inset: float) -> Floats:
     """Move surface points (N, 3) into the hull, against their outward normals (N, 3).
 
-    In thin parts of the hull, points move only by 3/4, 1/2 or 1/4 of ``inset``, or not at all. Each point makes the
-    longest acceptable move. A move is acceptable if the moved point's distance from the surface is about the length of
-    the move.
+    A move is acceptable if the moved point's distance from the surface is about the length of the move. Each point
+    makes the longest acceptable move: by ``inset``, or in thin parts of the hull by 3/4, 1/2 or 1/4 of ``inset``, or
+    not at all.
     """
     moved, remaining = xyz.copy(), np.arange(len(xyz))
     for quarters in (4, 3, 2, 1):
@@ -103,8 +103,8 @@ def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int1
 def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Select ``count`` of the points (N, 3) such that their density is even. Return their indices in random order.
 
-    ``count`` is at most N. Points are removed in rounds. In each round, one point of each of the closest pairs of
-    points is removed. Because the order is random, the first M points are a uniform sample for every M.
+    ``count`` is at most N. Points are removed in rounds. In each round, each of the closest pairs of points loses one
+    point. Because the order is random, the first M points are a uniform sample for every M.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:

@@ -1,9 +1,9 @@
 """Reading of the YAML that OpenCV's class FileStorage writes: numbers, strings, lists of both, and matrices.
 
 OpenCV's own parser recurses without bound on nested content, and its reader of matrices corrupts memory if a matrix is
-incomplete. The reader in this module accepts only the types that calibrations contain, and its time is proportional to
-the size of the file. A file is split into entries, and an entry is parsed when its value is requested. Entries of other
-types are therefore ignored.
+incomplete. The reader in this module accepts only the types that calibrations contain, and takes a time proportional to
+the size of the file. A file is split into entries, and an entry is parsed when its value is requested. An entry of a
+type that the reader does not accept is therefore no error.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class OpenCvYaml:
         text: the whole file.
 
     Raises:
-        ValueError: if the text has another format. The message describes what was found instead.
+        ValueError: if the text does not have this format. The message describes what was found instead.
     """
 
     def __init__(self, text: str) -> None:
@@ -57,9 +57,10 @@ class OpenCvYaml:
         return item if isinstance(item, float) else None
 
     def items(self, key: str) -> list[Item] | None:
-        """The items of a list of numbers and strings, in brackets or on lines with dashes. None for other values.
+        """The items of a list of numbers and strings, which is written in brackets or with one dash per line. None if
+        the value is not such a list.
 
-        A string without quotes that looks like a number is a number.
+        An item without quotes is a number if it looks like a number.
         """
         text = _without_tag(self._entries[key])
         try:
@@ -68,8 +69,8 @@ class OpenCvYaml:
             return None
 
     def matrix(self, key: str) -> NDArray[np.float64] | None:
-        """A matrix (rows, columns), or (rows, columns, channels) for elements of several channels, or a list of numbers
-        (N,). None for values of other types.
+        """The value with the key ``key`` as an array: a matrix (rows, columns), a matrix whose elements have several
+        channels (rows, columns, channels), or a list of numbers (N,). None if the value has none of these types.
 
         Raises:
             ValueError: if a matrix is incomplete.
@@ -145,7 +146,7 @@ def _single_item(text: str) -> Item | None:
 
 
 def _bracketed(text: str) -> list[Item]:
-    """The items of ``[ 1, "a" ]``. Raises ValueError for other text."""
+    """The items of a list in brackets, such as ``[ 1, "a" ]``. Raises ValueError if the text is not such a list."""
     head, bracket, body = text.partition("[")
     if head.strip() or not bracket:
         raise ValueError("expected a list in brackets")
@@ -170,7 +171,7 @@ def _gap_end(text: str, position: int) -> int:
 
 
 def _dashed(text: str) -> list[Item]:
-    """The items of lines such as ``  - "a"``. Raises ValueError for other text."""
+    """The items of lines such as ``  - "a"``. Raises ValueError if the text has other lines."""
     first, *lines = text.split("\n")
     items: list[Item] = []
     for line in lines:

@@ -74,8 +74,8 @@ def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
 def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours may have the type uchar, or float with values in [0, 1]. Points without colours get a medium grey. Other
-    properties of vertices, and elements after the vertices, are skipped.
+    Colours may have the type uchar, or float with values in [0, 1]. Points without colours get a medium grey. All
+    vertex properties except position and colour are skipped, and so are elements after the vertices.
 
     Raises:
         UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
@@ -131,7 +131,8 @@ def read_header(path: Path) -> PlyHeader:
 
 @dataclass(frozen=True)
 class FaceLayout:
-    """How faces are stored: their number, and the NumPy types of the list's length and of the vertex indices."""
+    """How faces are stored: the number of faces, and two NumPy types, one for the length of a face's list of vertices
+    and one for the vertex indices."""
 
     count: int
     types: tuple[str, str]

@@ -11,10 +11,10 @@ from fourd.capture.video_list import Video, common_frames
 from fourd.capture.video_picture import HLG_PEAK, KNEE, REFERENCE_WHITE
 
 LONG_KEYFRAME_INTERVAL = 250
-"""Maximum distance between keyframes in frames. Beyond this distance, a note suggests --unpack, because reading a frame
-decodes all frames since the last keyframe."""
+"""If the keyframes of a video are farther apart than this number of frames, a note suggests --unpack, because reading a
+frame decodes all frames since the last keyframe."""
 MIN_TOLD_SECONDS = 5e-4
-"""Minimum error of the frame times that is reported, in seconds."""
+"""An error of the frame times is reported only if it is at least this number of seconds."""
 MIN_TOLD_FRAMES = 0.5
 """Offsets below this number of frames are not reported."""
 

@@ -57,7 +57,7 @@ def read_file(path: Path) -> bytes:
 def find_frames(source: Path, folders: Sequence[str] = FRAME_FOLDERS) -> dict[str, Frames]:
     """Find the frames of each camera: a video or a folder of images.
 
-    Only the first of ``folders`` that contains any frames is used. Returns the frames by camera name.
+    Only the first of ``folders`` that contains any frames is used. Returns the frames, keyed by camera name.
 
     Raises:
         UserError: when two cameras have the same name, or no folder has frames.
@@ -91,7 +91,8 @@ def picture_files(folder: Path) -> PictureFiles | None:
 
 
 def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
-    """Find the mattes of a camera, matched to its images by number. Returns None if the folder has no mattes.
+    """Find the mattes of a camera. Mattes and images are matched by the last number in their file names. Returns None
+    if the folder has no mattes.
 
     For a video, all mattes in the folder are returned, because the video's number of frames is not known here.
 
@@ -122,9 +123,10 @@ def find_mattes(folder: Path, frames: Frames) -> PictureFiles | None:
 def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Path) -> dict[str, str]:
     """Match the names of the cameras that have frames to the names in the calibration.
 
-    Equal names match. If no names are equal, names whose last numbers are equal and unique match. If there is still no
-    match, a camera matches if its name ends with a separator and the calibration's name, such as 2019-08-02-vid01-camA
-    and A. Returns the calibration's name for each camera in ``found`` that has a calibration.
+    Equal names match. If no names are equal, two names match if their last numbers are equal, provided that the last
+    numbers of all calibrations differ. If there is still no match, a camera's name matches if it ends with a separator
+    and the calibration's name, such as 2019-08-02-vid01-camA and A. Returns the calibration's name for each camera in
+    ``found`` that has a calibration.
 
     Raises:
         UserError: when no camera has a calibration, or several videos have the same calibration.
@@ -162,8 +164,8 @@ def join_calibrations(
     The notes are about cameras without images, calibration or mattes.
 
     Args:
-        frames: frames by camera name.
-        calibrations: cameras by their names in the file ``path``.
+        frames: frames, keyed by camera name.
+        calibrations: cameras, keyed by their names in the file ``path``.
         path: the calibration file, for error messages.
         mattes: folders that may contain a folder of mattes for each camera. The mattes of a camera are read from the
             first folder that contains any.
@@ -234,8 +236,8 @@ def make_camera(
 
 
 def _ends_with(name: str, camera: str) -> bool:
-    """Whether a video's name ends with a separator and a camera's name, such as -A. The text "cam" may be between
-    separator and name."""
+    """Whether a video's name ends with a separator and a camera's name, such as -A, or with "cam" between the two, such
+    as -camA."""
     return re.search(rf"(?:^|[-_. ])(?:cam)?{re.escape(camera)}$", name) is not None
 
 

@@ -15,8 +15,8 @@ from fourd.errors import UserError
 from fourd.importing.imported import ImportedCamera
 
 CalibratedFrames = Literal["auto", "turned", "stored"]
-"""Frames to which a calibration belongs: the frames as stored in the file, or the frames after the rotation in the
-video's metadata turned them upright."""
+"""Frames to which a calibration belongs: "stored" are the frames as the file stores them, and "turned" are the frames
+after they are turned upright by the rotation in the video's metadata."""
 
 
 def turn_camera(camera: Camera, degrees: int) -> Camera:
@@ -65,14 +65,15 @@ def _turn_distortion(distortion: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def reduced_indices(indices: Mapping[str, VideoIndex], reduce: float) -> dict[str, VideoIndex]:
-    """Return the index of each video for frames whose size is multiplied by ``reduce``, in (0, 1]."""
+    """Return the indices of the videos after the width and height of their frames are multiplied by ``reduce`` (0 to
+    1)."""
     return {name: index if reduce == 1 else index.reduce(reduce) for name, index in indices.items()}
 
 
 def match_calibrations(
     cameras: Sequence[ImportedCamera], indices: Mapping[str, VideoIndex], meant: CalibratedFrames, reduce: float
 ) -> tuple[tuple[ImportedCamera, ...], list[str]]:
-    """Turn and reduce calibrations like the frames of their videos.
+    """Turn and reduce each calibration in the same way as the frames of its video.
 
     Frames and calibrations have an orientation: landscape or portrait. With "auto", a calibration belongs to the stored
     frames if the stored frames have the orientation of the calibration and the turned frames do not. In all other

@@ -77,5 +77,5 @@ class Imported:
 
 
 def video_files(cameras: Iterable[ImportedCamera]) -> dict[str, Path]:
-    """Paths of the videos by camera name. The result does not include cameras without a video."""
+    """Paths of the videos, keyed by camera name. Cameras without a video are left out."""
     return {camera.name: camera.frames.path for camera in cameras if isinstance(camera.frames, VideoFile)}

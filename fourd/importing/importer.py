@@ -48,10 +48,10 @@ METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "dna-rendering")
 """Formats whose calibrations are in metres."""
 
 MAX_SAMPLE_FRAMES = 3
-"""Number of frames whose images are matched to check a calibration of at most FEW_CAMERAS cameras."""
+"""To check a calibration of at most FEW_CAMERAS cameras, the images of this number of frames are matched."""
 FEW_CAMERAS = 5
-"""Number of cameras above which only one frame is matched. With many cameras, the images of one frame have enough
-matches, and matching three frames would take minutes."""
+"""With more cameras than this, the images of only one frame are matched: they have enough matches, and matching three
+frames would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,8 @@ def import_source(
 def _correct_estimate(
     estimate: Estimate, imported: Imported, source_format: Format, options: ImportOptions, log: Log
 ) -> Estimate:
-    """Correct offsets from sound by the travel time of the sound to the calibrated cameras, and log the offsets."""
+    """If the offsets were estimated from sound, correct them by the time that sound takes to reach each calibrated
+    camera, and log them."""
     is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
     if options.calibration is not None:
         is_metric |= is_metric_calibration(Path(options.calibration))
@@ -219,7 +220,7 @@ def _estimate(
 
 
 def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Imported:
-    """Add the frame rate of images.
+    """Set the frame rate of a source that consists of images.
 
     The rate is the value of --fps, or the rate in capture.json if the source is a capture.
     """
@@ -230,7 +231,7 @@ def _with_rate(imported: Imported, source: Path, options: ImportOptions) -> Impo
 
 
 def _read_indices(imported: Imported, out: Path, options: ImportOptions, track: Track) -> Indices:
-    """The index of each video, with a frame size that is reduced by the factor of the option --scale."""
+    """The indices of the videos, after the frame sizes are multiplied by the factor of the option --scale."""
     return reduced_indices(cached_indices(video_files(imported.cameras), out, track), options.reduce)
 
 
@@ -255,7 +256,8 @@ def _calibrate(
     warn: Log,
     track: Track,
 ) -> Imported:
-    """Return the source with cameras that are calibrated from the source's images or checked against these images."""
+    """Calibrate the source's cameras from its images, or check the given calibration with these images. Return the
+    source with the resulting cameras."""
     names = [camera.name for camera in imported.cameras]
     with SynchronizedFrames(imported.cameras, indices, offsets) as frames:
         has_few = len(names) <= FEW_CAMERAS

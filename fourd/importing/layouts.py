@@ -19,7 +19,7 @@ from fourd.importing.folders import CALIBRATION_FOLDER, find_frames
 from fourd.importing.imported import Imported
 
 MAX_DEPTH = 2
-"""Number of folder levels below the source, and of parent folders above the source, that are searched."""
+"""The search covers this number of folder levels below the source, and this number of parent folders above it."""
 CALIBRATION_NAME = re.compile(r"calib|camera|intri|extri|\.qca", re.IGNORECASE)
 CALIBRATION_SUFFIXES = (
     *(".toml", ".yml", ".yaml", ".json", ".xml", ".txt", ".csv", ".xcp", ".calib"),
@@ -72,7 +72,7 @@ class Layout:
 
 @dataclass(frozen=True)
 class Frames:
-    """Frames for which no usable calibration was found. The attributes are those of :class:`Layout`."""
+    """Frames for which no usable calibration was found. :class:`Layout` describes the attributes."""
 
     folder: Path
     refused: tuple[str, ...]
@@ -141,7 +141,8 @@ def describe_refused(source: Path, formats: Sequence[CalibrationFormat]) -> str:
 def _choose(
     paths: Sequence[Path], frames: Path, formats: Sequence[CalibrationFormat], refused: list[str]
 ) -> Layout | None:
-    """Choose one of the calibrations ``paths``. Appends the reason for each file that is not used to ``refused``."""
+    """Choose one of the calibrations ``paths``. For each file that is not used, append a line with the reason to
+    ``refused``."""
     usable: list[tuple[CalibrationFormat, Path]] = []
     for path in paths:
         form = _recognise(path, formats)

@@ -32,7 +32,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def camera_of_table(where: str, table: Mapping[str, Any], rotation: Array, translation: Array) -> Camera:
-    """The camera with the lens of a table with ``size``, ``matrix`` and ``distortions``, and with the given pose.
+    """Make a camera with the given pose. Its lens is read from the keys ``size``, ``matrix`` and ``distortions`` of
+    ``table``.
 
     Args:
         where: file and table for error messages.

@@ -1,4 +1,5 @@
-"""The record .fourd/import.json of an import's source and options. The record prevents overwriting another capture."""
+"""The record .fourd/import.json of an import's source and options. The record prevents an import from overwriting
+another capture."""
 
 from __future__ import annotations
 
@@ -72,7 +73,7 @@ def read_record(out: Path) -> ImportRecord | None:
 
 
 def _check_types(record: ImportRecord) -> None:
-    """Raise TypeError if a field of a record from a file does not have its type."""
+    """Raise TypeError if a field of a record that was read from a file has the wrong type."""
     texts = (record.source, record.format, record.calibration, record.files, *record.warnings)
     numbers = (record.options.get("reduce", 1), *record.offsets.values())
     matches = all(isinstance(text, str) for text in texts) and all(_is_number(number) for number in numbers)
@@ -94,8 +95,8 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
 
 
 def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, float], reduce: float) -> None:
-    """Raise UserError if the folder contains frames that were unpacked from other videos, with other offsets, or with
-    another scale."""
+    """Raise UserError if the folder contains unpacked frames of other videos, or frames that were unpacked with other
+    offsets or another scale."""
     if before.unpacked and before.files != files:
         raise UserError(
             f"{out}: expected the videos unpacked into this folder, got other videos; import into another folder"

@@ -21,7 +21,7 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class EncodedFrames:
-    """The frames of one camera, read from encoded images inside another file."""
+    """The frames of one camera, read from encoded images inside a larger file."""
 
     frames: EncodedPictures
 

@@ -52,7 +52,7 @@ class Estimate:
 
     Attributes:
         method: "sound" or "motion".
-        frames: delays in frames of the common clock, with fractions, by camera name.
+        frames: delays in (fractional) frames of the common clock, keyed by camera name.
         confidence: confidence in [0, 1] of each delay.
         rate: frame rate of the common clock in 1/s.
     """
@@ -141,7 +141,7 @@ def _from_sound(
 def find_offsets(
     cameras: tuple[ImportedCamera, ...], indices: Mapping[str, VideoIndex], out: Path, track: Track
 ) -> Offsets:
-    """Estimate the delay of each camera relative to the first camera from motion, and plot the delays to
+    """Estimate from motion how much each camera is delayed relative to the first camera. Plot the delays to
     ``out``/.fourd/sync.png.
 
     The maximum offset is a third of the number of frames that all cameras have, and at most 300 frames.
@@ -167,7 +167,7 @@ def find_offsets(
 def correct_sound_travel(
     estimate: Estimate, cameras: Sequence[ImportedCamera], position: SoundPosition, is_metric: bool, log: Log
 ) -> Estimate:
-    """Subtract the travel time of sound to the calibrated cameras from estimated delays.
+    """Correct estimated delays by the time that sound takes to travel to each calibrated camera.
 
     A measured lag is the sum of an offset and a difference of travel times. Because the two cannot be separated, the
     position of the source of the sound cannot be estimated. The user can specify the position. Otherwise, the point
@@ -211,8 +211,8 @@ def correct_sound_travel(
 
 
 def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply: bool) -> dict[str, float]:
-    """The offsets in frames to apply: the user's offsets, or, with ``apply``, the estimated offsets of high
-    confidence."""
+    """The offsets in frames to apply: the estimated offsets of high confidence if ``apply`` is true, otherwise the
+    user's offsets."""
     if estimate is None or not apply:
         return dict(given)
     return {name: round(of, DECIMALS) for name, of in estimate.frames.items() if estimate.is_sure(name)}

@@ -15,7 +15,7 @@ from fourd.ops.pixel_filter.reference import filter_pixels_reference
 from fourd.ops.rays.cuda import GpuDiscTree
 
 RAYS_PER_CHUNK = 1 << 21
-"""Number of rays that are traced at once, which limits memory."""
+"""Number of rays that are traced at once. The number is limited to save memory."""
 
 
 def draw_through_lens_gpu(
@@ -27,11 +27,11 @@ def draw_through_lens_gpu(
     layers: int | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Tensor:
-    """Draw a frame in device memory through a lens, as RGB (H, W, 3) float32 in [0, 1] on its device.
+    """Draw a frame through a lens on the frame's device. Return RGB (H, W, 3) float32 in [0, 1] on that device.
 
-    The image is that of :func:`fourd.lenses.picture.draw_through_lens` without mirrors and glass balls, up to rounding.
-    The rays and the bounding volume tree of the points are made on the CPU. For frames in CPU memory, the emulated
-    kernels run.
+    Up to rounding, the image equals the image that :func:`fourd.lenses.picture.draw_through_lens` draws without mirrors
+    and glass balls. The rays and the bounding volume tree of the points are made on the CPU. For frames in CPU memory,
+    the emulated kernels run.
 
     Args:
         frame: the frame.

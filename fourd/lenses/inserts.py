@@ -29,7 +29,8 @@ class MirrorFloor:
 
     Attributes:
         centre: (3,) position in world units.
-        normal: (3,) unit vector that points away from the mirror's reflecting side.
+        normal: (3,) unit normal of the reflecting side. It points from the mirror towards the objects that the mirror
+            reflects.
         radius: radius in world units, above 0.
         reflectivity: share of the light that is reflected, from 0 to 1. The rest of the light comes from the floor.
         colour: RGB colour of the floor, in [0, 1].
@@ -51,7 +52,8 @@ class MirrorFloor:
         return np.where((away < 0) & (height > 0) & (distance <= self.radius), t, np.inf)
 
     def leave(self, points: Array, directions: Array) -> tuple[list[Branch], Array]:
-        """Return the reflected rays, and the light (R, 3) of the floor itself, for rays that arrive at ``points``."""
+        """For the rays that arrive at ``points``, return the reflected rays and the light (R, 3) of the floor
+        itself."""
         reflected = directions - 2 * (directions @ self.normal)[:, None] * self.normal
         share = np.full(len(points), self.reflectivity)
         light = (1 - share)[:, None] * np.asarray(self.colour)
@@ -91,8 +93,8 @@ class GlassBall:
         least = ((self.refractive_index - 1) / (self.refractive_index + 1)) ** 2
         reflectance = (least + (1 - least) * (1 - cosine) ** 5)[:, 0]
         reflected = unit + 2 * cosine * normal
-        # A refracted ray meets the opposite side of the ball at the angle at which it entered, so there is no total
-        # internal reflection.
+        # Inside the ball, a ray makes the same angle with the surface where it enters and where it leaves, so there is
+        # no total internal reflection.
         ratio = 1 / self.refractive_index
         inside = ratio * unit + (ratio * cosine - np.sqrt(1 - ratio**2 * (1 - cosine**2))) * normal
         chord = -2 * self.radius * (inside * normal).sum(1, keepdims=True)

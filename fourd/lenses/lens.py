@@ -34,7 +34,7 @@ class RayBundle:
 
 @dataclass(frozen=True)
 class Pinhole:
-    """The camera itself, with ``samples`` x ``samples`` rays in each pixel."""
+    """The camera without an additional lens. Each pixel has ``samples`` x ``samples`` rays."""
 
     samples: int = 1
 
@@ -65,7 +65,7 @@ class Fisheye:
             raise ValueError(f"fov: expected more than 0 and at most 360 degrees, got {self.fov_deg:g}")
 
     def rays(self, camera: Camera) -> RayBundle:
-        """Return the rays of a fisheye image with position, direction and size of ``camera``."""
+        """Return the rays of a fisheye image with the position, axes and image size of ``camera``."""
         points, pixels = _sample_points(camera, self.samples)
         offset = (points - (camera.width / 2, camera.height / 2)) / (min(camera.width, camera.height) / 2)
         distance = np.linalg.norm(offset, axis=1)
@@ -80,8 +80,9 @@ class Fisheye:
 
 @dataclass(frozen=True)
 class Panorama:
-    """An equirectangular panorama: columns are 360 degrees around the camera's vertical axis, and rows 180 degrees from
-    top to bottom. The viewing direction is in the middle. Viewers for headsets can open equirectangular images.
+    """An equirectangular panorama: the columns span 360 degrees around the camera's vertical axis, and the rows span
+    180 degrees from top to bottom. The viewing direction is in the middle. Viewers for headsets can open
+    equirectangular images.
 
     Attributes:
         samples: number of rays along each side of a pixel. A pixel has samples * samples rays.
@@ -90,7 +91,7 @@ class Panorama:
     samples: int = 1
 
     def rays(self, camera: Camera) -> RayBundle:
-        """Return the rays of a panorama at the position of ``camera``, with its axes and its image size."""
+        """Return the rays of a panorama with the position, axes and image size of ``camera``."""
         points, pixels = _sample_points(camera, self.samples)
         longitude = (points[:, 0] / camera.width - 0.5) * 2 * np.pi
         latitude = (points[:, 1] / camera.height - 0.5) * np.pi
@@ -125,7 +126,7 @@ class ThinLens:
             raise ValueError(f"rays per pixel: expected at least 1, got {self.rays_per_pixel}")
 
     def rays(self, camera: Camera) -> RayBundle:
-        """Return the rays of the image of ``camera`` through a lens at its centre."""
+        """Return the rays of the camera's image. The lens is centred on the camera's position."""
         rng = np.random.default_rng(self.seed)
         corners, pixels = _sample_points(camera, 1)
         bundles = []

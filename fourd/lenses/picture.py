@@ -19,12 +19,13 @@ from fourd.ops.rays.discs import DiscTree
 Array = NDArray[np.float64]
 
 MAX_BOUNCES = 3
-"""Maximum number of inserts (mirrors or glass balls) that a ray meets. After the last of them, a ray shows the
-background in place of another insert."""
+"""Maximum number of inserts (mirrors or glass balls) that a ray meets one after another. If a ray meets another insert
+after that, the background is drawn in place of the insert."""
 RAYS_PER_CHUNK = 1 << 18
-"""Number of rays that are traced at once, which limits memory."""
+"""Number of rays that are traced at once. The number is limited to save memory."""
 MIN_SHARE = 1 / 512
-"""Share of the light of the previous ray at or below which a ray is not traced."""
+"""A ray that continues from an insert is traced only if it contributes more than this share of the light of the
+previous ray."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +86,10 @@ def draw_through_lens(
 ) -> NDArray[np.float32]:
     """Draw a frame through a lens, as RGB (H, W, 3) float32 in [0, 1].
 
-    Points are discs with the alpha that the compositor gives them. For a :class:`~fourd.lenses.lens.Pinhole` and a
+    Points are discs, and their alpha is computed as in the compositor. For a :class:`~fourd.lenses.lens.Pinhole` and a
     :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image plane. For other lenses, each disc faces the
-    ray. The colours of points are those seen from the camera's position, also in mirrors and glass.
+    ray. Points have the colours that they show towards the camera, also where a ray reaches them through a mirror or
+    glass.
 
     Args:
         frame: a frame whose values are all finite.

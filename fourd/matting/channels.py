@@ -1,6 +1,6 @@
 """Reductions over the three channels of an image.
 
-The functions of this module are many times faster than NumPy's reductions over a last axis of size three.
+NumPy's own reductions are many times slower if the last axis has only three elements.
 """
 
 from __future__ import annotations

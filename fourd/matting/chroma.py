@@ -22,15 +22,15 @@ Picture = NDArray[np.uint8]
 
 DARKEST = 0.4
 BRIGHTEST = 1.4
-"""Upper limit of a pixel's illumination, as a factor on the screen's median illumination. The lower limit is
-DARKEST."""
+"""Upper limit of a pixel's illumination, as a multiple of the screen's median illumination. DARKEST is the lower
+limit."""
 MIN_CHROMA = 28.0
 """Minimum chroma magnitude of a screen's colour. The largest possible magnitude is 128.
 
 Screen colours with less chroma cannot be separated from noise and from reflections on the subject.
 """
 MIN_BORDER_SHARE = 0.5
-"""Minimum share of the images' border pixels that must have the screen's hue."""
+"""At least this share of the images' border pixels must have the screen's hue."""
 BORDER = 0.08
 """Width of the border as a share of the image's shorter side."""
 HUE_BINS = 72
@@ -38,12 +38,12 @@ HUE_TOLERANCE_DEG = 15.0
 MAX_SPREAD = 0.3
 DEFAULT_SPREAD = 0.15
 SUBJECT_DISTANCE = 0.4
-"""Minimum :func:`screen_distance` of subject pixels (0 = screen, 1 = grey).
+"""A pixel can be the subject only if its :func:`screen_distance` is at least this value (0 is the screen, 1 is grey).
 
 The value is below 0.5, so that the matte includes edge pixels of which the subject covers slightly less than one half.
 """
 SPREAD_FACTOR = 1.6
-"""Minimum :func:`screen_distance` of subject pixels, as a multiple of the screen's spread."""
+"""A pixel can be the subject only if its :func:`screen_distance` is at least this multiple of the screen's spread."""
 MAX_SAMPLES = 20_000
 """Approximate number of border pixels sampled per image."""
 

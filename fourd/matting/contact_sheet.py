@@ -27,8 +27,8 @@ MARGIN = 0.12
 Limbs that a matte misses remain visible in the margin.
 """
 MIN_ALPHA = 8
-"""Minimum matte value (0 to 255) of pixels that the bounding box must contain. The value is low, so that the box
-includes faint errors of the mattes."""
+"""The bounding box contains all pixels whose matte value (0 to 255) is at least this value. The value is low, so that
+the box includes faint errors of the mattes."""
 GAP_PX = 4
 CAPTION_PX = 16
 MIN_WIDTH_PX = 120

@@ -62,7 +62,8 @@ def find_foreign_mattes(path: Path | str, track: Track = untracked) -> list[str]
 
 
 def fits_image(picture: NDArray[np.uint8], matte: NDArray[np.uint8]) -> bool | None:
-    """Whether the contour of ``matte`` (H, W) follows edges of ``picture`` (H, W, 3); None for too short a contour."""
+    """Whether the contour of ``matte`` (H, W) follows edges of ``picture`` (H, W, 3); None if the contour is too
+    short."""
     height, width = matte.shape
     shift = max(MIN_SHIFT_PX, round(SHIFT * max(height, width)))
     grey = cv2.GaussianBlur(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.0)

@@ -21,7 +21,8 @@ MIN_REGION_SHARE = 1 / 300
 and holes below this area are filled."""
 MARGIN_PX = 16
 NOISE_VARIANCE = np.float32(16.0)
-"""Variance of a pixel's value around the mixture of subject and background, in squared 8-bit values.
+"""Variance of the difference between a pixel's value and the mixture of subject and background, in squared 8-bit
+values.
 
 The variance accounts for camera noise and image compression.
 """
@@ -31,8 +32,9 @@ NEARBY_VARIANCE = np.float32(12.0)
 """Variance added to the local colour variance of a background that is estimated from nearby pixels."""
 PLATE_VARIANCE = np.float32(9.0)
 SHADING_DEVIATION = np.float32(0.1)
-"""Standard deviation of the light at the edge of the subject, as a share of the light nearby. Curved surfaces become
-darker towards their contour, so that a pixel of the subject looks like a mixture with a dark background."""
+"""Standard deviation of the light at the edge of the subject, as a share of the light nearby. The deviation accounts
+for curved surfaces, which become darker towards their contour. Without this deviation, a dark pixel of the subject
+would look like a mixture with a dark background."""
 CHROMA_VARIANCE = np.float32(0.1)
 """Variance of a pixel's chroma, as a share of the squared difference in chroma between subject and background. JPEG
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
@@ -49,11 +51,11 @@ ALPHAS = 11
 SHARPENING_SIGMA = 0.6
 """Standard deviation of the Gaussian that averages alpha along the edge, in multiples of the radius."""
 SHARPENING_GAIN = np.float32(2.0)
-"""Factor by which the contrast of the averaged alpha is increased. Without this factor, the edge is too soft, because
+"""Factor that increases the contrast of the averaged alpha. Without this factor, the edge would be too soft, because
 alpha is the mean of a posterior."""
 MIN_NEARBY = 0.005
 MIN_CONFIDENCE = 0.5
-"""Minimum confidence of a background colour that is used to estimate alpha."""
+"""A given background colour is used to estimate alpha only if its confidence is above this value."""
 LUMA_CHROMA = np.array([[0.45, 0.88, 0.17], [-0.27, -0.53, 0.80], [0.76, -0.64, -0.12]], np.float32)
 """Unit vectors of Y, Cb and Cr in RGB space, the axes along which JPEG images and videos store colours."""
 
@@ -114,7 +116,8 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
 def _mean_alpha(
     rgb: Picture, mask: Picture, edge: Flags, radius: int, background: Floats | None, deviation: float
 ) -> Floats:
-    """The posterior mean (H, W) of alpha at the ``edge`` (H, W) of a binary mask, and the mask elsewhere.
+    """Alpha (H, W): its posterior mean in the pixels ``edge`` (H, W) near the edge of a binary mask, and the mask in
+    all other pixels.
 
     ``deviation`` is the standard deviation of alpha around the blurred mask.
     """

@@ -90,7 +90,7 @@ class MatteOutput:
         return self.capture / DERIVED / NEW
 
     def prepare(self) -> None:
-        """Delete models with another key, and unfinished files of killed processes.
+        """Delete models whose key is not ``model_key``, and unfinished files of killed processes.
 
         The models are kept if only the painted images have changed, because ``model_key`` does not depend on painted
         images.
@@ -100,7 +100,8 @@ class MatteOutput:
         remove_unfinished(self.folder, deep=True)
         remove_unfinished(self._new, deep=True)
         if state.key is None and state.new == self.key and self.folder.exists() and not self._new.exists():
-            # The process was killed after the new mattes replaced the old mattes, and before their key was written.
+            # An earlier process was killed after the new mattes had replaced the old mattes, but before it wrote the
+            # new key.
             replace(state, key=self.key, new=None).write(self.capture)
         elif state.model != self.model_key:
             self.model.unlink(missing_ok=True)
@@ -120,7 +121,7 @@ class MatteOutput:
         ]
 
     def start(self) -> Path:
-        """Return the folder to which mattes are written. The folder contains no mattes with another key."""
+        """Return the folder to which mattes are written. All mattes in the folder have the current key."""
         state = MatteState.read(self.capture)
         if state.key == self.key:
             return self.folder
@@ -140,7 +141,7 @@ class MatteOutput:
         if state.key == self.key or state.new != self.key:
             shutil.rmtree(self._new, ignore_errors=True)
             return
-        # While the folders are exchanged, no key matches the mattes.
+        # While the folders are exchanged, the stored key is None, so that no mattes count as valid.
         MatteState(None, self.model_key, self.key).write(self.capture)
         self._remove_sheet()
         old = self.folder.with_name(f"{UNFINISHED}{self.folder.name}")

@@ -42,7 +42,7 @@ The band covers the matte's soft edge and shadows next to the subject.
 OUTLIER_STDS = 3.0
 MIN_OUTLIER_DISTANCE = 6.0
 MIN_WEIGHT = 1.0
-"""Minimum background weight of a pixel, summed over all frames. Pixels with a weight below this value are holes."""
+"""A pixel is a hole if its background weight, summed over all frames, is below this value."""
 INPAINT_PX = 5
 
 

@@ -156,7 +156,8 @@ def matte_key(capture: Capture, settings: MatteSettings) -> str:
 
 
 def record_choice(capture: Path, settings: MatteSettings) -> None:
-    """Record whether the user chose ``settings``, the settings of a capture's mattes, with options of fourd matte."""
+    """Record whether the user chose ``settings`` with options of fourd matte. ``settings`` are the settings of the
+    capture's mattes."""
     state = MatteState.read(capture)
     is_chosen = settings != MatteSettings()
     chosen = replace(

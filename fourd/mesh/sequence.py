@@ -120,7 +120,7 @@ def _key(capture: Capture, settings: MeshSettings) -> str:
 
 
 def _remove_stale(folder: Path, key: str) -> None:
-    """Remove meshes in ``folder`` that were made with another key, and store the new key."""
+    """Remove meshes in ``folder`` that were made with a different key, and store the new key."""
     state = folder / STATE_NAME
     try:
         known = read_json(state)["key"]

@@ -63,14 +63,13 @@ class Offsets:
     Attributes:
         frames: offsets in whole frames. The offset of the first camera is 0.
         subframes: offsets with fractions of a frame, from parabolas through the peaks of the correlations.
-        confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable, and
-            those with a confidence below 0.1 are unreliable. The confidence of a pair of cameras is computed from the
+        confidence: confidence of each camera's offset in [0, 1]. Offsets with a confidence above 0.3 are reliable.
+            Offsets with a confidence below 0.1 are unreliable. The confidence of a pair of cameras is computed from the
             correlation of their two signals. Let p1 be the peak of the correlation, and p2 the highest correlation at
             lags more than 3 frames away from the peak. Let c = 4 / sqrt(frames) be the noise level. The pair's
-            confidence is the smaller of (p1
-            - c) / (1 - c) and 2 (p1 - p2). If the pair's lag differs by more than one frame from the difference of the
-            two cameras' offsets, the pair's confidence is 0. The confidence of a camera is the mean over the half of
-            its pairs with the highest confidence.
+            confidence is ``min((p1 - c) / (1 - c), 2 * (p1 - p2))``. If the pair's lag differs by more than one frame
+            from the difference of the two cameras' offsets, the pair's confidence is 0. The confidence of a camera is
+            the mean confidence of the better half of its pairs.
     """
 
     frames: tuple[int, ...]

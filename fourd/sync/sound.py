@@ -34,14 +34,14 @@ noise of phones has higher frequencies."""
 MAX_LAG_SECONDS = 60.0
 MIN_OVERLAP_SECONDS = 0.25
 MAX_GAP_SECONDS = 0.005
-"""Maximum gap in seconds before a block of sound. A longer gap is filled with silence."""
+"""Gaps between blocks of sound are ignored up to this number of seconds. Longer gaps are filled with silence."""
 SILENCE_RMS = 1e-4
 """Level below which a soundtrack is treated as silent, as a share of full scale. The value corresponds to -80 dB."""
 ECHO_SECONDS = 0.06
-"""Maximum difference in lag, in seconds, between the highest correlation peak and other peaks that are treated as its
-echoes."""
+"""A correlation peak counts as an echo of the highest peak if their lags differ by at most this number of seconds."""
 NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
-"""Heights of the correlation peak, in standard deviations of the correlation, at which the confidence is 0 and 1.
+"""Height of the correlation peak at which the confidence is 0, and height at which it is 1, in standard deviations of
+the correlation.
 
 For short clips without common sound, the highest value of the correlation was below 11 standard deviations.
 """
@@ -82,8 +82,9 @@ class SoundOffsets:
             peak of the correlation rises from 10 to 20 standard deviations of the correlation. The confidence of the
             pair is reduced if another peak, more than 60 ms away, is higher than 3/4 of the highest peak. The
             confidence of the pair is 0 if its lag differs from the difference of the two offsets by more than 3 ms. The
-            confidence of a camera is the mean over the half of its pairs with the highest confidence.
-        sigmas: for each camera, height of the highest peak of its pairs, in standard deviations of the correlation.
+            confidence of a camera is the mean confidence of the better half of its pairs.
+        sigmas: for each camera, height of the highest correlation peak among its pairs, in standard deviations of the
+            correlation.
     """
 
     seconds: tuple[float, ...]
@@ -178,8 +179,8 @@ def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, 
     """Find the lag of the second soundtrack relative to the first by GCC-PHAT.
 
     Returns:
-        the lag in seconds on the clocks of the two videos, the weight of the pair in [0, 1], and the height of the peak
-        in standard deviations.
+        the lag in seconds (the time of a sound in the second video minus its time in the first video), the weight of
+        the pair in [0, 1], and the height of the peak in standard deviations.
     """
     shortest = min(len(first.samples), len(second.samples))
     reach = max(len(first.samples), len(second.samples)) - round(MIN_OVERLAP_SECONDS * RATE)
@@ -204,7 +205,7 @@ def _estimate_lag(first: Soundtrack, second: Soundtrack) -> tuple[float, float, 
 
 
 def _phat(first: Samples, second: Samples, limit: int) -> Array:
-    """Correlation (2 limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
+    """Correlation (2 * limit + 1,) of the phases in the pass band, for lags from -limit to limit samples.
 
     If one signal is a delayed copy of the other signal, the correlation is 1 at the lag of the delay.
     """

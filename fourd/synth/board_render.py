@@ -126,7 +126,8 @@ class BoardRenderer:
 
 
 def _sample_rays(camera: Camera) -> NDArray[np.float32]:
-    """Rays (S H, S W, 3) through the samples in camera coordinates, scaled to z = 1."""
+    """Rays (S * H, S * W, 3) through the samples, in camera coordinates and scaled to z = 1. S is the number of samples
+    per pixel along each axis."""
     steps = (np.arange(max(camera.width, camera.height) * SUPERSAMPLING) + 0.5) / SUPERSAMPLING
     x, y = np.meshgrid(steps[: camera.width * SUPERSAMPLING], steps[: camera.height * SUPERSAMPLING])
     pixels = np.stack([x, y], axis=-1).reshape(-1, 1, 2)

@@ -57,7 +57,7 @@ class Figure:
         girth: factor that scales the width of trunk and limbs.
         head: factor that scales the head.
         swing: factor that scales the swing angles of arms and legs.
-        start: phase of the gait in frame 0, in gait cycles.
+        start: phase of the gait in frame 0. The unit is one gait cycle.
         wardrobe: patterns of the parts.
     """
 
@@ -85,7 +85,7 @@ def make_figure(seed: int) -> Figure:
 
 
 def pose_figure(figure: Figure, phase: float) -> list[Part]:
-    """Compute the parts of the figure at the gait phase ``phase``, in gait cycles.
+    """Compute the parts of the figure at a given time. ``phase`` is the time as a number of gait cycles.
 
     One gait cycle consists of two steps, and each step includes a leap.
     """

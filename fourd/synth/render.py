@@ -163,13 +163,13 @@ def _intersect(part: Part, camera: Camera, u: Array, v: Array) -> Array:
 
 
 def _enter_sphere(square: Array, across: Array, excess: float) -> Array:
-    """The smaller root t of ``square t^2 + 2 across t + excess = 0``, or infinity if there is no real root."""
+    """The smaller root t of ``square * t^2 + 2 * across * t + excess = 0``, or infinity if there is no real root."""
     root = across * across - square * excess
     return np.where(root > 0, (-across - np.sqrt(np.maximum(root, 0))) / square, np.inf)
 
 
 def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> Array:
-    """RGB colours (N, 3) of the part at the points ``eye + t direction``, where the rays enter the part."""
+    """RGB colours (N, 3) of the part at the points ``eye + t * direction``, where the rays enter the part."""
     local = (eye - part.origin + direction * t[:, None]) @ part.frame
     normal = _normals(part, local / part.stretch) / part.stretch @ part.frame.T
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -184,7 +184,8 @@ def _shade(part: Part, eye: Array, direction: Array, t: Array, gloss: float) -> 
 
 
 def _normals(part: Part, local: Array) -> Array:
-    """Outward normals (N, 3), not normalised, of the part before scaling, at surface points ``local`` (N, 3).
+    """Outward normals (N, 3) of the part before scaling, at the surface points ``local`` (N, 3). The normals do not
+    have unit length.
 
     At each surface point, one sphere inside the part touches the surface. The normal is the vector from the centre of
     this sphere to the surface point.
@@ -242,7 +243,7 @@ def _pixel_rays(camera: Camera, x: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _average_samples(samples: Array) -> Array:
-    """Average the S x S rays of each pixel. The shape of the array changes from (h S, w S, ...) to (h, w, ...)."""
+    """Average the S x S rays of each pixel. The shape of the array changes from (h * S, w * S, ...) to (h, w, ...)."""
     height, width = samples.shape[0] // SAMPLES, samples.shape[1] // SAMPLES
     tiles: Array = samples.reshape(height, SAMPLES, width, SAMPLES, *samples.shape[2:])
     return np.asarray(tiles.mean(axis=(1, 3)), dtype=np.float64)

@@ -28,8 +28,8 @@ SAMPLES = 64
 RAYS = 4096
 """Number of rays per batch."""
 MAX_QUARTILE_RATIO = 1.25
-"""Maximum ratio of the upper to the lower quartile of distance along a ray, where the quartiles are those of the
-rendering weights. Above this ratio, the weights are too spread out along the ray to describe a surface."""
+"""Maximum ratio of the upper to the lower weighted quartile of the distances along a ray. The weights are the rendering
+weights. Above this ratio, the rendering weights are too spread out along the ray to describe a surface."""
 MAX_MEDIAN = 0.99
 """Maximum normalised distance at which a ray's cumulative rendering weight reaches 1/2. If the distance exceeds this
 maximum, no surface is assumed on the ray."""
@@ -42,12 +42,12 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Fill the unknown cells of measured surfaces with the median depths of the field, if another plate confirms these
-    depths.
+    """Fill the unknown cells of measured surfaces with the median depths of the field where another plate confirms
+    them.
 
-    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. In addition, the cell
-    must not occlude more surfaces than agree with it. Confirmed cells get support 1. Unconfirmed cells take the
-    extrapolated depth of ``continued``. Colours do not determine the depth of a surface that only one plate sees.
+    A cell is confirmed under two conditions: the surface of at least one other plate agrees with the cell's depth, and
+    the cell does not occlude more surfaces than agree with it. Confirmed cells get support 1. Unconfirmed cells take
+    the extrapolated depth of ``continued``. Colours do not determine the depth of a surface that only one plate sees.
     Where only one plate sees a surface, the field's depth is noise around the extrapolated depth.
 
     Args:

@@ -28,10 +28,10 @@ from fourd.progress import Log, Track, untracked
 Array = NDArray[np.float64]
 
 FEW_SHARE = 0.1
-"""Share of the visible depth-map cells with a confirmed depth. Below this share, the log calls the result a rough
+"""If the share of visible depth-map cells with a confirmed depth is below this value, the log calls the result a rough
 estimate."""
 MIN_SHARE = 0.01
-"""Minimum share of the visible depth-map cells with a confirmed depth. Below this share, the computation fails with an
+"""If the share of visible depth-map cells with a confirmed depth is below this value, the computation fails with an
 error."""
 
 
@@ -45,13 +45,14 @@ def seed_from_radiance(
     log: Log = lambda line: None,
     track: Track = untracked,
 ) -> ColouredPoints:
-    """Create coloured points of a static background, evenly spread over the plates' images.
+    """Create coloured points of a static background. The points are evenly spread over the plates' images.
 
     Stereo measures depths in areas where two plates match (:mod:`fourd.background.stereo`). In areas without a match,
     depths are extrapolated. A radiance field (Mueller et al. 2022) is then optimised on the plates' colours and on the
-    measured and extrapolated depths. Without the depths, a field for cameras that are 20 degrees apart reproduces each
-    plate with radiance that only one camera sees. In cells without stereo depth, the median depth of the field is used
-    if another plate confirms this depth. The same input, seed and number of torch threads give the same points.
+    measured and extrapolated depths. Without these depths, if the cameras are 20 degrees apart, the field reproduces
+    each plate with radiance that only this plate's camera sees. In cells without stereo depth, the median depth of the
+    field is used if another plate confirms this depth. The same input, seed and number of torch threads give the same
+    points.
 
     Args:
         plates: clean plates of at least two cameras.

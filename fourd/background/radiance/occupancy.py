@@ -17,7 +17,7 @@ has a total weight of at most one. Uniform samples also find surfaces that are m
 BINS = 96
 """Number of bins in the histogram of sampling weights along a ray."""
 HINT_WEIGHTS = (0.25, 0.5, 0.25)
-"""Weights that a hint adds to the histogram of a ray: to the bin before the hint, to the hint's bin and to the bin
+"""A hint adds these weights to three bins of a ray's histogram: the bin before the hint, the hint's bin and the bin
 after it. A hint is a distance at which the ray is expected to hit a surface, for example the depth of a training
 pixel."""
 
@@ -26,8 +26,8 @@ class OccupancyGrid:
     """Densities on a grid over contracted space. Dense cells get more samples than empty cells.
 
     Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. In contrast, this class
-    computes a histogram of volume rendering weights along each ray from the grid's densities, and draws a fixed number
-    of samples from the histogram.
+    computes the volume rendering weights along each ray from the grid's densities. The weights form a histogram, from
+    which a fixed number of samples is drawn.
     """
 
     def __init__(self, contraction: Contraction, cells: int) -> None:
@@ -45,7 +45,7 @@ class OccupancyGrid:
             count: number of intervals per ray.
             jitter: (R, count + 1) offset of each edge within its stratum, in [0, 1). If ``jitter`` is None, each edge
                 is at the centre of its stratum.
-            hint: (R,) normalised distances near which samples are denser than on the rest of the ray, or NaN for rays
+            hint: (R,) normalised distance near which the samples of each ray are denser than elsewhere, or NaN for rays
                 without a hint.
 
         Returns:

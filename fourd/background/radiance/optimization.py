@@ -21,7 +21,7 @@ FINAL_RATE_FACTOR = 0.1
 WARM_UP = 50
 OPAQUE_LENGTH = 1e6
 """Length of each ray's last interval, in units of the contraction's radius. The last interval is so long that it makes
-every ray opaque. Rays that are not opaque would cause fog in front of the cameras."""
+every ray opaque. If rays could be partly transparent, the optimisation would create fog in front of the cameras."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class OptimizedField:
             rays: R rays.
             samples: number S of samples per ray.
             generator: random generator of the samples' jitter. If ``generator`` is None, the samples have no jitter.
-            hint: (R,) normalised distances near which samples are denser than on the rest of the ray, or NaN for rays
+            hint: (R,) normalised distance near which the samples of each ray are denser than elsewhere, or NaN for rays
                 without a hint.
         """
         with torch.no_grad():
@@ -65,8 +65,8 @@ class RenderedRays:
         edges: (R, S + 1) normalised distances of the interval edges.
         weights: (R, S) volume rendering weights.
         rgb: (R, 3) composited RGB colours in [0, 1].
-        xyz: (R S, 3) world points of the samples.
-        density: (R S,) densities of the samples.
+        xyz: (R * S, 3) world points of the samples.
+        density: (R * S,) densities of the samples.
     """
 
     edges: Tensor
@@ -107,7 +107,8 @@ def optimize_field(
 
 
 def _rate_factor(step: int, steps: int) -> float:
-    """Factor of the learning rate, which rises linearly over the first 50 steps and decays exponentially to a tenth."""
+    """Factor that multiplies the learning rate. The factor is the product of a linear rise to 1 over the first 50 steps
+    and an exponential decay from 1 to 0.1 over all steps."""
     return min(1.0, (step + 1) / WARM_UP) * float(FINAL_RATE_FACTOR ** (step / steps))
 
 

@@ -23,13 +23,13 @@ HORIZONTAL_WEIGHT = 100.0
 """Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. A large weight keeps floors
 horizontal and walls vertical."""
 ROWS_PER_DEGREE = 4
-"""Number of grid rows per degree of elevation. The resolution must be high: seen from a low centre, the far half of a
-floor spans only a few degrees."""
+"""Number of grid rows per degree of elevation. The resolution must be high, because the far half of a floor spans only
+a few degrees when the centre is low."""
 NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, as multiples of the camera's distance from the centre."""
 MIN_KNOWN = 0.1
-"""Minimum share of depth-map cells with known depth. Below this share, the room's shape is unreliable, and the room is
-enlarged until it contains a large ball around the centre, cut off at the floor."""
+"""Minimum share of depth-map cells with known depth. Below this share, the room's shape is unreliable. The room is then
+enlarged until it contains a large ball around the centre, except for the part of the ball below the floor."""
 HALL_RADIUS = 1.5
 """Radius of the ball that a room with an unreliable shape must contain, as a multiple of the farthest camera's distance
 from the centre."""

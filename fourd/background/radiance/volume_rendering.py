@@ -22,8 +22,8 @@ def rendering_weights(density: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor]
 
 
 def distortion_loss(weights: Tensor, edges: Tensor) -> Tensor:
-    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15). The distortion loss measures how far the
-    weights of a ray are spread.
+    """Distortion loss (R,) of mip-NeRF 360 (Barron et al. 2022, eq. 15). The distortion loss measures how widely the
+    weights are spread along a ray.
 
     The loss is differentiable in ``weights`` and ``edges``.
 

@@ -42,7 +42,7 @@ def sample_coloured_points(
 
 
 def _plate_pixels(xy: Array, camera: Camera, plate: PlateView) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns (M,) of the pixels of the full-size plate at positions (M, 2) in the reduced plate."""
+    """Convert positions (M, 2) in the reduced plate to rows and columns (M,) of pixels in the full-size plate."""
     height, width = plate.seen.shape
     positions = xy * (width / camera.width, height / camera.height)
     columns, rows = np.clip(positions, 0, (width - 1, height - 1)).astype(np.intp).T

@@ -35,18 +35,19 @@ for cells whose ray hits no plane."""
 MAX_DEPTH_FACTOR = 4.0
 """Maximum depth of an extended plane, as a multiple of the largest known depth in the image."""
 EDGE_SCALE = 0.1
-"""Grey difference in [0, 1] between neighbouring cells at which the weight between the cells drops to one half."""
+"""If the grey values, in [0, 1], of two neighbouring cells differ by this value, the interpolation weight between the
+cells is one half."""
 
 
 def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], seed: int) -> list[Surface]:
     """Complete the unknown cells of surfaces.
 
     A completed depth is the minimum of an interpolated depth and the depth of the nearest enclosing plane. The
-    interpolated depth is obtained by harmonic interpolation of inverse depth between known cells that do not lie on an
-    enclosing plane. The interpolation is exact for planar surfaces, and also uses points that are known or completed in
-    other images. A cell remains unknown if it would occlude a known surface of another image. All unknown cells of an
-    image remain unknown if less than a quarter of the image's cells are known. Completed cells have support 0, because
-    no other image confirms them.
+    interpolated depth comes from harmonic interpolation of inverse depth. The interpolation starts from known cells
+    that lie on no enclosing plane. The interpolation is exact for planar surfaces, and also uses points that are known
+    or completed in other images. A cell remains unknown if it would occlude a known surface of another image. All
+    unknown cells of an image remain unknown if less than a quarter of the image's cells are known. Completed cells have
+    support 0, because no other image confirms them.
 
     Args:
         surfaces: one surface per image.
@@ -80,8 +81,7 @@ def _has_enough_known(surface: Surface, xyz: Array) -> bool:
 
 
 def _off_planes(surface: Surface, planes: EnclosingPlanes) -> NDArray[np.bool_]:
-    """(N,) bool, true for cells of the depth map that have a depth and whose point lies on none of the enclosing
-    planes."""
+    """(N,) bool, true for cells that have a depth and whose world point lies on no enclosing plane."""
     cells = np.flatnonzero(surface.known)
     off = np.zeros_like(surface.known)
     off[cells] = ~planes.contains(surface.points(cells))
@@ -177,7 +177,7 @@ def interpolate_inverse_depths(
 
 
 def remove_occluding(index: int, completed: Sequence[Surface], surfaces: Sequence[Surface]) -> Surface:
-    """Remove the completed cells of a surface that would occlude known surfaces of other images."""
+    """Remove those completed cells of a surface that would occlude known surfaces of other images."""
     surface = completed[index]
     cells = np.flatnonzero(surface.known & ~surfaces[index].known)
     xyz = surface.points(cells)

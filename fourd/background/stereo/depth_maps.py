@@ -68,7 +68,7 @@ class StereoResult:
 
     @property
     def measured_share(self) -> float:
-        """Share in [0, 1] of the visible cells with a measured depth."""
+        """Share, in [0, 1], of cells with a measured depth among the visible cells."""
         return self.measured_cells / self.visible_cells
 
 

@@ -17,11 +17,12 @@ Bools = NDArray[np.bool_]
 
 MAX_POINTS = 20_000
 MIN_INLIERS = 0.05
-"""Minimum share of all points that lie on a plane. Planes below this share belong to small objects."""
+"""Minimum number of points on a plane, as a share of all points. Planes with fewer points belong to small objects."""
 MAX_BEHIND = 0.01
-"""Maximum share of all points that lie behind a plane."""
+"""Maximum number of points behind a plane, as a share of all points."""
 TOLERANCE = 0.02
-"""Maximum distance of a plane's points from the plane, as a share of their distance from the mean camera centre."""
+"""A point lies on a plane if its distance from the plane, divided by its distance from the mean camera centre, is at
+most this value."""
 
 
 @dataclass(frozen=True, eq=False)

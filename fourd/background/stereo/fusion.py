@@ -27,8 +27,8 @@ DEPTH_TOLERANCE = 0.01
 """Maximum relative depth difference between a surface and a point that lies on the surface."""
 REPROJECTION_TOLERANCE_PX = 1.5
 """Maximum forward-backward error in pixels. To compute the error, the centre of a cell is projected into another image.
-The surface point that the other image has at this pixel is projected back into the cell's image. The error is the
-distance between the projected surface point and the cell's centre."""
+The surface point at this pixel of the other image is projected back into the cell's image. The error is the distance
+between the projected surface point and the cell's centre."""
 OCCLUSION_MARGIN = 0.03
 """Relative depth difference above which a point in front of a known surface occludes the surface."""
 ITERATIONS = 3
@@ -104,12 +104,12 @@ class Projection:
 
 
 def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list[Surface]:
-    """Remove the cells of depth maps that are inconsistent with other depth maps.
+    """Remove those cells of depth maps that are inconsistent with other depth maps.
 
-    A cell is kept if at least one other image confirms it. In addition, the cell must occlude fewer known surfaces than
-    there are images that confirm it. One confirmation is enough, because walls are often seen by only two cameras. With
-    two cameras, one cell in 60 is confirmed although its depth is wrong. Connected components of fewer than 25 cells
-    are removed.
+    A cell is kept if at least one other image confirms it. In addition, the number of known surfaces that the cell
+    occludes must be smaller than the number of images that confirm the cell. One confirmation is enough, because often
+    only two cameras see a wall. With two cameras, one cell in 60 is confirmed although its depth is wrong. Connected
+    components of fewer than 25 cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))

@@ -24,8 +24,8 @@ distance from known cells. The weight is divided by the square of the share of k
 known, the correction decays to one half over seven cells. If few cells are known, they are unreliable, and the
 correction decays over a shorter distance."""
 MIN_GUIDE_FACTOR = 0.25
-"""Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. The minimum prevents a correction
-that makes the inverse depth negative."""
+"""Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. Without this minimum, the
+correction could make the inverse depth negative."""
 
 
 def complete_with_guidance(

@@ -24,13 +24,13 @@ LEVELS = 4
 """Number of window sizes. Each window is twice as wide as the previous window. Large windows are needed on smooth
 walls, which have texture only at large scales."""
 MIN_TEXTURE = 2.5 / 255
-"""Minimum root mean square difference in grey value, in [0, 1], between neighbouring samples of a window. Each cell
-uses the smallest window size whose difference exceeds this minimum in every direction."""
+"""Minimum root mean square difference between the grey values, in [0, 1], of neighbouring samples of a window. Each
+cell uses the smallest window size with a difference above this minimum in every direction."""
 NOISE_STD = 1.5 / 255
 """Standard deviation of image noise, for grey values in [0, 1]. Windows with less contrast than the noise cannot be
 matched."""
 MIN_VISIBLE = 0.6
-"""Minimum share of a window's samples that lie outside holes."""
+"""Minimum number of a window's samples that lie outside holes, as a share of all samples of the window."""
 SINGLE_SOURCE_PENALTY = np.float32(0.05)
 """Value subtracted from the correlation if the cell is visible in only one source image."""
 UNKNOWN_SCORE = np.float32(-1.0)
@@ -113,8 +113,8 @@ def index_intrinsics(camera: Camera) -> NDArray[np.float64]:
 
 
 class PatchSimilarity:
-    """Scores planes for the cells of one image. For a score, a window around the cell is compared with source
-    images."""
+    """Scores planes for the cells of one image. To score a plane, this class compares the window around the cell with
+    the parts of the source images to which the plane maps the window."""
 
     def __init__(self, view: GreyView, sources: Sequence[GreyView], grid: Grid) -> None:
         """Sample the windows of ``view`` at the cells of ``grid`` for comparison with ``sources``."""
@@ -141,9 +141,9 @@ class PatchSimilarity:
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
         """Score planes (n, 3) of cells (n,).
 
-        The score of a plane is the mean of its two best correlations, so that occlusion in the other source images is
-        tolerated. If the cell is visible in only one source image, the score is the correlation with this image minus
-        SINGLE_SOURCE_PENALTY.
+        The score of a plane is the mean of its two best correlations, so that occlusion in the other source images does
+        not lower the score. If the cell is visible in only one source image, the score is the correlation with this
+        image minus SINGLE_SOURCE_PENALTY.
 
         Returns:
             (n,) scores of at most 1, or -1 if the cell is visible in no source image.
@@ -191,15 +191,15 @@ class _PlaneWarp:
         return _PlaneWarp(matrix.astype(np.float32), shift.astype(np.float32))
 
     def is_inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """(n,) bool, true for cells whose centres (n, 3), with planes (n, 3), project into the other image of shape (H,
-        W)."""
+        """(n,) bool, true for cells that project into the other image of shape (H, W). The projected points are the
+        points of the planes (n, 3) at the cell centres ``pixels`` (n, 3)."""
         x, y, depth = self._warp_centres(pixels, planes)
         height, width = shape
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
 
     def sample_positions(self, pixels: Floats, planes: Floats, across: Floats, down: Floats) -> tuple[Floats, Floats]:
-        """Map the samples of n windows to positions x and y (o, n) in the other image. The samples are at offsets (o,
-        1) from the cell centres.
+        """Map the samples of n windows to positions x and y (o, n) in the other image. Each window has o samples at the
+        offsets ``across`` and ``down`` from the cell centre.
 
         Positions are NaN for points behind the other camera.
         """

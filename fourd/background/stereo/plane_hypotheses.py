@@ -54,7 +54,8 @@ def find_large_planes(xyz: Array, weights: Array, distance: float, rng: np.rando
 
 
 def plane_in_view(plane: Array, camera: Camera, grid: Grid) -> Floats:
-    """Convert a world plane (n, d) to the form described in Grid, repeated for the N cells of a camera's image."""
+    """Convert a world plane (n, d) to the form described in Grid. The result (N, 3) repeats the plane for the N cells
+    of a camera's image."""
     normal = camera.rotation @ plane[:3]
     offset = plane[3] + normal @ camera.translation
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -66,9 +67,9 @@ def triangle_planes(xyz: Array, camera: Camera, grid: Grid) -> list[Floats]:
     """Create planes from a Delaunay triangulation of the projections of points ``xyz`` (M, 3).
 
     Returns:
-        up to two sets of planes (N, 3), one plane per cell. The first set has the plane of the triangle that contains
-        the cell, or NaN outside all triangles. The second set has, for each cell, the fronto-parallel plane at the
-        depth of the point that is nearest in the image.
+        up to two sets of planes (N, 3), one plane per cell. In the first set, a cell has the plane of the triangle that
+        contains the cell, or NaN if no triangle contains the cell. In the second set, a cell has the fronto-parallel
+        plane at the depth of the point that is nearest to the cell in the image.
     """
     pixels, depth = camera.project(xyz)
     pixels, depth = pixels[depth > 0] - 0.5, depth[depth > 0]

@@ -21,8 +21,8 @@ ANGLE_SPREAD = 0.9
 between the rays from the point to the source camera and to the camera whose depth is computed. The score is 1 at 15
 degrees, 1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that is seen from the opposite side)."""
 MIN_GAIN = 0.01
-"""Minimum increase of the objective per sampled point. A source camera is not added if it increases the objective by
-less than this minimum."""
+"""Minimum increase of the objective, divided by the number of sampled points. A source camera is not added if the
+increase is below this minimum."""
 
 
 def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthest: float) -> list[int]:
@@ -30,9 +30,9 @@ def select_sources(cameras: Sequence[Camera], index: int, nearest: float, farthe
     camera's frustum is seen by two source cameras.
 
     Points are sampled in the frustum between the depths ``nearest`` and ``farthest``. The score of a source camera for
-    a point depends on the angle between the rays of the two cameras to the point. The objective adds up
-    the two best scores of each point. The selection is greedy: each step adds the camera that increases the
-    objective most.
+    a point depends on the angle between the rays of the two cameras to the point. The objective is the sum, over all
+    sampled points, of the two best scores of each point. The selection is greedy: each step adds the camera that
+    increases the objective most.
     """
     xyz = _frustum_points(cameras[index], nearest, farthest)
     scores = np.array([_view_scores(cameras[index], other, xyz) for other in cameras])

@@ -32,9 +32,9 @@ from fourd.progress import Track
 Array = NDArray[np.float64]
 
 EPIPOLAR_PX = 1.5
-"""Maximum distance in pixels of a matched feature from the epipolar line."""
+"""Maximum distance, in pixels, of a matched feature from the epipolar line."""
 RATIO_TEST_THRESHOLD = 0.85
-"""Maximum ratio of the distances to the nearest and the second nearest descriptor."""
+"""Maximum ratio of the distance to the nearest descriptor to the distance to the second nearest descriptor."""
 MIN_SIMILARITY = 0.5
 """Minimum cosine similarity of matched descriptors."""
 MIN_ANGLE_DEG = 2.0

@@ -23,9 +23,9 @@ EDGE_TOLERANCE = 0.05
 """Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth
 edge if the errors at the neighbours on both sides exceed this maximum."""
 MAX_PARTS = 2
-"""Maximum number of parts into which a square is divided along each axis. With more parts, all gaps between points on
-steep surfaces would be closed, but each point of a floor would hide the lower half of the points behind it. The texture
-of the floor would then appear half a point too high in the image."""
+"""Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
+points on steep surfaces. However, each point of a floor would then hide the lower half of the points behind it. As a
+result, the texture of the floor would appear half a point too high in the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,8 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     ``points`` samples. Squares on surfaces at grazing angles are divided into parts. Undivided squares would leave gaps
     between the samples in cameras that see the surface less obliquely than the image's camera. The centre of each part
     is sampled if ``seen`` (H, W) is true at the centre. A centre is not sampled if an earlier sample, from any image,
-    already lies on the surface within the part. Near objects therefore get more points than far objects, but a surface
-    gets no additional points for being visible in many images. Cells that other images confirm are sampled first, and
+    already lies on the surface within the part. Near objects therefore get more points than far objects, but the number
+    of points does not depend on how many images show a surface. Cells that other images confirm are sampled first, and
     extrapolated cells afterwards.
 
     Returns:

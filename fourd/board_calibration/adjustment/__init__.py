@@ -1,1 +1,2 @@
-"""Bundle adjustment of a rig and the positions of a board, with the time at which each camera sees each corner."""
+"""Bundle adjustment of a rig and the positions of a board. The model includes the time at which each camera sees each
+corner."""

@@ -22,7 +22,8 @@ sequence is divided, because the motion between the two frames is unknown."""
 
 
 def board_motion(frames: Sequence[int], boards: Poses) -> Array:
-    """Motion (F, 6) of the board at each frame: rotation vector and velocity of the board's origin, per frame.
+    """Motion (F, 6) of the board at each frame: angular velocity as a rotation vector, and velocity of the board's
+    origin. The unit of time is the frame.
 
     The motion is the derivative of the polynomial through the poses of up to five successive frames (Fornberg,
     Generation of finite difference formulas on arbitrarily spaced grids, 1988). The motion is 0 for a frame without

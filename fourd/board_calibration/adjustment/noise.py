@@ -21,8 +21,9 @@ SHARED = 7
 """Number of shared errors of a view: rotation (3), shift (3), delay (1)."""
 TURN, SHIFT, JITTER = slice(0, 3), slice(3, 6), slice(6, 7)
 HUBER_VIEW = 0.7
-"""Largest root mean square of a view's shared errors, in standard deviations, at which the view has full weight. Shared
-errors have heavy tails, because some images are blurred more than others."""
+"""A view has full weight if the root mean square of its shared errors, in standard deviations, is at most this value.
+Larger errors are down-weighted, because the shared errors have heavy tails: some images are blurred more than
+others."""
 SWEEPS = 4
 """Number of steps of the expectation maximisation per call."""
 MIN_CORNER_PX = 0.01
@@ -70,7 +71,7 @@ class Views:
     rows: NDArray[np.intp]
 
     def pad(self, values: Array, which: slice = slice(None)) -> Array:
-        """Arrange values (N, 2, Q) of the corners by view: (V, 2 M, Q) for the views ``which``, padded with zeros."""
+        """Arrange values (N, 2, Q) of the corners by view: (V, 2 * M, Q) for the views ``which``, padded with zeros."""
         padded = np.concatenate([values, np.zeros((1, *values.shape[1:]))])[self.rows[which]]
         return padded.reshape(len(padded), -1, values.shape[2])
 
@@ -104,7 +105,7 @@ def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> 
     middle = (corners.xyz.min(axis=0) + corners.xyz.max(axis=0)) / 2
     arm = state.boards.rotation[corners.board] @ middle
     by_turn, by_shift = found.by_board[..., :3], found.by_board[..., 3:]
-    # A rotation about the middle m of the board equals a rotation about the board's origin plus the shift m - exp([w]x)
+    # A rotation R about the middle m of the board equals the rotation R about the board's origin plus the shift m - R @
     # m.
     return np.concatenate([by_turn + by_shift @ cross_matrices(arm), by_shift, found.by_time[..., None]], axis=2)
 
@@ -112,8 +113,8 @@ def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> 
 def weigh(
     views: Views, residual: Array, shared: Array, noise: ViewNoise, camera: NDArray[np.intp], huber_px: Array
 ) -> Weights:
-    """Weights of a Huber loss of the corners' errors, after subtraction of the view's shared errors, and weights of the
-    shared errors.
+    """Compute the weights of the corners and the weights of the views' shared errors. The weight of a corner is the
+    weight that the Huber loss gives to its error, after the shared errors of its view are subtracted.
 
     Args:
         views: the corners by view.
@@ -154,7 +155,7 @@ def estimate_noise(
     """Estimate the standard deviations again for the current state of the rig.
 
     The independent errors are the residuals after fitting a separate pose of the board to each view. The shared errors
-    are estimated in frames that two or more cameras see, together with the pose of the board.
+    are estimated together with the pose of the board, from frames in which two or more cameras see the board.
     """
     residual = corners.pixels - found.pixels
     shared = shared_derivatives(state, corners, found)
@@ -175,7 +176,8 @@ def estimate_noise(
 
 
 def _independent(views: Views, grams: Array, before: Array) -> Array:
-    """Standard deviations (C,) of the independent errors, from the Gram matrices of the views in pixels."""
+    """Standard deviations (C,), in pixels, of the independent errors. They are computed from the views' Gram
+    matrices."""
     pose, last = slice(0, BOARD_PARAMETERS), BOARD_PARAMETERS + SHARED
     damped = grams[:, pose, pose] + 1e-9 * np.eye(BOARD_PARAMETERS)
     explained = np.linalg.solve(damped, grams[:, pose, last, None])[..., 0]

@@ -24,7 +24,8 @@ DAMPING = 1e-6
 HUBER = 1.0
 """Scale of the Huber loss in standard deviations of the corners."""
 TURN_STD, SHIFT_STD, JITTER_STD = 1e-3, 2e-4, 0.05
-"""Initial standard deviations of the shared errors of a view: radians, metres per metre of the board's size, frames."""
+"""Initial standard deviations of the shared errors of a view: of the rotation in radians, of the shift as a share of
+the board's size, and of the delay in frames."""
 MIN_SHARE = 0.02
 """A standard deviation of shared errors does not fall below this share of its initial value."""
 CONVERGED = 0.01

@@ -89,16 +89,16 @@ class Poses:
 class Timing:
     """The time at which each camera sees each row of its images, and the motion of the board during this time.
 
-    A corner at the phase q of the readout is seen at the time ``f + delay + q readout`` in frames, where f is the
+    A corner at the phase q of the readout is seen at the time ``f + delay + q * readout`` in frames, where f is the
     frame number. The phase is -0.5 at one edge of the sensor, 0 in its middle and 0.5 at the opposite edge.
 
     Attributes:
-        delay: (C,) delays of the middle of the image in frames.
+        delay: (C,) delays, in frames, of the row in the middle of the image.
         readout: (C,) durations of the readout in frames. A duration is negative if the last row is read first.
         phase: (C, 2) gradient of the phase per pixel along x and y. If the sensor's rows are the image's rows, the
-            gradient is (0, 1 / height). If the image is turned by 90 degrees, the gradient is (1 / width, 0).
+            gradient is (0, 1 / height). If the image was turned by 90 degrees, the gradient is (1 / width, 0).
         motion: (F, 6) motion at each position of the board, in world coordinates: the rotation vector per frame, and
-            the velocity of the board's origin in metres per frame. The motions are constant in an adjustment.
+            the velocity of the board's origin in metres per frame. An adjustment does not change the motions.
     """
 
     delay: Array
@@ -117,11 +117,11 @@ class Timing:
 
 @dataclass(frozen=True, eq=False)
 class BoardShape:
-    """Differences of a board from the plane z = 0 of its front.
+    """Differences between a real board and a flat, regular board in the plane z = 0.
 
     Attributes:
-        offsets_m: (K, 3) displacements of the corners, because the board is not exactly flat and the print is not
-            exactly regular.
+        offsets_m: (K, 3) displacements of the corners. They describe a board that is not exactly flat and a print that
+            is not exactly regular.
         thickness_m: distance between the front and the back of a double-sided board. The back is at z = -thickness.
     """
 
@@ -217,7 +217,7 @@ def project(state: RigState, corners: Corners) -> Projection:
     by_world = by_point @ turn
     by_time = (by_world @ velocity[..., None])[..., 0]
     by_camera = np.zeros((count, 2, PARAMETERS))
-    # The derivative of exp([w]x) p with respect to w at w = 0 is -[p]x.
+    # The derivative of exp([w]x) @ p with respect to w at w = 0 is -[p]x, where [p]x is the cross-product matrix of p.
     by_camera[..., :3] = by_point @ -cross_matrices(turned)
     by_camera[..., 3:6] = by_point
     by_camera[..., LENS] = by_lens

@@ -1,9 +1,9 @@
 """Bundle adjustment of a rig, the shape of a board and its positions.
 
-The solver is the Levenberg-Marquardt algorithm with a Huber loss by iteratively reweighted least squares. The shared
-errors of each view and the poses of the board are eliminated by Schur complements (Triggs et al., Bundle Adjustment - a
-Modern Synthesis, 2000, sec. 6.1). The computing time therefore grows linearly with the number of frames. The inverse of
-the reduced normal equations is the covariance of the cameras' parameters.
+The solver is the Levenberg-Marquardt algorithm. Iteratively reweighted least squares implement the Huber loss. The
+shared errors of each view and the poses of the board are eliminated by Schur complements (Triggs et al., Bundle
+Adjustment - a Modern Synthesis, 2000, sec. 6.1). The computing time therefore grows linearly with the number of frames.
+The inverse of the reduced normal equations is the covariance of the cameras' parameters.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def solve_rig(
 
 
 def move(state: RigState, free: Free, shared: Array, boards: Array) -> RigState:
-    """Apply the steps (P,) of the cameras and the board's shape, and (F, 6) of the boards."""
+    """Apply the steps (P,) of the cameras and the board's shape, and the steps (F, 6) of the board's positions."""
     count = len(state.cameras) * PARAMETERS
     cameras = shared[:count].reshape(-1, PARAMETERS)
     turns = np.stack([cv2.Rodrigues(step[:3])[0] for step in boards]) if len(boards) else np.zeros((0, 3, 3))

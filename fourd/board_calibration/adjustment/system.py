@@ -1,7 +1,7 @@
 """Normal equations of a rig: a sum over views, in which the shared errors of each view are eliminated.
 
-The unknowns are the C cameras (17 parameters each), the shape of the board (3 K + 1 parameters) and the F positions of
-the board (6 parameters each).
+The unknowns are the C cameras (17 parameters each), the shape of the board (3 * K + 1 parameters) and the F positions
+of the board (6 parameters each).
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ class Free:
 
     Attributes:
         cameras: (C, 17) mask of the cameras' parameters.
-        offset_std_m: (K, 3) standard deviations of the corners' displacements on the board around 0. K is 0 if
-            displacements are not adjusted.
+        offset_std_m: (K, 3) standard deviations of the prior on the corners' displacements on the board. The mean of
+            the prior is 0. K is 0 if displacements are not adjusted.
         thickness: whether the thickness of the board is adjusted.
     """
 
@@ -62,7 +62,8 @@ class System:
     gradients: Array
 
     def step(self, damping: float) -> tuple[Array, Array]:
-        """Steps (P,) of the shared unknowns and (F, 6) of the boards. Diagonals are multiplied by 1 + ``damping``."""
+        """Steps (P,) of the shared unknowns and steps (F, 6) of the boards. The diagonals of the normal equations are
+        multiplied by 1 + ``damping``."""
         reduced, eliminated = self.reduce(damping)
         rhs = self.rhs_shared - np.einsum("fij,fj->i", eliminated, self.rhs_boards)
         step = np.linalg.solve(reduced, rhs)
@@ -71,12 +72,13 @@ class System:
         return step, np.einsum("fij,fj->fi", inverse, rest)
 
     def predicted_decrease(self, shared: Array, boards: Array) -> float:
-        """Scalar product of a step and the right-hand side, which is at most twice the decrease of the quadratic
+        """Scalar product of a step and the right-hand side. The product is at most twice the decrease of the quadratic
         model."""
         return float(self.rhs_shared @ shared + np.sum(self.rhs_boards * boards))
 
     def reduce(self, damping: float) -> tuple[Array, Array]:
-        """Reduced normal equations (P, P), and coupling times inverse blocks of the boards (F, P, 6)."""
+        """Matrix (P, P) of the reduced normal equations, and products (F, P, 6) of the coupling blocks with the inverse
+        blocks of the boards."""
         eliminated = self.coupling @ np.linalg.inv(_damped(self.boards, damping))
         size = len(self.shared)
         left = np.swapaxes(eliminated, 0, 1).reshape(size, -1)
@@ -87,7 +89,7 @@ class System:
 def build_system(
     state: RigState, corners: Corners, views: Views, free: Free, noise: ViewNoise, weights: Weights
 ) -> System:
-    """Sum the normal equations over the views, without a prior. Fixed parameters have zero rows."""
+    """Sum the normal equations over the views, without a prior. The rows of fixed parameters contain only zeros."""
     count, boards, extra = len(state.cameras), len(state.boards), free.shape_unknowns
     size = count * PARAMETERS + extra
     found = project(state, corners)
@@ -180,7 +182,7 @@ def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: 
 
 
 def _shape_columns(by_corner: Array, corners: Corners, views: Views, free: Free, which: slice) -> Array:
-    """The columns (V, 2 M, 3 K + 1) of the Jacobian that belong to the board's shape."""
+    """The columns (V, 2 * M, 3 * K + 1) of the Jacobian that belong to the board's shape."""
     rows = views.rows[which]
     count = len(corners.ids)
     columns = np.zeros((*rows.shape, 2, free.shape_unknowns))

@@ -1,8 +1,8 @@
 """ActorsHQ: calibration.csv beside rgbs/CAM/CAM_rgb000000.jpg and masks/CAM/CAM_mask000000.png.
 
 Each row of the CSV contains the camera-to-world pose (OpenCV axes) as a rotation vector and a position in metres. Focal
-lengths and principal points are in units of the image's width and height. In units of width and height, the origin of
-the pixel coordinates is the corner of the first pixel, as in fourd.
+lengths and principal points are in units of the image's width and height. The origin of these coordinates is the corner
+of the first pixel, as in fourd.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a calibration.csv. Returns cameras by name, in metres. Raises UserError as :func:`read` does."""
+    """Read a calibration.csv. Returns the cameras, in metres, keyed by name. Raises UserError as :func:`read` does."""
     try:
         rows = list(csv.DictReader(read_file(path).decode("utf-8-sig").splitlines(), strict=True))
     except (UnicodeDecodeError, csv.Error) as error:

@@ -21,7 +21,7 @@ from fourd.importing.opencv_toml import camera_of_table, read_toml
 
 KEYS = ("name", "size", "matrix", "distortions", "rotation", "translation")
 HEAD_BYTES = 4096
-"""Number of bytes at the start of a file that are enough to contain the table of its first camera."""
+"""This number of bytes at the start of a file is enough to contain the table of its first camera."""
 METRES_PER_MM = 1e-3
 MAX_DISTANCE_M = 100.0
 """Largest plausible median distance between cameras in metres. A file with a larger median distance is assumed to be in
@@ -60,7 +60,7 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
-    """Read a calibration TOML. Returns cameras by name, and notes. Raises UserError as :func:`read` does."""
+    """Read a calibration TOML. Returns the cameras, keyed by name, and notes. Raises UserError as :func:`read` does."""
     data = read_toml(path)
     cameras: dict[str, Camera] = {}
     for key, table in data.items():

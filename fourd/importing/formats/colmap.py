@@ -39,11 +39,11 @@ LENS_MODELS = {
 A lens model's parameters are the focal lengths, the principal point, and the distortion coefficients in OpenCV's order.
 """
 PARAMETER_COUNTS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
-"""Number of parameters of each lens model, by its id in cameras.bin."""
+"""Number of parameters of each lens model, keyed by the model's id in cameras.bin."""
 MAX_MODEL_BYTES = 1 << 30
 """Maximum size in bytes of cameras.bin and of images.bin."""
 MAX_MOTION = 1e-3
-"""Maximum pose difference between the images of a static camera.
+"""A camera is static if the pose of each of its images differs from the pose of its first image by at most this value.
 
 The rotation difference is in radians. The position difference is relative to the size of the rig.
 """
@@ -51,7 +51,8 @@ The rotation difference is in radians. The position difference is relative to th
 
 @dataclass(frozen=True, eq=False)
 class _Lens:
-    """A camera of the model: lens model, image size in pixels, and parameters in COLMAP's order."""
+    """A camera of the COLMAP model: the lens model's name, the image size in pixels, and the parameters in COLMAP's
+    order."""
 
     kind: str
     width: int
@@ -61,7 +62,7 @@ class _Lens:
 
 @dataclass(frozen=True, eq=False)
 class _Photo:
-    """An image of the model: name, number of its lens, and world-to-camera matrix (3, 4)."""
+    """An image of the COLMAP model: name, number of its camera in the model, and world-to-camera matrix (3, 4)."""
 
     name: str
     lens: str
@@ -95,7 +96,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a model folder. Returns cameras by name. Raises UserError as :func:`read` does."""
+    """Read a model folder. Returns the cameras, keyed by name. Raises UserError as :func:`read` does."""
     lenses, photos = _read_model(path)
     images: dict[str, list[_Photo]] = defaultdict(list)
     for image in photos:
@@ -116,7 +117,7 @@ def read_cameras(path: Path) -> dict[str, Camera]:
 
 
 def _find_photos(source: Path, calibrations: Mapping[str, Camera]) -> dict[str, Frames]:
-    """Photos CAM.jpg of a static scene, by camera name. Each photo is one camera with one frame."""
+    """Find the photos CAM.jpg of a static scene, keyed by camera name. Each photo is one camera with one frame."""
     for folder in PHOTO_FOLDERS:
         found = find_pictures(source / folder)
         photos: dict[str, Frames] = {
@@ -128,7 +129,8 @@ def _find_photos(source: Path, calibrations: Mapping[str, Camera]) -> dict[str, 
 
 
 def _make_camera(where: str, lenses: dict[str, _Lens], images: list[_Photo], rig_size: float) -> Camera:
-    """Make a camera from its first image. Raises UserError if another image has another pose or other intrinsics."""
+    """Make a camera from its first image. Raises UserError if the camera's other images differ in pose or
+    intrinsics."""
     lens, pose = lenses[images[0].lens], images[0].pose
     for image in images[1:]:
         other = image.pose
@@ -162,7 +164,7 @@ def _make_camera(where: str, lenses: dict[str, _Lens], images: list[_Photo], rig
 
 
 def _read_model(path: Path) -> tuple[dict[str, _Lens], list[_Photo]]:
-    """Read the lenses by number, and the registered images in the order of their names."""
+    """Read the lenses, keyed by camera number, and the registered images in the order of their names."""
     with ParserProcess() as parser:
         values = parser.call("fourd.importing.formats.colmap:read_in_child", path).value
     try:
@@ -198,13 +200,13 @@ def read_in_child(name: str) -> dict[str, Any]:
 
 
 def _pose(image: Any) -> np.ndarray:
-    """World-to-camera matrix (3, 4). ``cam_from_world`` is a method since pycolmap 3.12."""
+    """World-to-camera matrix (3, 4). In pycolmap 3.12 and newer, ``cam_from_world`` is a method."""
     pose = image.cam_from_world
     return np.asarray((pose() if callable(pose) else pose).matrix(), np.float64)
 
 
 def _load_model(path: Path) -> Any:
-    # pycolmap is imported only here, because it replaces the process's signal handlers.
+    # pycolmap is imported only here, because the import replaces the process's signal handlers.
     import pycolmap
 
     if (path / "cameras.bin").is_file():

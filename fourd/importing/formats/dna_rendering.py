@@ -83,7 +83,7 @@ def read(source: Path) -> Imported:
 def _read_cameras(smc: Hdf5File, pictures: dict[int, tuple[EncodedPictures, tuple[int, int]]]) -> dict[int, Camera]:
     """Read the calibrations of the cameras in ``pictures`` from the group Camera_Parameter.
 
-    ``pictures`` also contains the image sizes. Returns cameras by number.
+    ``pictures`` also contains the image sizes. The result is keyed by camera number.
     """
     cameras = {}
     for number, group_path in smc.numbered("Camera_Parameter").items():

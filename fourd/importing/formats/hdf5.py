@@ -22,10 +22,10 @@ from fourd.limits import require_regular
 from fourd.processes.isolation import ParserProcess, Reply
 
 METHODS = ("has", "numbered", "picture_header", "content", "array")
-"""Methods of the open file that the child process calls."""
+"""Names of the methods of :class:`_OpenFile` that :func:`read_in_child` may call."""
 MAX_SOFT_LINKS = 16
 HEADER_BYTES = 1 << 16
-"""Number of bytes at the start of an encoded image that contain the image's width and height."""
+"""This number of bytes at the start of an encoded image is enough to read the image's width and height."""
 MAX_IMAGE_BYTES = 256 << 20
 """Maximum size in bytes of an encoded image."""
 MAX_NUMBERS = 1024
@@ -49,9 +49,9 @@ class Hdf5File:
         return bool(self._call("has", name).value)
 
     def numbered(self, name: str, required: bool = True) -> dict[int, str]:
-        """Return the paths of a group's members by number, in ascending order.
+        """Return the paths of a group's members, keyed by the members' numbers, in ascending order.
 
-        Returns no paths if a group that is not ``required`` is missing.
+        If the group is missing and not ``required``, the result is empty.
         """
         numbers = self._call("numbered", name, required).value
         with self._checked(name):
@@ -83,7 +83,7 @@ class Hdf5File:
 
     @contextmanager
     def _checked(self, name: str) -> Iterator[None]:
-        """Raise UserError for replies that are not valid."""
+        """Raise UserError if the block fails to convert a reply of the child process."""
         try:
             yield
         except (KeyError, TypeError, ValueError, OverflowError) as error:

@@ -36,7 +36,7 @@ PARSER_ERRORS = (
     MemoryError,
     RecursionError,
 )
-"""Errors that NumPy raises for invalid headers, because it parses headers as Python literals."""
+"""NumPy parses headers as Python literals. An invalid header therefore raises one of these errors."""
 MAX_PIXELS = 1 << 20
 MAX_BYTES = 1 << 20
 """Maximum size of the file in bytes. A camera has 136 bytes."""

@@ -24,7 +24,7 @@ METRES_PER_MM = 1e-3
 SUFFIX = ".qca.txt"
 MAX_PIXELS = 1 << 20
 MAX_SHOWN = 40
-"""Number of characters of a wrong value that an error message shows."""
+"""If an error message quotes a wrong value, it shows at most this number of characters of the value."""
 
 
 def looks_like(source: Path) -> bool:
@@ -69,7 +69,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a .qca.txt file. Returns cameras by serial number, in metres. Raises UserError as :func:`read` does."""
+    """Read a .qca.txt file. Returns the cameras, in metres, keyed by serial number. Raises UserError as :func:`read`
+    does."""
     try:
         root = ElementTree.fromstring(read_limited(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:

@@ -49,7 +49,8 @@ class _Entry:
 
     @property
     def key(self) -> tuple[float, ...]:
-        """A key that is equal for entries whose poses and intrinsics are equal."""
+        """A key for grouping: two entries have the same key if their poses, intrinsics, distortion and image sizes are
+        equal."""
         camera = self.camera
         parts = [camera.rotation, camera.translation, camera.intrinsics, np.array([camera.width, camera.height])]
         parts += [] if camera.distortion is None else [camera.distortion]
@@ -64,8 +65,8 @@ def looks_like(source: Path) -> bool:
 def read(source: Path) -> Imported:
     """Read the cameras of ``source``.
 
-    If the entries have times, the entries of one folder form a camera. If the entries of any folder differ in pose or
-    intrinsics, a camera instead consists of the entries with equal pose and intrinsics.
+    If the entries have times, the entries of one folder form a camera, provided that in every folder all entries have
+    the same pose and intrinsics. Otherwise, the entries with the same pose and intrinsics form a camera.
 
     Raises:
         UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the
@@ -175,8 +176,8 @@ def _find_picture(path: Path, where: str, value: object) -> tuple[PurePosixPath,
 def _single(path: Path, entries: list[_Entry]) -> dict[str, list[_Entry]]:
     """Make a camera of each entry.
 
-    The cameras are named by their image file names, or by the folder names if file names are not unique. If neither are
-    unique, the image paths are the names.
+    Each camera is named after its image file. If file names are not unique, the cameras are named after the folders of
+    the images, and if folder names are not unique either, after the paths of the images.
     """
     stems = [entry.path.name if entry.picture.name != entry.path.name else entry.path.stem for entry in entries]
     folders = [entry.path.parent.name for entry in entries]

@@ -22,11 +22,12 @@ MAX_CELLS = 112
 million voxels."""
 CELLS_PER_PIXEL = 1.0
 OUTLIER_SHARE = 0.05
-"""Share of the views that may be wrong about a voxel."""
+"""The score of a voxel stays valid if at most this share of the views is wrong about the voxel."""
 MIN_SEEING_SHARE = 0.75
-"""Minimum share of the views in which a voxel must be visible."""
+"""A voxel gets a score only if it is inside the images of at least this share of the views."""
 REJECT_LOG_ODDS = np.float32(-2.0)
-"""Log-odds below which a view rejects a voxel. Rejection removes most voxels before the log-odds are sorted."""
+"""A view rejects a voxel if the voxel's log-odds in the view are below this value. Rejection removes most voxels before
+the log-odds are sorted."""
 NO_CELL_LOG_ODDS = np.float32(-9.0)
 """Log-odds of pixels onto which no voxel projects."""
 
@@ -88,7 +89,8 @@ class VoxelGrid:
         return VoxelGrid(xyz, size, tuple(cameras), pixels, tuple(widths))
 
     def scores(self, evidence: Sequence[Floats]) -> Scores:
-        """Score the voxels from one log-odds image (h, w) per camera, in which positive values are the subject."""
+        """Score the voxels. ``evidence`` has one image (h, w) of log-odds per camera; positive log-odds are the
+        subject."""
         seen = (self.pixels >= 0).sum(axis=0)
         needed = max(2, int(np.ceil(MIN_SEEING_SHARE * len(self.cameras) - 1e-9)))
         outliers = min(int(OUTLIER_SHARE * len(self.cameras) + 1e-9), max(0, len(self.cameras) - 2))
@@ -110,7 +112,8 @@ class VoxelGrid:
         return Scores.from_evidence(self, alive[keep], stacked, outliers)
 
     def max_projection(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
-        """Project the ``chosen`` voxels into camera ``index`` and keep the largest of the voxel ``values`` per pixel.
+        """Project the ``chosen`` voxels into camera ``index``. Each pixel gets the largest of the ``values`` of its
+        voxels.
 
         Returns an array (h, w). Pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
         """
@@ -153,7 +156,7 @@ class Scores:
         return Scores(grid, alive, total, leave_one_out)
 
     def prior(self, index: int) -> Floats:
-        """Log-odds (h, w) of the pixels of camera ``index`` from the other views.
+        """Log-odds (h, w) of the pixels of camera ``index``, computed only from the other views.
 
         Pixels outside the visual hull of the other views have the value NO_CELL_LOG_ODDS.
         """

@@ -16,16 +16,17 @@ Picture = NDArray[np.uint8]
 SHADOW_DARKEST = 0.55
 SHADOW_BRIGHTEST = 1.1
 MIN_SHARE = 0.002
-"""Lower limit of the learned shares of pixels that deviate from the background.
+"""Lower limit of the learned shares in :class:`Deviations`.
 
 The limit is above 0, because some deviations do not occur in the frames from which the shares are learned.
 """
 PRIOR_PIXELS = 500.0
-"""Weight of the default shares in the learned shares, as an equivalent number of pixels."""
+"""When the shares are learned, the default shares count as much as this number of pixels."""
 SHARE_ITERATIONS = 3
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
-"""Total weight of matching frames at which the confidence of a pixel's background colour reaches 1."""
+"""The confidence of a pixel's background colour is 1 if the total weight of the matching frames is at least this
+value."""
 LOG_TWO_PI = float(np.log(2 * np.pi))
 
 
@@ -65,16 +66,17 @@ class BackgroundModel:
     def log_likelihood(self, rgb: Picture, shaded_share: float = Deviations.shaded) -> Floats:
         """Log density (h, w) of each pixel's colour in an image (h, w, 3), over 8-bit RGB space.
 
-        The density accounts for a background that is in shadow with the probability ``shaded_share``.
+        ``shaded_share`` is the probability that the background at a pixel is in shadow or in reflected light.
         """
         plain, shaded = self.plain_and_shaded(rgb)
         return np.maximum(np.maximum(plain, shaded + np.float32(np.log(shaded_share))), MIN_LOG_LIKELIHOOD)
 
     def plain_and_shaded(self, rgb: Picture) -> tuple[Floats, Floats]:
-        """Log densities (h, w) of each pixel's colour in an image (h, w, 3), without and with shadow.
+        """Two log densities (h, w) of each pixel's colour in an image (h, w, 3): for an unshaded and for a shaded
+        background.
 
-        The light of a pixel in shadow is unknown, with a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
-        density with shadow is therefore an integral over the light. Laplace's approximation is used for the integral.
+        The light on a shaded pixel is unknown and has a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
+        density of a shaded pixel is therefore an integral over the light, which is computed by Laplace's approximation.
         """
         scale = -0.5 * channel_sum(np.log(self.variance)) - np.float32(1.5 * LOG_TWO_PI)
         inverse: Floats = (1 / self.variance).astype(np.float32)
@@ -121,7 +123,7 @@ def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations
     Args:
         plain: (N,) log densities of the pixels' colours according to the background model.
         shaded: (N,) log densities if the background is in shadow.
-        changed: (N,) log densities of the pixels' colours among the colours of the surroundings.
+        changed: (N,) log densities of the pixels' colours according to the colour distribution of the surroundings.
     """
     default = np.array([1 - Deviations.shaded - Deviations.changed, Deviations.shaded, Deviations.changed])
     density = np.stack([plain, shaded, changed]).astype(np.float64)
@@ -166,6 +168,7 @@ def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundMod
 
 
 def _match(difference: Floats, noise: float) -> Floats:
-    """Similarity (...,) in [0, 1] from colour differences (..., 3): about 1 if the difference is within the noise."""
+    """Convert colour differences (..., 3) to similarities (...,) in [0, 1]: about 1 if the difference is within the
+    noise."""
     spread = 2.5 * noise + 3
     return np.asarray(np.exp(-channel_sum(np.square(difference)) / np.float32(6 * spread**2)), np.float32)

@@ -1,5 +1,5 @@
-"""Log-odds that a pixel shows the subject, from the image of the pixel's camera and the visual hull of the other
-views."""
+"""Log-odds that a pixel shows the subject. They are computed from the image of the pixel's camera and from the visual
+hull of the other views."""
 
 from __future__ import annotations
 
@@ -22,24 +22,26 @@ Picture = NDArray[np.uint8]
 MAX_LOG_ODDS = np.float32(8.0)
 """Maximum magnitude of log-odds. Log-odds beyond this magnitude are clamped."""
 UNKNOWN_BACKGROUND_WEIGHT = np.float32(0.25)
-"""Factor on negative log-odds at pixels whose background is unknown. Negative log-odds are evidence against the
-subject."""
+"""Factor that multiplies negative log-odds, which are evidence against the subject, at pixels whose background colour
+is unknown."""
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)
-"""Score above which a voxel belongs to the other views' hull. A score is nearly the lowest log-odds of all views. The
-threshold is below 0, because single views often give slightly negative log-odds on the subject."""
+"""A voxel belongs to the other views' hull if its score is above this value. The score is nearly the lowest log-odds
+among these views. The threshold is below 0, because single views often give slightly negative log-odds on the
+subject."""
 HULL_RANGE = np.float32(4.0)
-"""Difference between HULL_THRESHOLD and the score at which the hull's evidence saturates."""
+"""The evidence of the hull grows with the score of a voxel, from 0 at HULL_THRESHOLD to its maximum at HULL_THRESHOLD +
+HULL_RANGE."""
 CONFIDENT_LOG_ODDS = np.float32(4.0)
 MAX_INSIDE_HULL_LOG_ODDS = 2.5
-"""Upper limit of the evidence of the hull."""
+"""Upper limit, in log-odds, of the evidence of the hull."""
 RELIABLE_SCORE = np.float32(4.0)
 """Voxels with a score above this value are reliable: even the view with the lowest log-odds shows the subject at the
 voxel."""
 RELIABLE_RANGE = np.float32(2.0)
 MAX_RELIABLE_LOG_ODDS = 6.0
-"""Upper limit of the evidence of reliable voxels.
+"""Upper limit, in log-odds, of the evidence of reliable voxels.
 
 The limit is large enough to decide pixels whose colour occurs both on the subject and in the background.
 """
@@ -139,7 +141,7 @@ def combine_views(
         local: local colours of the background. If local colours are given, a second pass follows the first. The first
             pass determines the local colours of the subject. In the second pass, a second hull is carved with evidence
             from the local colours of subject and background.
-        painted: log-odds (h, w) that the user painted, by camera; 0 where nothing is painted.
+        painted: for each camera, the log-odds (h, w) that the user painted; 0 where nothing is painted.
     """
     strokes = [None] * len(pictures) if painted is None else painted
     own = [

@@ -25,19 +25,20 @@ SURROUND_PX = 20
 """Width in pixels of the band around the subject. The colours in the band represent the background."""
 MIN_WEIGHT = np.float32(0.04)
 COLOUR_MARGIN = np.float32(1.0)
-"""Colour log-odds at which :func:`_background_weight` is 0.5.
+""":func:`_background_weight` is 0.5 if the colour log-odds of the subject have this value.
 
-:func:`_background_confirmation` is 0.5 at the colour log-odds -COLOUR_MARGIN.
+:func:`_background_confirmation` is 0.5 if the log-odds are -COLOUR_MARGIN.
 """
 COLOUR_SLOPE = np.float32(2.0)
 MIN_BACKGROUND_WEIGHT = np.float32(0.02)
 CONFIRMED_FRAMES = 1.5
-"""Minimum total weight of matching frames that confirms a pixel's colour as background.
+"""A pixel's colour is confirmed as background if the total weight of matching frames exceeds this value.
 
-A frame counts if the pixel is outside the other views' hull and the pixel's colour matches the background model.
+A frame matches if, in this frame, the pixel is outside the other views' hull and its colour is near the background
+model's.
 """
 CLEAR_PX = 8
-"""Minimum distance in pixels from the hull of the other views.
+"""Distance in pixels from the hull of the other views.
 
 Only pixels at this distance or farther are used to learn the share of the background that changes. Closer pixels may
 show parts of the subject that the hull misses.
@@ -130,7 +131,8 @@ class Learner:
         self._fit_deviations(off_hull)
 
     def _fit_deviations(self, off_hull: Flags) -> None:
-        """Learn which shares of the known background are in shadow or change. Only pixels far from the hull are used.
+        """Learn two shares of the known background: how much is in shadow, and how much changes. Only pixels far from
+        the hull are used.
 
         ``off_hull`` (T, h, w) is True outside the other views' visual hull. Frames without a hull do not count.
         """
@@ -191,7 +193,8 @@ class Learner:
 
 
 def _background_weight(odds: Floats) -> Floats:
-    """Background weight in (0, 1] from the subject's colour log-odds.
+    """Weight in (0, 1] with which a pixel counts as background, computed from the log-odds that its colour is the
+    subject's.
 
     Typical subject colours have a low background weight.
     """
@@ -199,7 +202,8 @@ def _background_weight(odds: Floats) -> Floats:
 
 
 def _background_confirmation(odds: Floats) -> Floats:
-    """Weight in (0, 1] with which a colour confirms the background, from the subject's colour log-odds.
+    """Weight in (0, 1] with which a colour confirms the background, computed from the log-odds that the colour is the
+    subject's.
 
     Typical background colours have a high weight.
 

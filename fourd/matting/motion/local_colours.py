@@ -18,7 +18,7 @@ SPREAD_BINS = 0.6
 REACH_PX = 20.0
 """Standard deviation of the spatial smoothing in pixels."""
 GLOBAL_WEIGHT = 4.0
-"""Weight of the whole image's histogram in each local histogram, as a number of pixels.
+"""In each local histogram, the whole image's histogram counts as much as this number of pixels.
 
 The whole image's histogram dominates at grid points that are far from all counted pixels.
 """

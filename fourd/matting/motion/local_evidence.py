@@ -25,10 +25,11 @@ REACH_PX = 40.0
 BINS = 12
 MIN_CONFIDENCE = 0.9
 SUBJECT_LOG_ODDS = np.float32(2.0)
-"""Log-odds above which a pixel's colour counts as a colour of the subject."""
+"""A pixel's colour counts as a colour of the subject if the pixel's log-odds are above this value."""
 GLOBAL_SHARE = 0.15
-"""Weight of the subject's colours from the whole recording. The colours from the whole recording are needed for parts
-of the subject whose colour is missing at nearby pixels that certainly show the subject."""
+"""Weight of the subject's colours from the whole recording when they are mixed with the subject's colours near a pixel.
+Without this weight, a part of the subject would be missed if its colour occurs at no nearby pixel that certainly shows
+the subject."""
 MAX_LOG_ODDS = np.float32(8.0)
 WEIGHT = np.float32(1.0)
 
@@ -40,8 +41,8 @@ class LocalEvidence:
     Attributes:
         window: rows and columns of the image that contain the subject in all frames.
         background: colours of the known background.
-        weight: factor (h, w) in [0, WEIGHT] on the log-odds in the window. The weight is 0 where the background is
-            known.
+        weight: factor (h, w) in [0, WEIGHT] that multiplies the local log-odds in the window. The weight is 0 where the
+            background is known.
     """
 
     window: tuple[slice, slice]

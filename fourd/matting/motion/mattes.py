@@ -62,7 +62,8 @@ class MatteMaker:
         return MatteMaker(appearances, tuple(cameras), grid, tuple(local))
 
     def mattes(self, capture: Capture, frame: int, strokes: Sequence[Strokes] = ()) -> list[Picture]:
-        """Compute the matte (H, W) uint8 of each camera for one frame, with the user's ``strokes`` on any frames."""
+        """Compute the matte (H, W) uint8 of each camera for one frame. The user's ``strokes``, which may be on other
+        frames, correct the mattes."""
         other = flow_frame(frame, capture.frame_count)
         pictures: list[Picture] = []
         small: list[Picture] = []

@@ -23,8 +23,8 @@ data needs 200 MB."""
 
 MAX_SIDE_PX = 512
 MAX_STEP = 4
-"""Maximum distance, in frames, between the two frames of an optical flow. At 60 frames per second, 4 frames take 67
-ms."""
+"""The two frames between which optical flow is computed are at most this number of frames apart. At 60 frames per
+second, 4 frames take 67 ms."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +72,7 @@ def flow_frame(frame: int, count: int) -> int | None:
 
 
 def learning_frames(count: int) -> list[int]:
-    """Indices of the frames from which the subject is learned, in a capture of ``count`` frames."""
+    """For a capture of ``count`` frames, the indices of the frames from which the subject is learned."""
     return sample_indices(count, MAX_FRAMES)
 
 

@@ -21,9 +21,10 @@ from fourd.matting.motion.mattes import MatteMaker
 from fourd.matting.motion.subject import Subject
 
 MAX_BYTES_PER_PIXEL = 64
-"""Maximum size of a model in bytes per pixel of its cameras. The models that fourd writes have 20 bytes per pixel."""
+"""Maximum size in bytes of the images in a model, per pixel of its cameras. The models that fourd writes have 20 bytes
+per pixel."""
 MAX_OTHER_BYTES = 256 << 20
-"""Maximum size in bytes of the other arrays of a model, such as histograms of colours."""
+"""Maximum size in bytes of all arrays of a model that are not images, such as histograms of colours."""
 
 
 def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:

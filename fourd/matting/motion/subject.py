@@ -39,11 +39,11 @@ inside the other views' hull. Background between the subject's limbs therefore b
 iteration makes the edges of the subject more accurate. In the second additional iteration, background that is visible
 only next to the subject becomes known."""
 MIN_REGION_PIXELS = 20
-"""Minimum number of changing pixels in a camera that shows a moving subject. If every camera has fewer changing pixels,
-the capture has no moving subject."""
+"""If fewer than this number of pixels change in every camera, the capture has no moving subject."""
 COARSE_CELLS = (48, 64, 64)
 POOLED_SHARE = 0.3
-"""Weight, in [0, 1], of the pooled subject colours of all cameras in the subject colours of each camera.
+"""The subject colours of a camera are a mixture of the camera's own colours and the colours pooled over all cameras.
+This value in [0, 1] is the weight of the pooled colours.
 
 Pooled colours help where a part of the subject is static in one view.
 """

@@ -22,7 +22,7 @@ from fourd.raster.triangles import antialias, interpolate, rasterize
 
 MAX_OFFSET_CELLS = 0.4
 """Maximum offset of a grid vertex along each axis, in units of a cube's side. Neighbouring vertices of the grid are at
-least 0.87 cube sides apart. Offsets up to this maximum therefore keep the orientation of the tetrahedra."""
+least 0.87 cube sides apart, so offsets up to this maximum do not invert any tetrahedron."""
 
 DEPTH_STEPS = 20
 """Number of steps between two renderings of the depth images. The depth images determine which points are visible."""
@@ -163,8 +163,8 @@ def _to_photo_view(view: MeshView) -> PhotoView:
 
 
 def _nearby_views(views: Sequence[MeshView], count: int, focus: NDArray[np.float32]) -> list[list[int]]:
-    """For each view, the indices of the ``count`` other views that have the smallest angles to the view, measured at
-    ``focus`` (3,)."""
+    """For each view, the indices of the ``count`` nearest other views. The distance of two views is the angle at
+    ``focus`` (3,) between the directions to their cameras."""
     cameras = [view.camera for view in views]
     ordered = [nearest_views(camera, cameras, len(cameras), focus.astype(np.float64)) for camera in cameras]
     return [[other for other in order if other != index][:count] for index, order in enumerate(ordered)]

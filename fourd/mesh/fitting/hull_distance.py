@@ -64,15 +64,14 @@ def hull_distance_grid(
         cells: number of cubes along the longest side of ``bounds``, at least 1.
         agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that
             see it.
-        least_views: a share in (0, 1]. A hull point must project into the image of at least this share of all views.
+        least_views: a share in (0, 1]. At least this share of all views must see a hull point.
         trim: whether to remove protruding parts of the hull (see :mod:`fourd.carving.excess`). The remaining hull still
             covers all mattes.
         names: names of the cameras for error messages.
         label: name of the masks for error messages.
 
     Raises:
-        UserError: if the hull is empty. The error message names the views that remove most of the hull of the other
-            views.
+        UserError: if the hull is empty. The error message names the views that disagree most with the other views.
         ValueError: if ``cells`` is below 1, or masks, cameras or shares are invalid (see :class:`Silhouettes`).
     """
     if cells < 1:
@@ -106,7 +105,7 @@ class _RemovedParts:
 
     Attributes:
         hull: the grid of cells.
-        share: removed share of the neighbourhood of each cell, in [0, 1], in the shape of the grid.
+        share: array with the shape of the grid: the removed share of the neighbourhood of each cell, in [0, 1].
         surface: (3, N) centres of cells next to the remaining surface, relative to the origin of the silhouettes.
     """
 
@@ -118,8 +117,8 @@ class _RemovedParts:
         """Amount (N,) by which the signed distance at points (3, N) decreases because of the removed parts.
 
         For points at most ``limit`` from the surface, the distance decreases by at most ``2 * limit``. At a flat
-        surface, the smoothed occupancy has the slope 1 / (sigma sqrt(2 pi)). Shares are converted to distances by
-        division by the slope.
+        surface, the smoothed occupancy changes by 1 / (sigma * sqrt(2 * pi)) per unit of distance. The removed share of
+        a neighbourhood is divided by this slope to get a distance.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)
@@ -143,7 +142,8 @@ def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) 
 
 
 def surface_band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np.int64], Array]:
-    """Cubes (N, 3) of a band around points (P, 3), and the world position of the lower corner of the cube (0, 0, 0).
+    """Integer positions (N, 3) of the cubes in a band around the points ``centres`` (P, 3), and the world position of
+    the lower corner of the cube (0, 0, 0).
 
     The lattice of cubes is placed such that ``anchor`` (3,) is the centre of a cube.
     """

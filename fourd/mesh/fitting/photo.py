@@ -16,7 +16,8 @@ MIN_COSINE = 0.25
 not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
-"""Maximum distance, in pixels, of a visible point behind the depth image of a view."""
+"""A visible point may lie slightly behind the depth image of a view. The tolerance is the length that this number of
+pixels covers on the surface at the point."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,8 @@ class FitSettings:
             the rate is a tenth of the initial rate.
         silhouette: weight of the squared difference between rendered and given mattes.
         photo: weight of the colour difference between different views of the same surface point.
-        laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, in units of the squared side of a cube.
+        laplacian: weight of :func:`fourd.mesh.surface.losses.laplacian_loss`, whose lengths are in units of a cube's
+            side.
         normal: weight of :func:`fourd.mesh.surface.losses.normal_consistency_loss`.
         sources: number of source views with which each target view is compared.
         seed: seed of the random order of the views.

@@ -64,7 +64,7 @@ def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
 
 
 def normal_consistency_loss(xyz: Tensor, triangles: Tensor, topology: MeshTopology) -> Tensor:
-    """Mean of 1 minus the cosine between the normals of triangles that share an edge.
+    """Mean of 1 - c, where c is the cosine of the angle between the normals of two triangles that share an edge.
 
     The loss of a flat mesh is 0. A triangle without area has the normal 0, so each pair with this triangle has the loss
     1 and the gradient 0.

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 _EDGES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
-"""Indices of the two corners at the ends of each of the six edges of a tetrahedron."""
+"""The six edges of a tetrahedron, each as the indices of the two corners at its ends."""
 
 _CUTS = (
     (-1, -1, -1, -1, -1, -1),
@@ -28,9 +28,10 @@ _CUTS = (
     (0, 2, 1, -1, -1, -1),
     (-1, -1, -1, -1, -1, -1),
 )
-"""For each set of corners that are inside the surface, the cut edges that form one or two triangles. Bit i of the row
-index is set if corner i is inside. If the determinant of the tetrahedron is positive, the triangles are
-counter-clockwise seen from outside."""
+"""The triangles in a tetrahedron, one row for each set of corners that are inside the surface. Bit i of the row's index
+is set if corner i is inside. Three successive numbers are one triangle: the indices of the edges on which its vertices
+lie, or -1 for no triangle. If the determinant of the tetrahedron is positive, the triangles are counter-clockwise seen
+from outside."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,8 @@ class Surface:
     Attributes:
         xyz: (N, 3) positions of the vertices, differentiable.
         triangles: (M, 3) int64 vertex indices, counter-clockwise seen from outside.
-        edges: (N, 2) int64 indices of the two grid vertices at the ends of the edge that contains each mesh vertex.
+        edges: (N, 2) int64 indices of two grid vertices for each mesh vertex: the ends of the grid's edge on which the
+            mesh vertex lies.
     """
 
     xyz: Tensor
@@ -51,9 +53,9 @@ class Surface:
 def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface:
     """Extract the surface where the linear interpolation of ``sdf`` is zero.
 
-    If an edge with the ends a and b is cut, its vertex is at (x_a s_b - x_b s_a) / (s_b - s_a), where x are positions
-    and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share its vertex. The surface is
-    therefore closed if it does not reach the border of the grid.
+    If an edge with the ends a and b is cut, its vertex is at (x_a * s_b - x_b * s_a) / (s_b - s_a), where x are
+    positions and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share its vertex. The
+    surface is therefore closed if it does not reach the border of the grid.
 
     Args:
         xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.

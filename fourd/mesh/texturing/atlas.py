@@ -21,7 +21,7 @@ class Atlas:
     """Charts of a mesh. A vertex at a chart border occurs once for each chart that contains it.
 
     Attributes:
-        source: (N,) int64 index in the original mesh of each vertex.
+        source: (N,) int64 indices of vertices of the original mesh, one for each vertex of the atlas.
         triangles: (M, 3) int32 vertex indices, in the order of the original triangles.
         uv: (N, 2) float32 texture coordinates in [0, 1]. (0, 0) is the upper left corner of the texture.
         chart_count: number of charts.
@@ -35,7 +35,7 @@ class Atlas:
 
 @dataclass(frozen=True, eq=False)
 class Texels:
-    """The texels of an atlas that charts cover.
+    """The texels that the charts of an atlas cover.
 
     Attributes:
         covered: (S, S) bool, true for texels whose centre lies in a chart.

@@ -15,11 +15,13 @@ from fourd.mesh.views import MeshView
 Floats = NDArray[np.float32]
 
 ANGLE_POWER = 6
-"""Power p of the cosine between normal and direction to the camera in the weight of a view. A high power gives sharp
-textures, because few views are mixed. A low power makes differences between the views less visible."""
+"""The weight of a view contains the cosine between the normal and the direction to the camera, raised to this power. A
+high power gives sharp textures, because few views are mixed. A low power makes differences between the views less
+visible."""
 
 MIN_COSINE = 0.1
-"""Minimum cosine at which a view colours a point. A smaller cosine means that the point is seen at a grazing angle."""
+"""A view does not colour a point if the cosine is at most this value, because the view sees the point at a grazing
+angle."""
 
 CHUNK = 1 << 19
 """Number of points that are coloured in one block. The block size limits the memory for large textures."""
@@ -28,10 +30,10 @@ CHUNK = 1 << 19
 def blend_views(xyz: Floats, normals: Floats, views: Sequence[MeshView], occluder: Occluder) -> tuple[Floats, Floats]:
     """Blend the colours of points from the views that see the points.
 
-    The weight of a view is cos^p m^2, where cos is the cosine between the normal and the direction to the camera, and p
-    is ANGLE_POWER. The factor m is the smallest matte value of the 3 x 3 pixels around the point. Because of m, pixels
-    at the contour, which mix subject and background, have little weight. The weight is 0 if the mesh hides the point
-    from the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
+    The weight of a view is cos^p * m^2, where cos is the cosine between the normal and the direction to the camera, p
+    is ANGLE_POWER, and m is the smallest matte value of the 3 x 3 pixels around the point. The factor m^2 gives little
+    weight to pixels at the contour, which mix subject and background. The weight is 0 if the mesh hides the point from
+    the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
 
     Args:
         xyz: (P, 3) points on the mesh.

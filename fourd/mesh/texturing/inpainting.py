@@ -15,11 +15,11 @@ GREY = 0.5
 
 
 def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.integer]) -> Floats:
-    """Spread the colours of vertices with a known colour over the mesh to the other vertices.
+    """Compute the colours of all vertices from the known colours of some vertices.
 
-    The colours of the other vertices are harmonic: each colour is the mean of the neighbours' colours (membrane
-    inpainting on the surface). Neighbours are those on the mesh, not those in the texture, because neighbouring charts
-    may belong to different parts of the surface.
+    The other vertices get harmonic colours: each colour is the mean of the neighbours' colours (membrane inpainting on
+    the surface). Two vertices are neighbours if they are neighbours on the mesh. Neighbours in the texture do not
+    count, because charts that are side by side may belong to different parts of the surface.
 
     Args:
         rgb: (N, 3) colours.

@@ -81,8 +81,8 @@ def texture_mesh(
 def colour_mesh(
     xyz: NDArray[np.float32], triangles: NDArray[np.integer], views: Sequence[MeshView]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Compute the colours of a mesh's vertices from the views of its frame. The method is that of :func:`texture_mesh`
-    for texels.
+    """Compute the colours of a mesh's vertices from the views of its frame. The colours are computed as
+    :func:`texture_mesh` computes the colours of texels.
 
     Args:
         xyz: (N, 3) vertices in world units.

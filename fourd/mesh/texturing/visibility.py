@@ -18,8 +18,9 @@ OFFSET_EDGES = 0.5
 distance prevents small dents around a point from hiding the point."""
 
 CORNERS_PX = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5))
-"""Image positions of the four rays of a point, relative to the point, in pixels: the corners of a pixel. Four rays are
-needed because a bilinear sample reads neighbouring pixels, which must not show a part in front of the point."""
+"""Four rays are traced for each point. These are their image positions in pixels, relative to the point: the corners of
+a pixel around it. One ray is not enough, because a bilinear sample reads neighbouring pixels, which must not show a
+surface in front of the point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,8 @@ class Occluder:
         return Occluder(Bvh.build(torch.from_numpy(np.ascontiguousarray(xyz)), indices), OFFSET_EDGES * mean)
 
     def hides(self, xyz: Floats, normals: Floats, camera: Camera) -> NDArray[np.bool_]:
-        """Return (P,) bool: whether the mesh hides points, or the surface half a pixel beside them, from a camera.
+        """Return (P,) bool, true for points that the mesh hides from a camera. A point also counts as hidden if the
+        mesh hides the surface half a pixel beside the point.
 
         Rays start in the tangent plane of the point, after the plane is moved outwards by ``offset``.
 
@@ -65,7 +67,8 @@ class Occluder:
             height = (towards * normal).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = ((start - centre) * normal).sum(axis=1) / height
-            # Near the contour, the ray through the pixel's corner meets the tangent plane far away, or not at all.
+            # Near the contour, the ray through a corner of the pixel meets the tangent plane far away or not at all.
+            # Limiting t keeps the start of the ray near the point.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)
