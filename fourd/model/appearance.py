@@ -12,8 +12,8 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""Minimum visibility weight with which a view contributes to the colour of a point. Smaller weights are set to 0, which
-limits the ratio between the weights of two views, so that a baked scene can store the weights in float16."""
+"""Visibility weights below this value are set to 0. This limits the ratio between the weights of two views, so that a
+baked scene can store the weights in float16."""
 
 
 class ImageEncoder(nn.Module):
@@ -107,8 +107,8 @@ def zero_low_visibility(visibility: Tensor) -> Tensor:
 
 
 def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, share: float) -> Tensor:
-    """Mix the colours that source views show at points with the points' own colours. A point's own colour is the same
-    in all views.
+    """For each point and source view, mix the colour that the view shows at the point with the point's own colour. A
+    point's own colour is the same in all views.
 
     Args:
         colours: (V, N, 3) colours of the views in [0, 1].
@@ -117,8 +117,8 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
             ``colours``.
         share: share of the own colour in each mixed colour, in [0, 1). Mixed colours are clamped to [0, 1], because
             baked scenes store mixed colours as bytes. If the share is 0, the own colour replaces the colours of views
-            in which the point is occluded. For a view with visibility v and colour c, the mixed colour is then v c + (1
-            - v) own.
+            in which the point is occluded. For a view with visibility v and colour c, the mixed colour is then ``v * c
+            + (1 - v) * own``.
 
     Returns:
         (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.

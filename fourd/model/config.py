@@ -57,14 +57,14 @@ class ModelConfig:
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH that is added to the image-based colour."""
     high_sh_share: float = 0.6
-    """Factor on the SH coefficients of degrees 2 and 3 in rendered and exported scenes, from 0 to 1. Training does not
-    use this factor. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors that the image-based
-    colours have in single training views. New views have other errors, so smaller coefficients give a higher PSNR. With
-    `appearance: sh`, this key has no effect, because the whole colour comes from SH."""
+    """Factor from 0 to 1 that multiplies the SH coefficients of degrees 2 and 3 in rendered and exported scenes.
+    Training does not use it. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors that the
+    image-based colours have in single training views. New views have other errors, so smaller coefficients give a
+    higher PSNR. With `appearance: sh`, the key has no effect, because all colour comes from SH."""
     own_colour: float = 0.6
-    """Share of the own colour of a point in the point's image-based colour, at least 0 and less than 1. Each point of
-    each frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a
-    point a wrong colour where geometry or blending is inexact. In new views, the own colour reduces errors from inexact
+    """Share of a point's own colour in the point's image-based colour, at least 0 and less than 1. Each point of each
+    frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a point
+    a wrong colour where geometry or blending is inexact. In new views, the own colour reduces errors from inexact
     geometry or blending. If the share is 0, points have no own colour."""
     continuous: bool = False
     """Let the blend weights depend on the viewing direction (as in ENeRF). A model with this option cannot be

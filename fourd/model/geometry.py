@@ -10,8 +10,7 @@ from torch import Tensor, nn
 from fourd.model.config import ModelConfig
 
 DENSITY_OFFSET = 5.0
-"""Constant that is added to the logit of the density. The constant makes points nearly opaque at the start of
-training."""
+"""Constant that is added to the logit of the density, so that points are nearly opaque at the start of training."""
 
 
 class GeometryHead(nn.Module):

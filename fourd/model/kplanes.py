@@ -23,7 +23,7 @@ class KPlanes(nn.Module):
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
         """``sides`` are the side lengths of the bounds, in any unit. Along the longest side of the bounds, the planes
-        have the full resolution. Along another side, the resolution is proportional to the length of the side."""
+        have the full resolution. Along the other sides, the resolution is proportional to their lengths."""
         super().__init__()
         self.config = config
         pairs = SPACE_PAIRS + (TIME_PAIRS if config.time else ())
@@ -45,7 +45,7 @@ class KPlanes(nn.Module):
 
     @property
     def time_plane_indices(self) -> list[int]:
-        """Indices in ``planes`` of the planes over time, which have one row per frame."""
+        """Indices in ``planes`` of the planes with a time axis. These planes have one row per frame."""
         return [index for index in range(len(self.planes)) if self.pairs[index % len(self.pairs)] in TIME_PAIRS]
 
     def forward(self, coordinates: Tensor) -> Tensor:

@@ -72,7 +72,7 @@ class PointModel(nn.Module):
     """The networks of the point model, which all frames share. The points of each frame are stored outside this model.
 
     Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. ``shadow`` is the field
-    with the foreground's shadows on the background. Only the model of a background has the field ``shadow``.
+    with the foreground's shadows on the background, and only the model of a background has it.
     """
 
     lower: Tensor
@@ -148,8 +148,8 @@ class PointModel(nn.Module):
         """Compute positions, radii and densities of points at ``time``. From the result, :meth:`colour` computes the
         points' colours for a viewing camera.
 
-        The result is differentiable. Geometry and appearance are computed from K-Planes features, through which the
-        positions ``xyz`` get no gradient.
+        The result is differentiable. Geometry and appearance are computed from K-Planes features. No gradient flows
+        through these features to the positions ``xyz``.
 
         Args:
             xyz: (N, 3) optimised positions in world units.
@@ -270,8 +270,8 @@ def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
 
 
 def _relative_directions(xyz: Tensor, viewer: Camera, cameras: tuple[Camera, ...]) -> Tensor:
-    """Viewing directions relative to the source directions, (V, N, 4), as in IBRNet. The first three numbers are the
-    viewing direction minus the source direction. The fourth number is the cosine of the angle between the two
+    """Viewing directions relative to source directions, as in IBRNet: an array (V, N, 4). The first three numbers are
+    the viewing direction minus the source direction. The fourth number is the cosine of the angle between the two
     directions."""
     target = unit_directions(xyz, viewer)
     parts = []

@@ -17,13 +17,13 @@ HIDDEN = 32
 MARGIN = 0.5
 """Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
 FADE = 0.25
-"""Width of the zone at the field's border in which shadows fade out, as a share of the distance between the border and
-the centre. Without a fade-out, shadows would end in a sharp edge at the border."""
+"""Shadows fade out towards the border of the field. This is the width of the zone in which they fade, as a share of the
+distance from the centre to the border. Without a fade-out, shadows would end in a sharp edge at the border."""
 GAIN = 3.0
-"""Factor that multiplies the MLP's output, which makes the field learn faster. Fast learning is needed because each
-frame is rendered in only a few training steps."""
+"""Factor that multiplies the MLP's output, so that the field learns faster. Fast learning is needed because each frame
+is rendered in only a few training steps."""
 STRENGTH = 127 / 128
-"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store shadow factors in units of 1/128."""
+"""Shadow factors lie between 1 - STRENGTH and 1 + STRENGTH. A byte can store these factors in units of 1/128."""
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ from fourd.ops.sources import op as ops
 from fourd.ops.sources import reference
 
 OCCLUSION_FALLOFF_SPACINGS = 1.0
-"""Decay length of the visibility weight of an occluded point, as a multiple of the point spacing. The weight decays
-exponentially with the depth of the point behind the nearest surface. The decay starts two decay lengths behind the
-surface."""
+"""Decay length of visibility weights, as a multiple of the point spacing. A point's weight decays exponentially with
+the depth of the point behind the nearest surface. The decay starts two decay lengths behind the surface."""
 
 
 @dataclass(frozen=True)

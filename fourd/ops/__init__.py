@@ -1,7 +1,7 @@
 """Python interfaces of the native kernels: one folder per kernel of ``csrc``, all with the same structure.
 
 - ``op.py``: the public function, which checks arguments and selects the backend. For a differentiable operation, this
-  module also registers a ``torch.library`` operator with a fake implementation and its gradient.
+  module also registers a ``torch.library`` operator, its fake implementation and its gradient.
 - ``reference.py``: a slow and simple implementation. Tests compare every backend with this reference.
 
 Kernels for playing baked scenes (``shade``, ``play`` and ``points/arrays.py``) take NumPy arrays and do not import

@@ -1,4 +1,4 @@
-"""Arrays that start at a cache line, and at a huge page if they are large."""
+"""Arrays that start at the beginning of a cache line. Large arrays also start at the beginning of a huge page."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ CACHE_LINE = 64
 """Size of a cache line in bytes, on all common processors. A row of 16 pixels of 4 bytes fills one cache line."""
 
 HUGE_PAGE = 2 << 20
-"""Size of a huge page in bytes, on Linux with x86-64 or with pages of 4 KiB on arm64."""
+"""Size of a huge page in bytes on Linux, on x86-64 processors and on arm64 processors whose normal pages have 4 KiB."""
 
 
 def zeros_aligned(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number]:
-    """Make an array of zeros that starts at a multiple of :data:`CACHE_LINE`.
+    """Make an array of zeros whose memory address is a multiple of :data:`CACHE_LINE`.
 
     NumPy aligns large arrays to 16 bytes. The renderers draw tiles of 16 x 16 pixels in parallel. If an image with 4
     bytes per pixel is not aligned to cache lines, each row of a tile shares two cache lines with the neighbouring

@@ -40,7 +40,7 @@ class Gpu:
         return torch.cuda.current_stream(self.device).cuda_stream if self.device.type == "cuda" else 0
 
     def activate(self) -> AbstractContextManager[Any]:
-        """Return a context manager in which kernels are launched on ``device``."""
+        """Return a context manager that makes ``device`` the device on which kernels are launched."""
         return torch.cuda.device(self.device) if self.device.type == "cuda" else nullcontext()
 
     def allocate(self, size: int) -> Tensor:

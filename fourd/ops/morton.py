@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 BITS = 10
 """Number of bits per axis that :func:`morton_order` compares."""
 MAX_BITS = 21
-"""Maximum number of bits per axis, with which the Morton code of three axes fits in 63 bits."""
+"""Maximum number of bits per axis. With this number, the Morton code of three axes has 63 bits."""
 _SPREAD = (
     (32, 0x1F00000000FFFF),
     (16, 0x1F0000FF0000FF),
@@ -31,7 +31,8 @@ def morton_order(xyz: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 def morton_codes(cells: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return the Morton codes (N,) of cells (N, 3) with coordinates below 2^21. Bit b of axis a is bit 3 b + a."""
+    """Return the Morton codes (N,) of cells (N, 3) with coordinates below 2^21. Bit b of axis a becomes bit 3 * b + a
+    of the code."""
     x, y, z = (spread_bits(cells[:, axis]) << np.uint64(axis) for axis in range(3))
     return x | y | z
 

@@ -1,4 +1,4 @@
-"""Multithreaded search for nearest neighbours of points, in which no thread keeps running after Ctrl-C."""
+"""Multithreaded search for the nearest neighbours of points. After Ctrl-C, no thread keeps running."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from fourd.ops.loading import thread_count
 
 BLOCK = 4096
-"""Number of points per search. Searches that are running when Ctrl-C arrives are finished."""
+"""Number of queried positions per search. On Ctrl-C, running searches are finished, and the others are cancelled."""
 
 
 def nearest_neighbours(

@@ -20,8 +20,8 @@ from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context
 
 RETRIES = 3
-"""Number of times that a stage is restarted after its worker or its node was lost. A restarted stage resumes its
-work."""
+"""Maximum number of restarts of a stage. A stage is restarted if its worker or its node is lost. A restarted stage
+resumes its work."""
 MAX_REASON = 200
 """Maximum number of characters of Ray's message in an error message."""
 
@@ -74,8 +74,8 @@ def run_job(job: Job) -> Outcome:
     except UserError as error:
         return Outcome(node, tuple(text.getvalue().splitlines()), str(error))
     except KeyboardInterrupt:
-        # KeyboardInterrupt comes from a request to stop on the page of fourd serve. Without this handler, Ray would
-        # report a cancelled task.
+        # If the user stops the work on the page of fourd serve, the stage gets a KeyboardInterrupt. Without this
+        # handler, Ray would report a cancelled task.
         stopped = "expected a stage that finishes, got one that was stopped; run the command again to resume"
         return Outcome(node, tuple(text.getvalue().splitlines()), stopped)
     return Outcome(node, tuple(text.getvalue().splitlines()))

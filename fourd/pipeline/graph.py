@@ -2,7 +2,8 @@
 
 The order of the stages is import, check, repair, mattes, plates, adjust, carve (or points), background, train, bake.
 The config and the contents of the capture decide which stages are needed. The relevant settings of the config are the
-kind of scene, camera refinement, given points and segments. A run with segments has one stage train for each segment.
+kind of scene, camera refinement, given points and segments. A run with segments has one training stage for each
+segment.
 """
 
 from __future__ import annotations
@@ -35,8 +36,8 @@ class RunRequest:
         capture: the capture's folder.
         run: the run's folder.
         train: the training config.
-        points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points. If
-            None, the points are carved.
+        points_from: folder with the user's points as FRAME.ply files. These points are used instead of carved points.
+            If None, the points are carved.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
         still: whether nothing moves in the scene. A scene without motion has no foreground; see

@@ -43,12 +43,13 @@ RUN = "run"
 SCENE = "scene.4dv"
 """Name of the scene file in a folder for intermediate results in an object store. The name does not depend on -o."""
 UPLOADED = "uploaded.json"
-"""File with the state of the scene file and of the object in the store after the last upload."""
+"""File that records the last upload: the state of the local scene file, and the state of the object in the store."""
 
 
 @dataclass(frozen=True)
 class MatteChoice:
-    """Settings of the mattes, and whether to keep mattes whose settings the user chose with options of fourd matte."""
+    """Settings of the mattes. If ``keep_chosen`` is true, mattes that the user made with options of fourd matte are
+    kept."""
 
     settings: MatteSettings
     keep_chosen: bool = False
@@ -69,8 +70,8 @@ class MatteChoice:
 
 @dataclass(frozen=True)
 class SceneRequest:
-    """The arguments of :func:`make_scene` that do not depend on the folder for intermediate results. ``run`` has no
-    paths of a capture and of a run yet.
+    """The arguments of :func:`make_scene` that do not depend on the folder for intermediate results. The paths of the
+    capture and of the run in ``run`` are not set yet.
     """
 
     source: Location
@@ -109,18 +110,19 @@ def make_scene(
         train: the training config.
         mattes: settings of the mattes. Mattes are made only if the capture has no masks.
         context: console, and number of processes.
-        points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points.
+        points_from: folder with the user's points as FRAME.ply files. These points are used instead of carved points.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
         imports: options of the import. If the options contain a frame rate, the rate is stored in ``source`` even if
             ``source`` needs no import. If None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
-        keep_chosen_mattes: whether to keep mattes whose settings the user chose with options of fourd matte, instead of
-            making mattes with the settings ``mattes``.
+        keep_chosen_mattes: whether to keep mattes that the user made with options of fourd matte. Otherwise, such
+            mattes are replaced by mattes with the settings ``mattes``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
-        work: the folder for intermediate results. If None, the folder for ``scene.4dv`` is ``scene.work/``, beside a
-            local ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a URL, each machine works in a
-            local copy, and publishes the results of each stage; see :mod:`fourd.pipeline.stored`.
+        work: the folder for intermediate results. If None, the folder is named after ``out``: for ``scene.4dv``, it is
+            ``scene.work/``. It is beside ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a URL,
+            each machine works in a local copy, and publishes the results of each stage; see
+            :mod:`fourd.pipeline.stored`.
 
     Raises:
         UserError: if the input is invalid, if a store refuses a request, or if the folder for intermediate results
@@ -260,7 +262,7 @@ def create_run(
         capture: the capture's folder, with masks or mattes.
         folder: the run's folder. The folder must be new, empty, or left by an interrupted call.
         train: the training config.
-        points_from: folder with points from the user as FRAME.ply files, which are used instead of carved points.
+        points_from: folder with the user's points as FRAME.ply files. These points are used instead of carved points.
         context: console, and number of processes. If None, the stages use one process and print nothing.
 
     Raises:

@@ -12,7 +12,8 @@ from fourd.limits import read_json
 from fourd.pipeline.stage import Context, Stage
 
 if TYPE_CHECKING:
-    # StoredResults imports the packages for training, but the runner also runs stages that do not need these packages.
+    # StoredResults is imported only for type checkers. It imports the packages for training, and the runner must also
+    # run without these packages.
     from fourd.pipeline.stored.results import StoredResults
 
 AnyStage = Stage[Any, Any]
@@ -79,8 +80,8 @@ class Runner:
                 self._write({stage.name: self._keys[stage.name]})
                 self._report(f"{stage.name}: finished{self._result(stage)}")
             if self._stored is not None:
-                # The results of these stages are copied to this machine, because the choice and the keys of the next
-                # stages depend on the files.
+                # The results of these stages are copied to this machine, because the files decide which stages come
+                # next, and because the keys of the next stages depend on the files.
                 self._stored.copy()
 
     def _start(self, stage: AnyStage) -> bool:

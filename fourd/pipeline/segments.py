@@ -125,14 +125,15 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
     """Start the run of a segment, or resume it from its newest checkpoint. A finished segment whose budget is unchanged
     is not trained again."""
     group = context.group or ALONE
-    # The folder is locked, because a cluster may retry a task that still runs on a node to which the connection was
-    # lost.
+    # The folder is locked, because the same task may run twice: if the cluster loses the connection to a node, it
+    # starts the node's task again on another node.
     with locked_folder(files.segment) if group.is_first else nullcontext():
         if group.is_first:
             _prepare_segment(files, config)
         group.barrier()
         train_run(files.segment, files.lpips_weights, config, context)
-    # The trainer contains reference cycles, so its memory would not be freed before the next segments are trained.
+    # The trainer contains reference cycles. Without this call, its memory would stay allocated while the next segments
+    # are trained.
     gc.collect()
 
 

@@ -78,7 +78,7 @@ class Artefact:
         for file in files:
             try:
                 status = file.stat()
-            except OSError:  # A link to a missing file or to itself. The stage reports the link.
+            except OSError:  # The file is a link to a missing file or to itself. The stage reports the link.
                 status = file.lstat()
             entries.append(f"{file.relative_to(self.path)} {status.st_size} {status.st_mtime_ns}")
         return _digest(entries)
@@ -129,7 +129,8 @@ class Stage(Generic[Files, Settings]):
             key.
         is_parallel: whether the stage may run at the same time as adjacent parallel stages in the graph. A stage never
             runs at the same time as the stages in its ``after``.
-        is_portable: whether the stage can run on a machine that has no folder of the machine that created the stage.
+        is_portable: whether the stage can run on a machine that shares no folder with the machine that created the
+            stage.
     """
 
     name: str
@@ -148,8 +149,8 @@ class Stage(Generic[Files, Settings]):
 
         Args:
             keys: name of each earlier stage -> its key. Names in ``after`` that are missing in ``keys`` are ignored.
-            root: folder for intermediate results that is at different paths on different machines, or None. The key
-                does not depend on the path of ``root``.
+            root: folder for intermediate results, or None. The folder may have a different path on each machine, so the
+                key does not depend on its path.
         """
         parts = [
             self.name,

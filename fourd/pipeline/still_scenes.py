@@ -50,7 +50,7 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
 
 
 def _has_motion(capture: Capture) -> bool:
-    """Whether pixels of an image change between a few frames."""
+    """Whether the images of any camera change between a few sampled frames."""
     frames = sample_indices(capture.frame_count, SAMPLED_FRAMES)
     for index in range(len(capture.names)):
         greys = [cv2.GaussianBlur(capture.image(index, frame).astype(np.float32), (0, 0), 1.0) for frame in frames]

@@ -8,11 +8,11 @@ from types import FrameType, TracebackType
 
 
 class DeferredInterrupt:
-    """A context manager in which the first Ctrl-C only sets :attr:`is_pending`. The second Ctrl-C raises
+    """A context manager. Inside it, the first Ctrl-C only sets :attr:`is_pending`, and the second Ctrl-C raises
     KeyboardInterrupt.
 
-    Signals are deferred only in the main thread, because Python handles signals only in the main thread. If a process
-    ignores Ctrl-C or handles it in another way, nothing changes.
+    Signals are deferred only in the main thread, because Python handles signals only in the main thread. If the process
+    ignores Ctrl-C or has its own handler for Ctrl-C, the context manager has no effect.
     """
 
     def __init__(self) -> None:

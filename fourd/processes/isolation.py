@@ -36,8 +36,8 @@ directory."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that limit libraries to 1 thread, because the buffers of idle threads count as used memory."""
 WAIT_FACTOR = 20.0
-"""Maximum duration of a call before the child process is ended, as a multiple of the call's limit of processor time.
-The factor is large because other programs may use the processor, and disks may be slow."""
+"""Ratio of the maximum duration of a call to the call's limit of processor time. After this duration, the child process
+is ended. The factor is large because other programs may use the processor, and disks may be slow."""
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
     and on file systems without flock, nothing is locked.
 
     Raises:
-        UserError: if another process holds the lock. The message names the process and the time of its start.
+        UserError: if another process holds the lock. The message names the process and the time at which the process
+            started.
     """
     if sys.platform == "win32":
         yield

@@ -1,6 +1,7 @@
 """Training of a run: scenes, loss terms, schedule, training loop, checkpoints and evaluation.
 
-``loop.Trainer`` samples each step with ``schedule``, and performs the step with ``step``. The trainer also logs
-metrics, validates, and saves checkpoints. ``scenes`` contains everything that differs between object scenes and full
-scenes. ``losses`` contains the loss terms.
+``loop.Trainer`` runs the training loop: the module ``schedule`` selects the frame and the views of each training step,
+and the module ``step`` performs the step. The trainer also logs metrics, validates, and saves checkpoints. The package
+``scenes`` contains everything that differs between object scenes and full scenes. The package ``losses`` contains the
+loss terms.
 """

@@ -23,10 +23,10 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 SIZE_STEP_PX = 32
-"""Number of pixels to whose multiples the sides of padded plates are rounded up."""
+"""The width and the height of padded plates are rounded up to a multiple of this number of pixels."""
 CACHED_STEPS = 100
-"""Number of training steps for which the cached depth and image features of a plate are reused. The depth and the
-features change only slowly during training."""
+"""Number of training steps after which the cached depth and image features of a plate are computed again. Until then
+they are reused, because they change only slowly during training."""
 MAX_DEPTH_BEHIND = 9.0
 """Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if it lies behind
 the plate's occlusion depth by more than the tolerance."""
@@ -40,7 +40,7 @@ def create_background(
     """Create an untrained background.
 
     Args:
-        points: initial points. The colour of an initial point is used where no source view sees the point.
+        points: initial points. If no source view sees a point, the point's own colour is used.
         plates: camera index -> clean plate.
         config: the run's training config.
         contraction: function that maps unbounded space into the volume of the K-Planes.
@@ -68,8 +68,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # The planes are not initialised at random, because random values would remain as noise in cells that no plate
-        # observes, which get no gradient.
+        # The planes start at zero, not at random values. Cells that no plate observes get no gradient, so random values
+        # would remain there as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -80,7 +80,8 @@ def create_background(
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """(N,) bool, true for the points of ``xyz`` (N, 3) that lie outside the images of all ``cameras``.
 
-    Training never renders points outside all images, and densification must not remove them.
+    Training never renders these points, so they never get a gradient. Densification must not remove them for this
+    reason.
     """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:
@@ -100,8 +101,8 @@ class _CachedPlate:
 
 @dataclass(eq=False)
 class StaticBackground:
-    """The background's points, which all frames share, and the background's model. The clean plates are the source
-    views of the background's points.
+    """The background's points, which all frames share, and the background's model. With image-based colour, the colours
+    of the points are blended from the clean plates.
 
     Attributes:
         model: point model without time planes, in contracted space.
@@ -154,10 +155,10 @@ class StaticBackground:
 
         Args:
             cameras: indices of the cameras.
-            train_encoder: whether the image encoder runs and gets a gradient. If ``train_encoder`` is true, the
-                returned views have no cached features.
-            points: points from which occlusion depths are computed in this call, together with the plates'
-                features. If ``points`` is None, cached depths and features are used.
+            train_encoder: whether this step trains the image encoder. If true, the returned views contain no features,
+                so that the encoder computes the features again, with a gradient.
+            points: if given, this call computes the occlusion depths of these points and the features of the plates. If
+                None, cached depths and features are used.
         """
         images, mattes, padded = self._padded_plates(cameras)
         if points is not None:
@@ -177,7 +178,8 @@ class StaticBackground:
     def _padded_plates(self, cameras: Sequence[int]) -> tuple[Tensor, Tensor, tuple[Camera, ...]]:
         """Images (V, 3, H, W), coverage masks (V, H, W) and cameras of the plates with camera indices ``cameras``.
 
-        All plates are padded to the size of the largest plate, so that cached depths and features can be stacked.
+        All plates are padded to the size of the largest plate, so that their depths and features can be stacked to one
+        tensor.
         """
         plates = [self.plates[index] for index in cameras]
         height = max(_round_up(plate.camera.height) for plate in self.plates.values())

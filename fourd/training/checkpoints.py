@@ -45,13 +45,13 @@ class SavedProgress:
     psnr: float
 
     def to_json(self) -> dict[str, float]:
-        """The state for :func:`save_checkpoint`."""
+        """The numbers as JSON data, for the argument ``state`` of :func:`save_checkpoint`."""
         return {"seconds": self.seconds, "psnr": self.psnr}
 
     @classmethod
     def from_json(cls, state: object, source: Path | str) -> SavedProgress:
-        """The inverse of :meth:`to_json`. Raises UserError, with a message that names ``source``, if ``state`` has
-        another form."""
+        """The inverse of :meth:`to_json`. Raises UserError, with a message that names ``source``, if ``state`` is not
+        data that :meth:`to_json` could have returned."""
         values = [state.get(name) if isinstance(state, dict) else None for name in ("seconds", "psnr")]
         seconds, psnr = (
             value if isinstance(value, int | float) and abs(value) < MAX_STATE else None for value in values
@@ -76,7 +76,7 @@ def save_checkpoint(folder: Path, step: int, tensors: Mapping[str, Tensor], stat
         folder: the folder of checkpoints; created if missing.
         step: number of completed optimizer steps, 0 or more. The checkpoint file is named after the step number.
         tensors: name -> dense tensor, stored bit for bit.
-        state: data for JSON, which is stored in the file's header. Floats are stored exactly.
+        state: JSON data that is stored in the file's header. Floats are stored exactly.
 
     The file also contains a digest of its own contents, and the digests (BLAKE2b) of all points files of this step.
     Write the points files before calling this function.
@@ -109,7 +109,8 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
 
     Returns:
         The pair (path, note). The path is None if the folder is missing or contains no intact checkpoint. The note is
-        one line about newer but damaged files that were skipped, or an empty string if there are none.
+        one line about newer checkpoints that were skipped because they are damaged. If none was skipped, the note is an
+        empty string.
     """
     damaged: list[str] = []
     found = None
@@ -142,7 +143,8 @@ def load_checkpoint(path: Path) -> tuple[int, dict[str, Tensor], dict[str, Any]]
 def verify_checkpoint(path: Path) -> int:
     """Verify a checkpoint with the points of all frames, and return the number of verified files.
 
-    In runs of older versions of fourd, which have no digests of points, only the checkpoint file is verified.
+    Checkpoints of older versions of fourd contain no digests of points files. For these checkpoints, only the
+    checkpoint file is verified.
 
     Raises UserError if a file is missing, truncated or altered. The message names the file.
     """
@@ -298,7 +300,8 @@ def _drop_old(folder: Path, step: int) -> None:
     """Delete all checkpoints up to ``step`` except the two newest. Damaged checkpoints of steps after ``step`` are also
     deleted.
 
-    Checkpoints of later steps exist if the newest checkpoint was damaged when the run was resumed.
+    Checkpoints of later steps exist if the newest checkpoint was damaged, so that the run was resumed from an older
+    one.
     """
     files = checkpoint_files(folder)
     for path in [path for path in files if int(path.stem) <= step][:-KEPT]:
@@ -311,7 +314,7 @@ def _drop_old(folder: Path, step: int) -> None:
 
 
 def _cannot_write(folder: Path, error: Exception) -> UserError:
-    # The error number of the system must be read from the text of safetensors' own exception type.
+    # safetensors raises an exception type of its own, which contains the system's error number only in the message.
     is_full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
     before = checkpoint_files(folder)
     kept = f"the previous checkpoint, {before[-1].name}, is intact" if before else "there is no previous checkpoint"
@@ -328,7 +331,7 @@ def _altered(path: Path) -> UserError:
 
 
 def _points_digests(folder: Path) -> dict[str, str]:
-    """Digests of the points files in ``folder`` by file name. A missing folder has no files."""
+    """File name -> digest of each points file in ``folder``. If the folder is missing, the result is empty."""
     digests = {}
     for path in sorted(folder.glob("*.safetensors")):
         if not path.name.startswith(UNFINISHED):

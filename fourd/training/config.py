@@ -10,7 +10,7 @@ from fourd.background.radiance.config import RadianceConfig
 from fourd.model.config import ModelConfig, PlanesConfig, require
 
 MAX_POINTS = 1 << 24
-"""Maximum number of points in a frame or a background, which is also the limit of the OpenGL renderers."""
+"""Maximum number of points in a frame or a background. The OpenGL renderers have the same limit."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class LossConfig:
     """Weights of the loss terms (4K4D, eq. 8). A loss term with weight 0 is switched off."""
 
     image: Literal["mse", "huber"] = "mse"
-    """Loss function of colour differences."""
+    """Loss function that compares rendered and true colours."""
     perceptual: float = 1e-3
     """Weight of the LPIPS loss (VGG-16). LPIPS is used only if its network weights are installed."""
     stand_in: float = 1e-2
@@ -26,7 +26,8 @@ class LossConfig:
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
-    """Weight of the mean squared displacement by the residual field. The displacement is measured in point spacings."""
+    """Weight of the mean squared displacement that the residual field adds to the points. The displacement is measured
+    in point spacings."""
     shadow: float = 1e-2
     """Weight of the mean of (f - 1)^2 over the shadow factors f of the background points. A factor of 1 means no
     shadow."""
@@ -54,11 +55,11 @@ class RateConfig:
     """Number H of updates after which the learning rate of a point's position is halved. After n updates of the point,
     the rate has been multiplied by 1 / (1 + n / H), in addition to the exponential decay of all learning rates. With H
     = 0, the rate is not reduced. Without this reduction, training moves points at random where no image constrains
-    them, and novel views become worse when training takes longer."""
+    them, and longer training makes novel views worse."""
     sh: float = 5e-3
     """Learning rate of explicit spherical harmonics and of the colours of background points."""
     final: float = 0.05
-    """Factor that multiplies all learning rates at the end of the step or time budget."""
+    """At the end of the step or time budget, each learning rate has decayed to this share of its configured value."""
     warm_up: int = 20
     """Number of steps of the linear warm-up of the learning rates."""
 
@@ -78,8 +79,8 @@ class BackgroundConfig:
     """The static background of a full scene."""
 
     points: int = 200_000
-    """Maximum number of background points. The shell, which has coarse points in directions that no plate shows, is not
-    counted."""
+    """Maximum number of background points. The points of the shell are not counted. The shell consists of coarse points
+    in the directions that no plate shows."""
     seeding: Literal["ngp", "sfm"] = "ngp"
     """Source of the background points. With `ngp`, the points come from a radiance field that is fitted to the plates
     and to stereo depths. With `sfm`, the points come only from stereo."""
@@ -90,21 +91,21 @@ class BackgroundConfig:
     planes: PlanesConfig = field(default_factory=lambda: PlanesConfig(levels=4, base_resolution=64, time=False))
     """K-Planes of the background, in contracted space."""
     joint: bool = True
-    """Render foreground and background together. If false, steps on frames render and train only the foreground, on
-    black, and only steps on plates train the background."""
+    """Render foreground and background together in steps on frames. If false, steps on frames render and train only the
+    foreground, on black. The background is then trained only by steps on plates."""
     share: float = 0.35
     """Share of the training steps that use a clean plate as ground truth. The other steps use a frame."""
     window_px: int = 256
-    """Side length in pixels of the square image window that is rendered in a step on a clean plate."""
+    """Steps on clean plates render a square window of the image with this side length in pixels."""
     margin_px: int = 64
-    """Maximum margin in pixels by which the matte's bounding box is extended in steps that render a frame."""
+    """Steps on frames render the matte's bounding box, extended by at most this margin in pixels."""
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a share of the point spacing."""
     least_layers: int = 12
     """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between
-    `background.least_layers` and `layers`. If K is too small, a floor viewed at a grazing angle lacks its farthest
-    points. To compensate, the gradient enlarges the discs, so that even more points overlap at each pixel, and the
-    image becomes blurred."""
+    `background.least_layers` and `layers`. At a grazing angle, many points of a floor overlap at each pixel. If K is
+    too small, the farthest of them are missing. Training then enlarges the discs to compensate. As a result, even more
+    points overlap at each pixel, and the image becomes blurred."""
     encoder_every: int = 8
     """The background's image encoder is updated only in training steps that use a clean plate, and only if the step
     number is divisible by `encoder_every`."""
@@ -129,8 +130,8 @@ class DensifyConfig:
     on: bool = True
     """Split and remove points during training."""
     frame_every: int = 40
-    """Number of training steps on a frame between two densifications of the frame's points. A densification removes
-    points that have existed for at least `frame_every` steps without ever receiving a gradient."""
+    """Number of training steps on a frame between two densifications of the frame's points. Each densification also
+    removes the points that have existed for at least `frame_every` steps and have never received a gradient."""
     background_every: int = 250
     """Number of steps between two densifications of the background. Each densification removes the background points
     that are occluded in every plate."""
@@ -201,11 +202,11 @@ class SegmentConfig:
     """Segments of a long capture. A segment is a range of frames that has its own model."""
 
     frames: int | None = None
-    """Maximum number of frames of a segment. The budget applies to each segment. With null, one model represents all
-    frames."""
+    """Maximum number of frames of a segment. Each segment is trained with the whole step or time budget. With null, one
+    model represents all frames."""
     overlap: int = 4
-    """Number of frames that two successive segments share. In shared frames, the scene fades from one segment to the
-    next."""
+    """Number of frames that two successive segments share. In the shared frames, the scene fades from the earlier
+    segment to the later one."""
     warm_start: bool = False
     """Start the networks of each segment from the trained networks of the previous segment."""
 
@@ -242,9 +243,9 @@ class TrainConfig:
     """Remove protruding parts of the visual hull before the initial points are placed. The remaining hull still covers
     all mattes."""
     hull_inset: float = 0.9
-    """Distance by which the initial points are moved into the visual hull, as a multiple of the point spacing. The
-    inset is needed because discs extend beyond their centres. Without an inset, the initial silhouettes are too large,
-    and training must first shrink them."""
+    """Distance by which the initial points are moved from the surface of the visual hull towards its inside, as a
+    multiple of the point spacing. The inset is needed because discs extend beyond their centres. Without an inset, the
+    initial silhouettes are too large, and training must first shrink them."""
     layers: int = 15
     """Maximum number K of points that are composited at each pixel while training."""
     least_layers: int = 8
@@ -256,10 +257,10 @@ class TrainConfig:
     """Number of samples in each pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of
     all its samples. With one sample, contours are ragged, and new views have a lower PSNR than with 2 x 2."""
     pixel_filter: float = 0.1
-    """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. When a trained or exported scene
-    is rendered, the filter replaces the several samples per pixel of training. The weights of the filter are
-    `pixel_filter`, 1 - 2 `pixel_filter` and `pixel_filter`, along rows and along columns. With 0, images are not
-    filtered."""
+    """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. Training takes several samples
+    per pixel, see `samples`. When a trained or exported scene is rendered, this filter is used instead. The weights of
+    the filter are `pixel_filter`, 1 - 2 * `pixel_filter` and `pixel_filter`, along rows and along columns. With 0,
+    images are not filtered."""
     crop: Literal["mask", "full"] = "mask"
     """Part of each image that is used for training: `mask` selects the matte's bounding box with a margin, and `full`
     selects the whole image."""
@@ -273,15 +274,16 @@ class TrainConfig:
     """Minimum compositing weight of a point in the target view. In each step, points that are below this minimum at all
     pixels are skipped. With 0, no points are skipped."""
     keep_in_hull: bool = True
-    """Move a point back if a step moves the point out of the silhouette in the target view or in a source view, which
-    prevents stray points."""
+    """Move a point back if a step moves it out of the silhouette in the target view or in a source view. This prevents
+    stray points."""
     smoothing: float = 0.5
-    """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Points within a
-    quarter of the point spacing from their plane are not moved. With 0, smoothing is switched off."""
+    """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Points that are
+    closer to their plane than a quarter of the point spacing are not moved. With 0, smoothing is switched off."""
     neighbour_pool: int = 5
     """Size of the pool of views from which each step samples its source views. The pool contains the views nearest to
-    the target view. If the pool is larger than the number of source views, some steps use source views with wide
-    baselines, as they occur between a novel view and its source views."""
+    the target view. If the pool is larger than the number of source views, some steps use source views that are farther
+    from the target view. Training then covers wide baselines, which also occur between novel views and their source
+    views."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None

@@ -74,8 +74,8 @@ class Trainer:
             run: the run folder.
             lpips: the network of the perceptual loss; with None, SSIM replaces the perceptual loss.
             console: console that shows the progress of training.
-            budget: the run's config with max_steps and max_seconds of this call. When a run is resumed, the limits may
-                be larger than those in config.yaml.
+            budget: the run's config, but with the limits max_steps and max_seconds of this call. When a run is resumed,
+                these limits may be larger than the limits in config.yaml.
             group: the ranks that train the run together.
         """
         if budget.max_steps is None and budget.max_seconds is None:
@@ -110,9 +110,9 @@ class Trainer:
     def train(self) -> TrainSummary:
         """Train until the budget is spent.
 
-        Ctrl-C is handled after the training step, so that the saved checkpoint is that of a whole step. A second Ctrl-C
-        ends the training at once, without a new checkpoint. Between steps, requests of ``fourd serve`` to pause, to
-        save and to stop are also handled.
+        Ctrl-C is handled after the current training step, so that the checkpoint never contains a half-finished step. A
+        second Ctrl-C ends the training at once, without a new checkpoint. Between steps, the loop also answers the
+        requests of ``fourd serve`` to pause, to save and to stop.
         """
         retain_freed_memory()
         log = MetricsLog(self.run.folder, resume_step=self.done) if self.group.is_first else NoLog()
@@ -259,8 +259,8 @@ class Trainer:
 
     def _save_points(self, folder: Path) -> None:
         is_first, count = self.group.is_first, self.run.capture.frame_count
-        # A file of a damaged checkpoint of the same step can be a pipe or a folder, which atomic writing does not
-        # replace.
+        # If an earlier checkpoint of the same step was damaged, its folder can contain a pipe or a folder in place of a
+        # file. Atomic writing does not replace pipes and folders.
         if is_first and any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
             shutil.rmtree(folder)
         self.group.barrier()
@@ -313,7 +313,8 @@ class Trainer:
         return seconds >= self.config.checkpoint_seconds
 
     def _passed(self, interval: int) -> bool:
-        """Whether a multiple of ``interval`` was reached in the last step that all ranks took together."""
+        """Whether the step count reached a multiple of ``interval`` in the last update. An update counts one step per
+        rank."""
         return self.done // interval > (self.done - self.group.size) // interval
 
     def _progress(self) -> Progress:

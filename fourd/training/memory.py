@@ -1,9 +1,11 @@
-"""Settings of the C library's heap, with which freed memory is reused quickly and the resident size stays bounded. Only
-glibc is supported. With other C libraries, :func:`retain_freed_memory` and :class:`HeapTrimmer` do nothing.
+"""Settings of the C library's heap. With these settings, freed memory is reused quickly, and the resident size of the
+process stays bounded. Only glibc is supported. With other C libraries, :func:`retain_freed_memory` and
+:class:`HeapTrimmer` do nothing.
 
-Images differ in size, so freed blocks do not always fit the next allocation, and the heap's address space grows for
-hours during training. Only pages of the heap that were written since the last trim occupy physical memory. Data that is
-kept for many steps is stored outside the heap, in separate pages, because it would fragment the heap.
+Images differ in size, so freed blocks do not always fit the next allocation. The heap's address space therefore grows
+for hours during training. Physical memory is occupied only by the pages that were written since the heap was last
+trimmed. Data that is kept for many steps would fragment the heap. Such data is therefore stored outside the heap, in
+separate pages.
 """
 
 from __future__ import annotations

@@ -41,14 +41,15 @@ class MetricsLog:
 
         Args:
             folder: the run's folder; created if missing.
-            resume_step: number of completed steps of the checkpoint from which the run resumes. Records after step
-                ``resume_step`` and incomplete lines, which a killed run leaves, are removed. TensorBoard hides the
-                events of steps after ``resume_step`` that were written before the run was resumed.
+            resume_step: number of completed steps of the checkpoint from which the run resumes. Records of steps after
+                ``resume_step`` are removed. Incomplete lines, which a killed process leaves, are also removed.
+                TensorBoard hides the events of steps after ``resume_step`` that were written before the run was
+                resumed.
 
         Raises:
             UserError: the folder is not writable.
         """
-        # Importing TensorBoard takes about a second. The import is therefore delayed until a log is opened.
+        # Importing TensorBoard takes about a second. TensorBoard is therefore imported only when a log is opened.
         from torch.utils.tensorboard import SummaryWriter
 
         self._folder = folder
@@ -101,8 +102,8 @@ class MetricsLog:
         self.close()
 
     def _ignore_disk_errors(self, arguments: threading.ExceptHookArgs) -> None:
-        """Print no traceback if TensorBoard's thread cannot write, because the next call of TensorBoard raises the same
-        error."""
+        """Print no traceback if TensorBoard's background thread cannot write. The error is not lost, because the next
+        call of TensorBoard raises it again."""
         if not (arguments.exc_type is not None and issubclass(arguments.exc_type, OSError | MemoryError)):
             self._hook(arguments)
 

@@ -32,7 +32,7 @@ class SizedPoints(Protocol):
 
 
 def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
-    """Depth (H, W) of the nearest surface in world units, infinite where alpha is at most 0.5."""
+    """Depth (H, W) in world units of the nearest surface. The depth is infinite where alpha is at most 0.5."""
     ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
     _, alpha, depth = render_points_numpy(
         points.xyz.numpy(),

@@ -1,4 +1,5 @@
-"""Compositing of points from the values that the model computes, and selection of the points visible in a view."""
+"""Compositing of points with the radii, densities and colours that the model computes, and selection of the points that
+are visible in a view."""
 
 from __future__ import annotations
 
@@ -16,8 +17,8 @@ from fourd.training.points.frame_points import FramePoints
 NEAR = 0.01
 """Depth of the near plane in world units."""
 COUNT_STEP = 1024
-"""Multiple to which the number of visible points is rounded up. The rounding leaves few different sizes of tensors,
-which then fit into memory that earlier steps have freed."""
+"""The number of visible points is rounded up to a multiple of this number. Tensors then have only a few different
+sizes, and fit into memory that earlier steps have freed."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +54,8 @@ def composite(
 ) -> PointRender:
     """Render all clouds together, so that they occlude each other.
 
-    The result has features (H, W, 4): the first three channels are the colour, and the last channel is the part of
-    alpha that comes from the first cloud.
+    The result has features (H, W, 4): the first three channels are the colour. The last channel is the contribution of
+    the first cloud to alpha.
     """
     ones, zeros = torch.ones_like, torch.zeros_like
     is_first = [ones(cloud.radius) if k == 0 else zeros(cloud.radius) for k, cloud in enumerate(clouds)]
@@ -89,8 +90,8 @@ def composite_samples(
 
 
 def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, min_weight: float) -> list[Tensor]:
-    """For each cloud, indices of the points whose largest compositing weight over the pixels of the view exceeds
-    ``min_weight``.
+    """For each cloud, the indices of its visible points. A point is visible if its compositing weight exceeds
+    ``min_weight`` in at least one pixel of the view. Further points are added as in :func:`select_heaviest`.
 
     Occlusion between the clouds is taken into account. If ``min_weight`` is 0, all points are visible.
     """

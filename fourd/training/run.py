@@ -66,9 +66,11 @@ class SceneConfig:
     spacing: float = 0.01
     """Mean distance between neighbouring points."""
     first_frame: int = 0
-    """Index in the capture of the frame at time 0: the first frame of a segment, or 0."""
+    """Index of the frame at time 0, counted in the frames of the capture. For a segment, this is the segment's first
+    frame; otherwise, the index is 0."""
     frame_count: int = 1
-    """Number of frames from time 0 to time 1: those of a segment, or all frames of the capture."""
+    """Number of frames from time 0 to time 1. For a segment, this is the number of the segment's frames; otherwise, it
+    is the number of all frames of the capture."""
     reach: float = 1.0
     """Distance from the centre of the bounds to the farthest camera. Within this distance of the centre, the
     contraction does not distort space."""
@@ -110,13 +112,14 @@ class Run:
 
     @property
     def focus(self) -> NDArray[np.float64]:
-        """(3,) centre of the bounds, in world units. The cameras nearest to a view are those with the smallest angles
-        to the viewing camera. Angles between cameras are measured at the centre of the bounds."""
+        """(3,) centre of the bounds, in world units. Angles between cameras are measured at this point. The cameras
+        nearest to a view are the cameras with the smallest angles to the viewing camera."""
         return (np.asarray(self.config.scene.lower) + np.asarray(self.config.scene.upper)) / 2
 
     @property
     def has_segments(self) -> bool:
-        """Whether the segments of the run contain the models, and not the run itself."""
+        """Whether the run is divided into segments. If true, each segment's folder contains a model, and the run's own
+        folder contains none."""
         return self.config.train.segments.frames is not None
 
     @property
@@ -214,7 +217,7 @@ class TrainedRun:
         return self.renderer.views.rig
 
     def render(self, frame: int, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
-        """Render a frame. The arguments are those of :meth:`ModelRenderer.render`."""
+        """Render a frame. The arguments have the same meaning as in :meth:`ModelRenderer.render`."""
         return self.renderer.render(self.frames.get(frame), frame, camera, layers, exclude)
 
     def close(self) -> None:
@@ -286,9 +289,9 @@ def read_run_plates(
 
 
 def remove_leftovers(folder: Path) -> None:
-    """Remove the files that killed processes left unfinished in a run. Call this function only with the run's lock.
+    """Remove the files that killed processes left unfinished in a run. The caller must hold the lock on the run.
 
-    Scratch folders are not changed, because they belong to single processes; see :class:`Scratch`.
+    Scratch folders are not removed, because running processes may use them; see :class:`Scratch`.
     """
     remove_unfinished(folder)
     for name in (*PREPARATION, CHECKPOINTS, VALIDATION):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 CONFIG_NAME = "config.yaml"
 HULL = "hull"
-"""Folder with bounds.json and, for each frame, the initial points in FRAME.ply."""
+"""Folder with the file bounds.json, and for each frame a file FRAME.ply with the frame's initial points."""
 BACKGROUND = "background"
 """Folder with the initial background points of a full scene, and with the plates that the run computed."""
 POINTS = "points.ply"
@@ -27,10 +27,11 @@ SOURCE = "source"
 LIVE = "live"
 """Folder with the state of a training and the last request to the training, see :mod:`fourd.training.live`."""
 SEGMENTS = "segments"
-"""Folder with one run per segment, named 000, 001 and so on. Runs without segments do not have this folder."""
+"""Folder with one run per segment. The runs are named 000, 001 and so on. Runs without segments do not have this
+folder."""
 PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)
-"""Folders that are written before training, and that may exist before ``config.yaml``, the file that marks a folder as
-a run."""
+"""Folders that are written before training. They may already exist when ``config.yaml`` is still missing. A folder is a
+run only if it contains ``config.yaml``."""
 
 
 def checkpoint_files(folder: Path) -> list[Path]:
@@ -46,12 +47,12 @@ def points_folder(checkpoint: Path) -> Path:
 
 
 def segment_folder(run: Path, index: int) -> Path:
-    """Path of the run of a segment."""
+    """Path of the run folder of a segment."""
     return run / SEGMENTS / f"{index:03d}"
 
 
 def segment_folders(run: Path) -> list[Path]:
-    """The existing runs of the segments of a run, in the order of their frames."""
+    """The run folders of those segments that exist, in the order of their frames."""
     named = [path for path in (run / SEGMENTS).glob("*") if path.name.isdecimal()]
     return sorted(named, key=lambda path: int(path.name))
 

@@ -1,4 +1,4 @@
-"""Sampling of a step's frame and views, and the schedule of learning rates over the budget."""
+"""Random choice of each step's frame and views, and the schedule of the learning rates over the budget."""
 
 from __future__ import annotations
 
@@ -38,9 +38,8 @@ class StepSample:
 
 
 class StepSampler:
-    """Determines the sample of each step only from the seed and the step's number.
-
-    The sampler stores no state between steps, so a resumed run has the same samples as an uninterrupted run.
+    """Determines the sample of each step. The sample depends only on the seed and the step's number, and the sampler
+    stores no state between steps. A resumed run therefore has the same samples as an uninterrupted run.
     """
 
     def __init__(
@@ -64,11 +63,12 @@ class StepSampler:
         }
 
     def sample(self, step: int) -> StepSample:
-        """The sample that this rank takes at a step. With W ranks, W successive steps are taken at once, one by each
-        rank, and ``step`` is the first of the W steps.
+        """The sample of the training step that this rank performs. With W ranks, W successive steps are performed at
+        the same time, one by each rank. ``step`` is the number of the first of these W steps.
 
-        Let F be the number of frames that the rank owns, and V the number of training views. In F * V successive steps
-        of a rank that start at a multiple of F * V, every view of every frame is sampled exactly once.
+        Let F be the number of frames that the rank owns, and V the number of training views. The steps of a rank are
+        divided into epochs of F * V steps. In each epoch, the rank samples every view of each of its frames exactly
+        once.
         """
         views, group = len(self._training), self._group
         count = len(self._frames) * views

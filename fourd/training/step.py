@@ -76,9 +76,9 @@ class Stepper:
             points: points of the sample's frame, which are changed in place.
             time: time of the frame, in [0, 1].
             sample: the frame and views to render.
-            rate_factor: factor on all learning rates, from the schedule.
-            number: number of the update, which is used by schedules and in error messages. With W ranks, an update
-                makes W steps.
+            rate_factor: factor from the schedule that multiplies all learning rates.
+            number: number of the update, for schedules and error messages. With W ranks, one update consists of W
+                steps.
 
         Raises:
             UserError: a loss term is not finite. Models and points are then unchanged.
@@ -118,8 +118,8 @@ class Stepper:
     def _render(
         self, evaluated: Sequence[OptimizedPoints], target: Target, time: float, sample: StepSample, number: int
     ) -> tuple[Tensor, RenderedStep]:
-        """Render the points. Return the rendered colours (H, W, 3) without the background colour, and the record on
-        which the loss terms are evaluated."""
+        """Render the points. Return the rendered colours (H, W, 3) without the background colour, and the record from
+        which the loss terms are computed."""
         clouds = [each.renderable for each in evaluated]
         if self.refinement is not None:
             clouds = self.refinement.attach_camera_gradient(clouds, sample.target)

@@ -19,8 +19,9 @@ from fourd.training.memory import array_outside_heap
 
 CROP_MARGIN_PX = 16
 SIZE_STEP_PX = 32
-"""Number of pixels to whose multiples the sides of crops are rounded up, so that crops have few different sizes.
-Convolutions are set up only once for each crop size, and a new crop fits into the memory that an older crop has freed.
+"""The width and the height of crops are rounded up to a multiple of this number of pixels, so that crops have few
+different sizes. Convolutions are set up only once for each size, and a new crop fits into the memory that an older crop
+has freed.
 """
 EMPTY_CROP_PX = 16
 """Side of the crop for an empty matte, in pixels."""
@@ -74,7 +75,8 @@ class ViewStore:
         )
 
     def view(self, camera: int, frame: int) -> View:
-        """The view of a camera and frame, which are indices into the selected cameras and frames."""
+        """The view of a camera at a frame. Both arguments are indices, into the selected cameras and the selected
+        frames."""
         key = (camera, frame)
         if key not in self._cache:
             self._cache[key] = self._decode(camera, frame, None)
@@ -117,8 +119,8 @@ class ViewStore:
         return replace(view, camera=whole.crop(view.left, view.top, width, height))
 
     def _decode(self, camera: int, frame: int, window: tuple[int, int, int, int] | None) -> View:
-        """Decode the part ``window`` (left, top, width, height) of an image. If ``window`` is None, the part is the
-        matte's crop, or the whole image if the store does not crop."""
+        """Decode the part ``window`` (left, top, width, height) of an image. If ``window`` is None, decode the crop
+        around the matte, or the whole image if the store does not crop."""
         rgb, matte = self.capture.image(camera, frame), self.capture.mask(camera, frame)
         whole = self.capture.cameras[camera]
         if window is None:

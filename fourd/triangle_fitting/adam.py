@@ -1,4 +1,4 @@
-"""Parameters with one row per triangle or vertex, which Adam updates. Rows can be removed and added."""
+"""Parameters that Adam updates, with one row per triangle or per vertex. Rows can be removed and added."""
 
 from __future__ import annotations
 

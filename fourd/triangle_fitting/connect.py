@@ -1,5 +1,5 @@
-"""Connects separate triangles to a closed mesh. The mesh is the zero surface of a signed distance, which is computed
-from the planes of the triangles."""
+"""Joins separate triangles into a closed mesh. The mesh is the zero level set of a signed distance function, which is
+computed from the planes of the triangles."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ from fourd.triangle_fitting.neighbours import unit_normals
 NEAREST = 12
 """Number of nearest triangles from which the signed distance of a point is computed."""
 SMOOTHING_CELLS = 1.0
-"""Standard deviation, in units of a cube's side, of the Gaussian weights of triangles."""
+"""Standard deviation of the Gaussian weights of the triangles, as a multiple of the side of a grid cube."""
 LEAST_SHARE = 1e-3
-"""Minimum absolute distance, in units of a cube's side. Distances of 0 would produce triangles without area."""
+"""Signed distances that are closer to 0 than this value are replaced by this value. The unit is the side of a grid
+cube. Distances of 0 would produce triangles without area."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class OrientedPoints:
     Attributes:
         xyz: (N, 3) float64 centres in world units.
         normals: (N, 3) float64 unit normals. Each normal points towards the cameras that see the triangle.
-        weights: (N,) float64 number of pixels in all views that show the triangle, above 0.
+        weights: (N,) float64 number of pixels that show the triangle, summed over all views. All weights are above 0.
     """
 
     xyz: Array
@@ -50,8 +51,8 @@ class OrientedPoints:
 
 @torch.no_grad()
 def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints:
-    """Centres and normals of the triangles (T, 3, 3) that are visible in at least one view when all triangles are
-    opaque."""
+    """Centres and normals of the visible triangles. ``corners`` (T, 3, 3) are all triangles. For this test, all
+    triangles are drawn opaque, and a triangle is visible if at least one view shows it."""
     count = len(corners)
     xyz, tri = corners.reshape(-1, 3), torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
     centres, normals = corners.mean(dim=1), unit_normals(corners)
@@ -73,7 +74,8 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
     """Make one closed mesh from oriented points.
 
     The signed distance of a point is the weighted mean of its signed distances to the planes of the nearest triangles
-    (Hoppe et al. 1992, but with Gaussian weights). The result is limited to the distance to the visual hull.
+    (Hoppe et al. 1992, but with Gaussian weights). The mesh stays inside the visual hull, because the signed distance
+    is at most the distance to the hull.
 
     Args:
         points: oriented points, at least one.
@@ -89,7 +91,7 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
     local = placed.xyz.numpy().astype(np.float64)
     distance = plane_distance(points, local + hull.origin, side)
     to_hull = hull.distance(np.ascontiguousarray(local.T.astype(np.float32)))[0]
-    # Outside all views, the distance to the hull is infinite.
+    # At points outside all views, the distance to the hull is infinite.
     distance = np.minimum(distance, to_hull.clip(-side, None))
     least = LEAST_SHARE * side
     sdf = torch.from_numpy(np.where(np.abs(distance) < least, least, distance).astype(np.float32))
@@ -106,8 +108,8 @@ def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[n
     tree = cKDTree(points.xyz)
     away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
     away, index = np.asarray(away).reshape(len(xyz), -1), np.asarray(index).reshape(len(xyz), -1)
-    # Weights depend on distances relative to the nearest point, because weights of absolute distances would be 0 far
-    # from the surface.
+    # The weights are computed relative to the weight of the nearest point. Without this, all weights would underflow to
+    # 0 far from the surface.
     weight = np.exp(-(away**2 - away[:, :1] ** 2) / (2 * (SMOOTHING_CELLS * side) ** 2)) * points.weights[index]
     height = ((points.xyz[index] - xyz[:, None]) * points.normals[index]).sum(axis=2)
     return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))
@@ -130,8 +132,8 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # The starts of the open edges are all vertices of the hole, because equal numbers of open edges start and end at
-    # each of its vertices.
+    # At each vertex of a hole, as many open edges start as end. Every vertex of the hole is therefore the start of an
+    # open edge.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

@@ -1,4 +1,4 @@
-"""Fits triangles to one frame of a capture, and computes the scores of the result in held-out views."""
+"""Fits triangles to one frame of a capture, and scores the result in held-out views."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from fourd.triangle_fitting.targets import Target
 BOUNDS_MARGIN = 0.03
 """Margin of the box around the hull, as a share of the box's longest side."""
 START_SHARE = 0.5
-"""Number of triangles at the start, as a share of the maximum number."""
+"""The fit starts with this share of the maximum number of triangles."""
 PERCENT = 100
 
 Picture = Callable[[Camera], NDArray[np.float32]]
@@ -63,7 +63,7 @@ def fit_frame(views: RunViews, settings: TriangleSettings, track: Track = untrac
     """Fit triangles to the first frame of a capture.
 
     At the start, soft triangles are placed on the visual hull of the training views' mattes. The triangles gradually
-    become opaque. Then the triangles are connected to a closed mesh, and the opaque mesh is fitted. The first
+    become opaque. Then the triangles are joined into a closed mesh, and the opaque mesh is fitted. The first
     KeyboardInterrupt ends the fit early.
 
     Args:
@@ -107,8 +107,8 @@ class _FrameFit:
         self._surface: SurfaceFit | None = None
 
     def run(self) -> Iterator[int]:
-        """Fit until the budget is spent. Yields the spent budget in whole percent each time that the percentage
-        grows."""
+        """Fit until the budget is spent. Yields the spent share of the budget, in whole percent, each time that it has
+        grown by one percent."""
         percent, is_scored = 0, False
         while (share := self.budget.share) < 1:
             if not is_scored and share >= self._settings.soft_share:
@@ -125,7 +125,7 @@ class _FrameFit:
             yield percent
 
     def finish(self) -> ColouredMesh:
-        """The mesh for the current state of the fit."""
+        """The mesh that corresponds to the current state of the fit."""
         if self._surface is None:
             self._surface = self._opaque()
         return self._surface.mesh()

@@ -11,24 +11,24 @@ from fourd.cameras import Camera
 from fourd.triangle_fitting.soup import Soup
 
 MIN_WEIGHT = 0.022
-"""Minimum of a triangle's largest compositing weight since the last round of pruning. Triangles below this minimum are
-removed."""
+"""A triangle is removed if its compositing weight was below this minimum at all pixels since the last round of
+pruning."""
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
-"""Maximum length in pixels of the longest edge of a triangle that is duplicated. Triangles that are longer in a
-training view are split in four."""
+"""Each triangle that is chosen for growth is either split in four or duplicated. It is split if its longest edge
+exceeds this length, in pixels, in a training view."""
 CLONE_OFFSET = 0.2
-"""A duplicated triangle is shifted at random in its plane. Standard deviation of the shift, as a fraction of the edge
-length."""
+"""The copy of a duplicated triangle is shifted at random in its plane. This is the standard deviation of the shift, as
+a fraction of the edge length."""
 
 
 @torch.no_grad()
 def prune_and_grow(
     soup: Soup, weights: Tensor, priority: Tensor, cameras: Sequence[Camera], most: int, generator: torch.Generator
 ) -> None:
-    """Remove triangles that contribute nothing. Afterwards, triangles are added until there are GROWTH times as many
-    triangles as after the removal, but at most ``most``.
+    """Remove the triangles that contribute almost nothing to the images. Then add triangles until their number is
+    GROWTH times the number of the remaining triangles, but at most ``most``.
 
     Args:
         soup: the triangles, which are changed in place.
@@ -67,7 +67,8 @@ def prune_and_grow(
 
 
 def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """Return an upper limit (T,) of the longest edge of each triangle in the images of ``cameras``, in pixels.
+    """Return an upper limit (T,), in pixels, of the length of each triangle's longest edge in the images of
+    ``cameras``.
 
     The limit is the edge's length in world units times the focal length, divided by the depth of the triangle's centre.
     """

@@ -51,9 +51,9 @@ def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> 
     """Measure how much neighbouring triangles (T, 3, 3) deviate from a common plane.
 
     Returns:
-        the mean Huber loss of the distances between neighbours' centres and the planes of triangles, in units of the
-        spacing. The second value is the mean of 1 - cosine of the angle between the normals of neighbours. Without
-        neighbours, both losses are 0.
+        two losses. The first is the mean Huber loss of the distances of the neighbours' centres from the planes of the
+        triangles, in units of the spacing. The second is the mean of 1 - cos(angle between the normals of two
+        neighbours). Without neighbours, both losses are 0.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)
     if len(neighbours.first) == 0:

@@ -3,8 +3,8 @@
 In the soft phase, the exponent sigma of the window function is 1.16, and opacities are not limited. After the soft
 phase, sigma decreases geometrically to 1e-4. At the same time, a lower limit of the opacity rises from 0.1 to 0.9999,
 so that the triangles become opaque up to their edges. The initial value of sigma is from Held et al. 2025. The ranges
-of sigma and of the lower limit of the opacity are those of the method with opaque triangles in the same paper. In
-fourd, sigma and the lower limit are functions of the spent budget.
+of sigma and of the lower limit of the opacity are from the same paper, from its method with opaque triangles. In fourd,
+sigma and the lower limit depend on the spent share of the budget.
 """
 
 from __future__ import annotations
@@ -40,7 +40,8 @@ class Phase:
 
 
 def phase_at(share: float, settings: TriangleSettings) -> Phase:
-    """Return the phase of soft or hardening triangles after the share ``share``, in [0, 1], of the budget."""
+    """Return the phase when the share ``share`` of the budget, in [0, 1], is spent. Phases apply to the separate
+    triangles, while these are soft and while they become opaque."""
     rate = SLOWEST_RATE**share
     if share < settings.soft_share:
         return Phase(SIGMA_RANGE[0], 0.0, rate, True)
@@ -66,8 +67,8 @@ class Budget:
     """
 
     def __init__(self, max_steps: int | None, max_seconds: float | None) -> None:
-        """Start. A limit of None means no limit. If both limits are given, the limit that is reached first ends the
-        fit."""
+        """Start the clock. A limit of None means no limit. If both limits are given, the limit that is reached first
+        ends the fit."""
         self.steps = 0
         self._max_steps, self._max_seconds = max_steps, max_seconds
         self._start = monotonic()

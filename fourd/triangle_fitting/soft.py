@@ -38,7 +38,7 @@ class SoftFit:
         self._reset_statistics()
 
     def step(self, phase: Phase) -> None:
-        """Update all triangles by one step of the fit to one view."""
+        """Perform one optimization step: render one view, and update all triangles."""
         if self._steps % NEIGHBOUR_STEPS == 0:
             self._neighbours = Neighbours.of(self.soup.corners.value.detach())
         target = self._order.draw()

@@ -14,7 +14,8 @@ from fourd.triangle_fitting.schedule import Phase
 
 START_OPACITY = 0.28
 CIRCUMRADIUS_SPACINGS = 1.5
-"""Circumradius of the initial triangles, as a multiple of the distance between neighbouring centres."""
+"""Circumradius of the initial triangles, as a multiple of the distance between the centres of neighbouring
+triangles."""
 POSITION_RATE_SPACINGS = 0.02
 COLOUR_RATE = 0.01
 OPACITY_RATE = 0.05
@@ -26,7 +27,8 @@ class Soup:
     Attributes:
         corners: (T, 3, 3) vertices in world units.
         colours: (T, 3) RGB, where 0 is black and 1 is white.
-        logits: (T,) logits of the opacity between its lower limit and 1.
+        logits: (T,) parameters of the opacity. With a lower limit of 0, the opacity is the sigmoid of the logit; see
+            :meth:`opacity`.
         spacing: initial distance between neighbouring triangles in world units. The learning rate of positions is
             proportional to the spacing.
     """

@@ -1,4 +1,4 @@
-"""The fit of opaque triangles, which are either connected to a mesh or separate."""
+"""The fit of opaque triangles, which are either joined into a mesh or separate."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ COLOUR_RATE = 0.01
 
 
 class SurfaceFit:
-    """Fits the vertices of an opaque mesh and their colours to the views of one frame, by rasterization with
-    antialiasing.
+    """Fits an opaque mesh to the views of one frame, by rasterization with antialiasing. The positions and colours of
+    the vertices are optimised.
 
     Attributes:
         tri: (M, 3) int32 vertex indices.

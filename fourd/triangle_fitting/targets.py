@@ -48,7 +48,7 @@ class Target:
 
 
 class TargetOrder:
-    """Draws targets at random: each target is drawn once before any target is drawn again."""
+    """Draws targets in random order. No target is drawn again before all others have been drawn."""
 
     def __init__(self, targets: Sequence[Target], generator: torch.Generator) -> None:
         """Draw from one or more targets."""

@@ -20,9 +20,9 @@ def antialias(
 ) -> tuple[Tensor, Tensor]:
     """Return the blended colours (B, H, W, C), and a code (B, H, W) uint8 per pixel.
 
-    ``pos`` is (B, V, 4), or (V, 4) for all images. A pixel forms one pair with its right neighbour and one with its
-    lower neighbour. The code of a pixel contains the silhouette edges that cross the pixel's two pairs.
-    ``csrc/antialias/maths.h`` describes the bits of the code. The backward pass reads the codes.
+    ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. A pixel forms one pair with its right
+    neighbour and one with its lower neighbour. The code of a pixel tells which silhouette edge crosses each of the
+    pixel's two pairs. ``csrc/antialias/maths.h`` describes the bits of the code. The backward pass reads the codes.
     """
     out, codes = _empty_outputs(color)
     inputs = (color, rast, pos if pos.ndim == 3 else pos[None], tri, opposite)

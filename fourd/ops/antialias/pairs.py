@@ -23,9 +23,10 @@ class Pairs:
         owner, other: (N,) indices of the two pixels in the flattened (batch, height, width) array.
         triangle: (N,) triangle of the owner.
         other_triangle: (N,) triangle of the other pixel, or -1.
-        centre: (N, 2) centre of the owner in normalised device coordinates, along and across the pair.
-        step: (N, 2) distances between neighbouring pixel centres in normalised device coordinates, along and across the
-            pair. The sign of the first distance is the direction from the owner to the other pixel.
+        centre: (N, 2) centre of the owner in normalised device coordinates: first the coordinate along the pair, then
+            the coordinate across the pair.
+        step: (N, 2) steps between neighbouring pixel centres in normalised device coordinates: first along the pair,
+            then across the pair. The step along the pair goes from the owner to the other pixel, so it can be negative.
         axis: 0 for right neighbours, 1 for lower neighbours.
     """
 
@@ -76,17 +77,18 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return the coordinates (along, across, w) of the vertices (N, K), relative to the owners' centres: (N, K, 3)."""
+    """Return the clip coordinates (along, across, w) of the vertices (N, K), as (N, K, 3). The owner's centre is the
+    origin."""
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)
     return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)
 
 
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Return a linear function that is 0 on the edge from p to q.
+    """For each pair, return a linear function of the image position that is 0 on the edge from p to q.
 
-    The first result is the value (N,) of the function at the owner. The others are the decreases (N,) of the function
-    per pixel along and across the pair.
+    The first result is the value (N,) of the function at the owner. The second and third results are the decreases (N,)
+    of the function per pixel, along the pair and across the pair.
     """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
@@ -95,7 +97,8 @@ def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 
 def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
-    """Return the number (0 to 2) of the owner's silhouette edge that crosses each pair, or -1 if there is none."""
+    """For each pair, return the number (0 to 2) of the edge of the owner's triangle that is a silhouette and crosses
+    the pair, or -1 if there is no such edge."""
     seen = see(pairs, clip, tri.long()[pairs.triangle])
     lines = [line_of(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
     value, along, across = (torch.stack(parts, 1) for parts in zip(*lines, strict=True))
@@ -105,7 +108,7 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
     perpendicular = (along >= across) if pairs.axis == 0 else (along > across)
     crossing = value / along
     valid = perpendicular & (along > 0) & (crossing >= -TOLERANCE_PX) & (crossing <= 1 + TOLERANCE_PX)
-    # As in the kernels, the last of several edges with the same crossing is selected.
+    # If several edges have the same crossing, the last of them is selected, as in the kernels.
     nearest, edge = torch.where(valid, crossing, torch.inf).flip(1).min(1)
     edge = 2 - edge
     slack = TOLERANCE_PX * (along.abs() + across)
@@ -116,7 +119,7 @@ def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> T
 
 def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, edge: Tensor) -> Tensor:
     """Return whether each edge is a silhouette. An edge is a silhouette if it has no neighbouring triangle, or if the
-    neighbouring triangle is on the same side of the edge."""
+    neighbouring triangle lies on the same side of the edge as the triangle itself."""
     neighbour = opposite.long()[pairs.triangle, edge]
     corners = tri.long()[pairs.triangle]
     ends = corners.gather(1, torch.tensor(EDGES, device=tri.device)[edge])
@@ -128,7 +131,7 @@ def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, ed
 
 
 def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
-    """Return the determinant of p, q and r, whose sign is the side of the edge on which r lies."""
+    """Return the determinant of p, q and r. Its sign tells on which side of the edge from p to q the point r lies."""
     e, d = q - p, r - p
     x = e[:, 1] * d[:, 2] - e[:, 2] * d[:, 1]
     y = e[:, 2] * d[:, 0] - e[:, 0] * d[:, 2]

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 NO_VERTEX = -1
-"""Value that marks edges without a neighbour or with several neighbours."""
+"""Value for edges with no neighbour or with several neighbours."""
 
 
 @torch.no_grad()
@@ -15,7 +15,8 @@ def opposite_vertices(tri: Tensor) -> Tensor:
     edge.
 
     Column i belongs to the edge opposite to vertex i. The value is -1 if the edge belongs to only one triangle, or to
-    more than two triangles. The vertices of an edge may have any order. The function is not differentiable.
+    more than two triangles. Two triangles share an edge if both have its two vertices, in any order. The function is
+    not differentiable.
 
     Args:
         tri: (T, 3) int32 vertex indices.

@@ -12,7 +12,7 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
 def blend_logits(point: Tensor, samples: Tensor, weight: Tensor, out: Tensor, bias: Tensor) -> Tensor:
-    """Compute ``5 tanh((out . relu(point + weight sample) + bias) / 5)`` for every point and source view.
+    """Compute ``5 * tanh((out . relu(point + weight @ sample) + bias) / 5)`` for every point and source view.
 
     The function is the blend MLP of 4K4D (sec. 3.2). The argument ``point`` is the part of the first layer that depends
     only on the point, so it is the same for all views. Float32 inputs on the CPU use a kernel that does not store the

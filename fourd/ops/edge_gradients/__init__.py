@@ -1,1 +1,1 @@
-"""Gradients of moving visibility edges, computed without changing the image (``csrc/edge_gradients``)."""
+"""Gradients of moving visibility edges. The image itself does not change (``csrc/edge_gradients``)."""

@@ -18,10 +18,11 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 def edge_gradients(
     color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, opposite: Tensor, gradient: Tensor, threads: int
 ) -> Tensor:
-    """Compute the part of the gradient of ``pos`` that comes from moving visibility edges, in the shape of ``pos``.
+    """Compute the part of the gradient of ``pos`` that comes from moving visibility edges. The result has the shape of
+    ``pos``.
 
-    ``pos`` is (B, V, 4), or (V, 4) for all images. ``gradient`` (B, H, W, C) is the gradient of the loss with respect
-    to the image. The operator itself is not differentiable.
+    ``pos`` is (B, V, 4), or (V, 4) if all images have the same vertices. ``gradient`` (B, H, W, C) is the gradient of
+    the loss with respect to the image. The operator itself is not differentiable.
     """
     out = torch.empty_like(pos, memory_format=torch.contiguous_format)
     instanced = pos.ndim == 3
@@ -54,7 +55,7 @@ def add_edge_gradients(color: Tensor, rast: Tensor, pos: Tensor, tri: Tensor, op
 
 
 class _MovingEdges(torch.autograd.Function):
-    """The identity on ``color``. The backward pass also computes the gradient of ``pos``."""
+    """Returns ``color`` unchanged. The backward pass also computes the gradient of ``pos``."""
 
     @staticmethod
     def forward(

@@ -1,4 +1,4 @@
-"""Gradients of moving visibility edges, computed without changing the image, in plain torch."""
+"""Gradients of moving visibility edges in plain torch. The image itself does not change."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: 
 
 
 class _MovingEdges(torch.autograd.Function):
-    """The identity on ``color``.
+    """Returns ``color`` unchanged.
 
     The backward pass treats each crossing as an edge that moves between two pixel centres. If the edge moves away from
-    the owner by dt, the change dt (c_owner - c_other) appears either in the owner or in the other pixel. The gradient
-    is the mean of both cases.
+    the owner by dt, either the owner or the other pixel changes its colour by ``dt * (c_owner - c_other)``. The
+    gradient is the mean of both cases.
     """
 
     @staticmethod
@@ -62,7 +62,8 @@ def _finite(crossing: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Planes:
-    """The depths z/w of N triangles, as linear functions of the image position relative to the owners of N pairs.
+    """The depths z/w of N triangles, one for each pair. Each depth is a linear function of the image position, and the
+    centre of the pair's owner is the origin.
 
     Attributes:
         contains_pair: (N,) whether the triangle contains the centres of both pixels.
@@ -97,8 +98,9 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
     """Return whether the triangles of each pair intersect between the pixel centres.
 
     The triangles of a pair intersect if both contain both pixel centres, and if the nearer triangle changes between the
-    centres. As for silhouettes, intersection lines whose angle to the segment between the centres is below 45 degrees
-    are ignored. Triangles that share an edge are not tested, because they intersect only along the edge.
+    centres. An intersection line is ignored if its angle to the segment between the centres is below 45 degrees. The
+    same rule holds for silhouette edges. Triangles that share an edge are not tested, because they intersect only along
+    the edge.
     """
     corners = tri.long()
     own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]

@@ -64,7 +64,7 @@ class HashGridShape:
 
     @property
     def entries(self) -> tuple[int, ...]:
-        """Number of stored entries of every level, which is the number of samples, but at most 2^log2_entries."""
+        """Number of stored entries of every level: the number of samples, limited to 2^log2_entries."""
         return tuple(min((side + 1) ** 3, 2**self.log2_entries) for side in self.resolutions)
 
     @property

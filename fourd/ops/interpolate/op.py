@@ -20,7 +20,7 @@ def interpolate_attributes(
     attr: Tensor, rast: Tensor, tri: Tensor, rast_db: Tensor | None, diff: Sequence[int], threads: int
 ) -> tuple[Tensor, Tensor]:
     """Interpolate attr (B or 1, V, C). Return the values (B, H, W, C), and the derivatives (B, H, W, 2 * len(diff)) of
-    the channels ``diff``. ``rast_db`` may be None if ``diff`` is empty."""
+    the channels ``diff`` along the image's x and y axes. ``rast_db`` may be None if ``diff`` is empty."""
     out, out_da = _empty_images(attr, rast, diff)
     if uses_gpu_kernels(attr):
         gpu = load_gpu(attr.device)

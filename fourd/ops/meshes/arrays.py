@@ -15,17 +15,17 @@ def draw_attributes(
     size: tuple[int, int],
     threads: int = 0,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """Interpolate vertex attributes with correct perspective at the nearest triangle of each pixel centre.
+    """For each pixel centre, interpolate the vertex attributes of the nearest triangle, with correct perspective.
 
     Args:
         positions: (V, 4) clip coordinates.
-        triangles: (T, 3) vertex indices. The caller must check that all are from 0 to V - 1.
+        triangles: (T, 3) vertex indices. The caller must check that all indices are from 0 to V - 1.
         attributes: (V, C).
         size: (height, width) of the image in pixels, each 1 to 32768.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
     Returns:
-        values (H, W, C), 0 where there is no triangle, and whether each pixel has a triangle (H, W).
+        the values (H, W, C), and a mask (H, W) of the pixels that have a triangle. The values of other pixels are 0.
 
     Raises:
         ImportError: if the native module is not built.

@@ -13,7 +13,8 @@ Backend = Literal["auto", "reference", "cpu", "cuda"]
 
 
 def select_backend(backend: str, name: str, value: Tensor) -> Literal["reference", "native"]:
-    """Return whether ``backend`` selects the reference or the kernels of the tensors' device.
+    """Return "reference" if ``backend`` selects the reference, or "native" if it selects the kernels of the tensors'
+    device.
 
     Args:
         backend: "reference" for plain torch on any device (float32 or float64), "cpu" or "cuda" for the float32

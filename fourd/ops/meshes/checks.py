@@ -11,10 +11,10 @@ MAX_SIDE_PX = 2**15
 """Maximum width or height of an image. The subpixel positions in larger images would overflow the kernels' integers."""
 
 ALL_LAYERS = 2**20
-"""Maximum number of composited triangles per pixel that stands for "all triangles"."""
+"""If the maximum number of composited triangles per pixel has this value, all triangles are composited."""
 
 Axis = int | str
-"""The size of an axis, or the letter of an axis of any size."""
+"""The size of an axis, or a letter that stands for any size."""
 
 
 def check_tensor(
@@ -30,15 +30,15 @@ def check_tensor(
     Args:
         name: name of the argument, for the error message.
         value: the argument. Its values are not checked.
-        shape: expected shape. A letter is an axis of any size, also 0. Axes with the same letter may have different
+        shape: expected shape. A letter stands for any size, including 0. Axes with the same letter may have different
             sizes.
-        like: name and value of another argument. ``value`` must be on the device of this other argument, and must have
-            its dtype if the dtype is floating-point.
-        dtypes: accepted dtypes. The dtypes are ignored if ``like`` has a floating-point dtype.
+        like: name and value of another argument. ``value`` must be on the same device as this argument. If this
+            argument has a floating-point dtype, ``value`` must have the same dtype.
+        dtypes: accepted dtypes. They are ignored if the argument ``like`` has a floating-point dtype.
 
     Raises:
         TypeError: for a wrong type or dtype.
-        ValueError: for a wrong shape or device. The message names the argument, the expected and the found value.
+        ValueError: for a wrong shape or device. The message names the argument, the expected value and the found value.
     """
     if not isinstance(value, Tensor):
         raise TypeError(f"{name}: expected a torch.Tensor, got {type(value).__name__}")

@@ -1,6 +1,6 @@
 """The pixel filter's CPU kernel, for 8-bit NumPy images.
 
-Points are composited at the centres of pixels, so that contours of points are ragged. The pixel filter makes contours
+Points are composited at the centres of pixels, so the contours of points are ragged. The pixel filter makes contours
 smooth: each pixel becomes a weighted mean of 3 x 3 pixels.
 """
 
@@ -16,10 +16,10 @@ from fourd.ops.points.validation import check_canvas
 def filter_pixels(
     image: NDArray[np.uint8], side: float, *, threads: int = 0, out: NDArray[np.uint8] | None = None
 ) -> NDArray[np.uint8]:
-    """Filter an image with the weights ``side``, 1 - 2 ``side`` and ``side`` along rows and along columns.
+    """Filter an image with the weights ``(side, 1 - 2 * side, side)`` along rows and along columns.
 
-    Pixels outside the image equal the nearest pixel of the image. Each byte of the result differs by at most 1 from the
-    rounded result of :func:`fourd.ops.pixel_filter.reference.filter_pixels_reference`.
+    The filter treats a pixel outside the image as a copy of the nearest pixel of the image. Each byte of the result
+    differs by at most 1 from the rounded result of :func:`fourd.ops.pixel_filter.reference.filter_pixels_reference`.
 
     Args:
         image: C-contiguous (H, W, 4) uint8 image.

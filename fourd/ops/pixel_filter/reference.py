@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 
 
 def filter_pixels_reference(image: NDArray[np.float32], side: float) -> NDArray[np.float32]:
-    """Filter an image (H, W) or (H, W, C) with the weights ``side``, 1 - 2 ``side`` and ``side`` along rows and
-    columns.
+    """Filter an image (H, W) or (H, W, C) with the weights ``(side, 1 - 2 * side, side)`` along rows and columns.
 
-    Pixels outside the image equal the nearest pixel of the image. The result has the shape of ``image``.
+    The filter treats a pixel outside the image as a copy of the nearest pixel of the image. The result has the shape of
+    ``image``.
     """
     if side == 0 or image.size == 0:
         return image

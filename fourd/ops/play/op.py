@@ -61,8 +61,8 @@ class PointPlayer:
             sh, blend_weights, rgb, shading: inputs of :func:`fourd.ops.shade.op.shade_points`.
             camera: a pinhole camera without lens distortion.
             layers: maximum number of points that a pixel composites.
-            near: camera depth below which points are culled, in world units.
-            background: red, green and blue behind the points, in [0, 1].
+            near: points with a camera depth below this number of world units are culled. background: red, green and
+                blue behind the points, in [0, 1].
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
             out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
 
@@ -118,9 +118,9 @@ class PointPlayer:
             normals: (N, 2) uint8 octahedral normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
             persistence: weight of the previous picture, at least 0 and below 1. Before the call, ``out`` contains the
                 depths and normals of the previous picture. The previous values are used only at pixels where the
-                inverse depths of both pictures differ by at most 2%, and the normals by at most 37 degrees. Use 0 for
-                the first picture from a camera.
-            out: the surface to draw into, whose size is that of ``camera``.
+                inverse depths of the two pictures differ by at most 2% and their normals differ by at most 37 degrees.
+                Use 0 for the first picture from a camera.
+            out: the surface to draw into. It must have the image size of ``camera``.
 
         The other arguments and the errors are those of :meth:`draw`.
         """
@@ -181,7 +181,7 @@ class PointSorter:
             radius: (N,) finite radii, world units.
             density: (N,) opacities at the centre, in [0, 1].
             camera: a pinhole camera without lens distortion.
-            near: camera depth below which points are culled, in world units, above 0.
+            near: points with a camera depth below this number of world units are culled. Above 0.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
         Raises:

@@ -31,7 +31,8 @@ class Splats(NamedTuple):
 
 
 class Layers(NamedTuple):
-    """Indices of the splats that each of P pixels composites in its K depth layers, (P, K), nearest first.
+    """For each of P pixels, the indices (P, K) of the splats that the pixel composites in its K depth layers, nearest
+    first.
 
     A pixel may have fewer than K splats. In the unused layers of such a pixel, ``valid`` is False and ``splat`` is 0.
     """
@@ -132,9 +133,9 @@ def _composite(
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
-    # Depths are averaged relative to the nearest depth, which is a constant in autograd and changes neither the mean
-    # nor its gradient. In pixels with one layer, subtracting the nearest depth avoids a rounding error that division by
-    # a small weight would amplify.
+    # The mean depth is computed from differences to the nearest depth. The nearest depth is a constant in autograd and
+    # changes neither the mean nor its gradient. In pixels with one layer, this subtraction avoids a rounding error,
+    # which the division by a small weight would amplify.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

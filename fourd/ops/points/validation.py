@@ -112,7 +112,8 @@ def check_camera(camera: Camera) -> None:
 
 
 def check_canvas(out: Any, shape: tuple[int, int, int], is_contiguous: bool) -> None:
-    """Raise a ValueError unless ``out``, an array or tensor to draw an image into, is contiguous uint8 of ``shape``."""
+    """Raise a ValueError unless the array or tensor ``out`` is contiguous and has the dtype uint8 and the shape
+    ``shape``."""
     if tuple(out.shape) != shape or str(out.dtype) not in ("uint8", "torch.uint8") or not is_contiguous:
         raise ValueError(
             f"out: expected contiguous uint8 of shape {shape}, got {out.dtype} of shape {tuple(out.shape)}"

@@ -22,7 +22,8 @@ Corner = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Pieces:
-    """Triangles with positive area and integer vertices. A clipped triangle can have several pieces.
+    """Pieces of triangles. Each piece is a triangle with positive area and integer vertices. A triangle that is not
+    clipped has at most one piece. Clipping can produce several pieces.
 
     Attributes:
         corners: (P, 3, 2) int64 x and y of the vertices, in units of 1/256 pixel.
@@ -37,12 +38,12 @@ class Pieces:
 
 
 def cut_triangles(pos: Tensor, tri: Tensor, first: int, height: int, width: int) -> Pieces:
-    """Clip and round the triangles of an image, and drop those that cover no pixel.
+    """Clip the triangles of an image, round their vertices to 1/256 pixel, and drop the pieces that cover no pixel.
 
     Args:
         pos: (V, 4) float32 clip coordinates.
         tri: (T, 3) vertices.
-        first: index of the first triangle of ``tri``.
+        first: index that the first triangle of ``tri`` has in the whole mesh.
         height, width: size of the image in pixels.
     """
     corners, triangles, references = [], [], []
@@ -83,7 +84,8 @@ def covered(pieces: Pieces, height: int, width: int) -> Tensor:
 
 
 def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list[list[int]], bool]:
-    """Return the rounded corners of the triangle inside the guard band, and whether the triangle was clipped."""
+    """Clip a triangle at the guard band. Return the rounded corners of the clipped polygon, and whether the triangle
+    was clipped."""
     guard_x, guard_y = _guard(width), _guard(height)
     x, y, w = (points[:, axis].astype(np.float64) for axis in (0, 1, 3))
     is_inside = (w > 0) & (np.abs(x) <= guard_x * w) & (np.abs(y) <= guard_y * w)
@@ -96,8 +98,8 @@ def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list
 
 
 def _guard(side: int) -> int:
-    """Return the size of the guard band as a multiple of the image's size of ``side`` pixels. The multiple is a power
-    of two.
+    """Return the size of the guard band, divided by the size ``side`` of the image (both in pixels). The result is a
+    power of two.
 
     The guard band ends within 2^16 pixels of the image's centre.
     """
@@ -143,7 +145,8 @@ def _area(piece: list[list[int]]) -> int:
 
 
 def _bounds(piece: list[list[int]], width: int, height: int) -> list[int] | None:
-    """Return column and row of the first pixel in the bounding box, or None if no pixel centre is inside."""
+    """Return the column and row of the first pixel whose centre is in the bounding box, or None if the box contains no
+    pixel centre."""
     first = []
     for axis, side in ((0, width), (1, height)):
         values = [corner[axis] for corner in piece]

@@ -20,10 +20,11 @@ class Planes:
     """Linear functions over the image, one row for each triangle.
 
     Attributes:
-        b: (T, 3, 3) for each vertex, the linear function weight / w, times the largest |w| of the vertices. Its three
-            numbers are the value at the reference pixel, and the slopes per pixel along x and y.
+        b: (T, 3, 3) for each vertex, the linear function ``weight / w * m``, where m is the largest |w| of the
+            triangle's vertices. The last axis contains the value at the reference pixel, and the slopes per pixel along
+            x and y.
         depth: (T, 3) z/w: the value at the reference pixel, and the slopes per pixel along x and y.
-        low, high: (T,) smallest and largest z/w of the vertices, to which z/w is clamped.
+        low, high: (T,) smallest and largest z/w of the vertices. The depth is clamped to this range.
         reference: (T, 2) column and row of the reference pixel.
         is_valid: (T,) whether the triangle is not degenerate.
     """
@@ -95,7 +96,8 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
     """Compute the linear functions of triangles in float64, and round them to the dtype of ``pos``.
 
     Let M be the matrix with the columns (x, y, w) of the vertices, and f a pixel centre in normalised device
-    coordinates. Then element k of b = M^-1 (f_x, f_y, 1) is the weight of vertex k divided by w (Olano and Greer 1997).
+    coordinates. Then element k of b = M^-1 @ (f_x, f_y, 1) is the weight of vertex k divided by w (Olano and Greer
+    1997).
 
     Args:
         pos: (V, 4) clip coordinates.
@@ -126,7 +128,8 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
 
 
 def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tuple[int, int]) -> tuple[Tensor, Tensor]:
-    """Return the index (H, W) of the nearest piece at each pixel, or -1 without a piece, and the depths (H, W)."""
+    """For each pixel, return the index (H, W) and the depth (H, W) of the nearest piece. The index is -1 where there is
+    no piece."""
     height, width = size
     best = torch.full(size, -1, dtype=torch.int64)
     best_depth = torch.full(size, torch.inf, dtype=planes.depth.dtype)
@@ -148,10 +151,10 @@ def _nearest(pieces: Pieces, planes: Planes, previous: Tensor | None, size: tupl
 
 
 def _is_behind(depth: Tensor, triangle: int, previous: Tensor) -> Tensor:
-    """Return a mask of the pixels at which a triangle comes after the triangle of the previous layer, by depth and then
-    by index.
+    """Return a mask of the pixels at which a triangle comes after the triangle of the previous layer. Triangles are
+    ordered by depth, and triangles of equal depth are ordered by index.
 
-    No triangle comes after the background.
+    The mask is False where the previous layer shows the background.
     """
     before, before_id = previous[..., 2], decode_ids(previous[..., 3])
     is_after = (depth > before) | ((depth == before) & (triangle > before_id))
@@ -175,5 +178,5 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
 
 
 def _dot(a: Tensor, b: Tensor) -> Tensor:
-    """Return the dot product of the last axis, summed from the first element to the last."""
+    """Return the dot product over the last axis. The terms are added from the first element to the last."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1] + a[..., 2] * b[..., 2]

@@ -16,7 +16,7 @@ class DiscTree:
     """An immutable tree of boxes over N discs. Several threads may use one tree.
 
     Attributes:
-        nodes, blocks: records of the tree as rows of float32, views of the structs in csrc/rays/discs.h.
+        nodes, blocks: the tree. Each row has the bytes of one struct of csrc/rays/discs.h, viewed as float32.
         magnitude: largest absolute coordinate of the discs, in world units.
     """
 
@@ -59,18 +59,19 @@ class DiscTree:
         layers: int = 12,
         threads: int = 0,
     ) -> Array:
-        """Composite the K nearest discs of each ray, front to back, in the order of (t, index).
+        """Composite the K nearest discs of each ray, front to back. Discs with equal t are composited in the order of
+        their indices.
 
         The alpha of a disc at the distance d from its centre is density * (1 - d^2 / radius^2).
 
         Args:
             colours: (N, 3) float32 colours of the discs.
-            origins, directions: (R, 3) float32. A point on a ray is ``origin + t * direction``. A ray with a direction
-                of zero, or with a number that is not finite, hits nothing.
+            origins, directions: (R, 3) float32. A point on a ray is ``origin + t * direction``. A ray hits nothing if
+                its direction is zero, or if a coordinate of its origin or direction is not finite.
             facing: (3,) float32 normal of all discs, for example the viewing direction of a pinhole camera. If
                 ``facing`` is None, each disc faces the ray.
-            t_min, t_max: hits have t in [t_min, t_max]. ``t_max`` is one number, or an array (R,) float32 with one
-                number for each ray.
+            t_min, t_max: only hits with t in [t_min, t_max] count. ``t_max`` is one number, or an array (R,) float32
+                with one number for each ray.
             layers: number K, from 1 to 64.
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores.
 

@@ -22,15 +22,15 @@ def build_tree(xyz: Tensor, tri: Tensor, threads: int) -> tuple[Tensor, Tensor, 
 
     Returns:
         nodes (N, 64) and blocks (B, 80) on the device of ``xyz``, and the largest absolute coordinate of the triangles.
-        Nodes and blocks are float32 views of the structs in csrc/rays/rays.h.
+        Each row of the nodes and blocks has the bytes of one struct of csrc/rays/rays.h, viewed as float32.
     """
     nodes, blocks, magnitude = load_native().build_rays(as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads))
     return torch.from_numpy(nodes).to(xyz.device), torch.from_numpy(blocks).to(xyz.device), magnitude
 
 
 def refit_tree(xyz: Tensor, tri: Tensor, nodes: Tensor, blocks: Tensor, threads: int) -> tuple[Tensor, Tensor, float]:
-    """Return copies of ``nodes`` and ``blocks`` whose triangles have the positions ``xyz``, and the largest absolute
-    coordinate."""
+    """Copy ``nodes`` and ``blocks``, and move their triangles to the positions ``xyz``. Return the copies and the
+    largest absolute coordinate."""
     moved_nodes, moved_blocks = nodes.cpu().clone(), blocks.cpu().clone()
     magnitude = load_native().refit_rays(
         as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads), moved_nodes.numpy(), moved_blocks.numpy()
@@ -39,7 +39,7 @@ def refit_tree(xyz: Tensor, tri: Tensor, nodes: Tensor, blocks: Tensor, threads:
 
 
 def tree_cost(nodes: Tensor, blocks: Tensor) -> float:
-    """Return the expected number of boxes that are hit by a random ray that hits the root's box."""
+    """For a random ray that hits the root's box, return the expected number of boxes that the ray hits."""
     return load_native().rays_cost(as_array(nodes.cpu()), as_array(blocks.cpu()))
 
 

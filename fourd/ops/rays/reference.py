@@ -56,7 +56,7 @@ def trace_rays_reference(
 
 
 def _intersect(corners: Tensor, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor) -> Tensor:
-    """Return t (R, T) of rays and triangles, NaN where there is no hit."""
+    """For each ray and triangle, return t (R, T). It is NaN where there is no hit."""
     valid_triangle = (corners.abs() <= MAX_MAGNITUDE).flatten(1).all(1)
     kept = corners[valid_triangle]
     magnitude = kept.abs().max() if len(kept) > 0 else corners.new_zeros(())
@@ -75,7 +75,7 @@ def _intersect(corners: Tensor, origins: Tensor, directions: Tensor, t_min: Tens
 
 
 def _woop(corners: Tensor, origins: Tensor, scaled: Tensor, axis: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return t and the three weights, not normalised, each (R, T)."""
+    """Return t and the three barycentric weights before normalization, each (R, T)."""
     z = axis
     is_negative = scaled.gather(1, z[:, None])[:, 0] < 0
     x = torch.where(is_negative, (z + 2) % 3, (z + 1) % 3)
@@ -86,7 +86,7 @@ def _woop(corners: Tensor, origins: Tensor, scaled: Tensor, axis: Tensor) -> tup
     for k in range(3):
         moved = [
             corners[:, k].T[each] - origins.gather(1, each[:, None]) for each in (x, y, z)
-        ]  # (R, T) along each permuted axis.
+        ]  # One (R, T) tensor for each permuted axis.
         planar.append((moved[0] - shear_x * moved[2], moved[1] - shear_y * moved[2]))
         depths.append(moved[2])
     (ax, ay), (bx, by), (cx, cy) = planar
@@ -102,7 +102,8 @@ def _woop(corners: Tensor, origins: Tensor, scaled: Tensor, axis: Tensor) -> tup
 
 
 def _box_interval(corners: Tensor, origins: Tensor, scaled: Tensor, magnitude: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the first and last t (R, T) of the rays in the padded boxes of the triangles."""
+    """For each ray and triangle, return the first and the last t (R, T) at which the ray is in the triangle's padded
+    box."""
     farthest = torch.maximum(origins.abs().amax(1), magnitude)
     share = torch.full_like(scaled, MIN_DIRECTION)
     at_least = torch.where(scaled < 0, torch.minimum(scaled, -share), torch.maximum(scaled, share))
@@ -123,7 +124,7 @@ def _box_interval(corners: Tensor, origins: Tensor, scaled: Tensor, magnitude: T
 def _with_weights(
     xyz: Tensor, tri: Tensor, origins: Tensor, directions: Tensor, t: Tensor, triangle: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return t, u, v and the triangle of each hit, where origin + t direction = u a + v b + (1 - u - v) c."""
+    """Return t, u, v and the triangle of each hit: ``origin + t * direction = u * a + v * b + (1 - u - v) * c``."""
     ray, layer = (triangle >= 0).nonzero(as_tuple=True)
     a, b, c = xyz[tri.long()[triangle[ray, layer].long()]].unbind(1)
     d, p, q = -directions[ray], a - c, b - c

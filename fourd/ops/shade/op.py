@@ -21,9 +21,9 @@ def shade_points(
     """Blend the colours of the selected source views and add spherical harmonics (4K4D, sec. 3.2).
 
     Let d be the unit vector from the camera to the point, and Y(d) the 16 spherical harmonics in direction d. The
-    colour is ``sum_v f_v w_v rgb_v / sum_v f_v w_v + sh_base + sh_range * tanh(sh . Y(d))``. The sums are over the
-    views v in ``shading.views``, with blend weights w_v and view weights f_v. If all blend weights w_v of a point are
-    0, f_v replaces f_v w_v.
+    colour is ``sum_v(f_v * w_v * rgb_v) / sum_v(f_v * w_v) + sh_base + sh_range * tanh(sh . Y(d))``. The sums are over
+    the views v in ``shading.views``, with blend weights w_v and view weights f_v. If all blend weights w_v of a point
+    are 0, f_v replaces the product f_v * w_v.
 
     Args:
         xyz: (N, 3) positions, world units.

@@ -42,9 +42,9 @@ def sh_basis(directions: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _normalize(blend_weights: NDArray[np.float32], view_weights: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Weights (N, V): blend weights (N, V) times view weights (V,), with each row scaled to a sum of 1.
+    """Multiply blend weights (N, V) by view weights (V,), and scale each row of the result (N, V) so that its sum is 1.
 
-    A row of zeros is replaced by the view weights, scaled to a sum of 1.
+    If a row contains only zeros, the scaled view weights replace it.
     """
     weights = blend_weights * view_weights
     total = weights.sum(axis=1, keepdims=True)

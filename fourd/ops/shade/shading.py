@@ -15,11 +15,11 @@ class Shading:
     Attributes:
         views: (N',) int32 indices of the source views to blend. The array is empty if colours come only from spherical
             harmonics.
-        view_weights: (N',) float32 factors in [0, 1] on the views' blend weights. At least one factor is above 0.
-            C-contiguous.
+        view_weights: (N',) float32 factors in [0, 1] by which the views' blend weights are multiplied. At least one
+            factor is above 0. C-contiguous.
         centre: (3,) float64 position of the viewing camera in the world, C-contiguous.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
-            are the spherical harmonics in viewing direction d.
+            are the spherical harmonics at the viewing direction d.
     """
 
     views: NDArray[np.int32]

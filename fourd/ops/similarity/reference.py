@@ -47,7 +47,7 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
 
 
 def check_image_pair(prediction: Tensor, target: Tensor) -> None:
-    """Check that two images have the same shape and floating-point values. Raises ValueError."""
+    """Check that two images have the same shape, and that both have a floating-point dtype. Raises ValueError."""
     if prediction.shape != target.shape:
         got = tuple(target.shape)
         raise ValueError(f"target: expected the prediction's shape {tuple(prediction.shape)}, got {got}")

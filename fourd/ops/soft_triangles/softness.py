@@ -13,7 +13,7 @@ class Softness:
         barycentric: whether distances are barycentric coordinates instead of Euclidean distances.
         sigma: width of the edges, as a squared distance.
         gamma: temperature of the depth softmax.
-        cutoff: coverage D below which a triangle is skipped at a pixel, in (0, 0.5).
+        cutoff: a triangle is skipped at pixels where its coverage D is below this number. In (0, 0.5).
         near, far: range of camera depths, in world units.
         eps: normalised depth of the background, from 0 at ``far`` to 1 at ``near``.
     """

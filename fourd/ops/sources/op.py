@@ -184,7 +184,8 @@ def _optional_array(tensor: Tensor | None) -> Any:
 
 
 def _channels_last(features: Tensor | None) -> Tensor | None:
-    """View features (V, C, h, w) as (V, h, w, C), the memory order of torch's channels_last format."""
+    """Return a view (V, h, w, C) of the features (V, C, h, w). This is the memory order of torch's channels_last
+    format."""
     return None if features is None else features.permute(0, 2, 3, 1)
 
 

@@ -16,8 +16,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 from fourd.ops.splat_triangles import cuda as gpu
 
 GEOMETRY_CHANNELS = 4
-"""Number of channels of the normal (3) and the camera depth (1), which are the last channels of the features if
-geometry is rendered."""
+"""Number of channels for geometry: three for the normal and one for the camera depth. If geometry is rendered, these
+are the last channels of the features."""
 
 Render = tuple[Tensor, Tensor, Tensor, Tensor, Tensor, Tensor]
 

@@ -20,12 +20,13 @@ SMALLEST_WINDOW = 1e-7
 THINNEST_PX = 1e-4
 FARTHEST_PX = 2.0**24
 CHUNK = 1 << 21
-"""Maximum product of the number of pixels and the number of triangles per chunk, which limits memory."""
+"""Maximum product of the number of pixels and the number of triangles per chunk. The maximum limits memory."""
 
 
 class Projected(NamedTuple):
-    """M triangles projected to the image. Each has the incentre (x, y), the slopes (M, 3) of the three scaled edge
-    distances, and the value of the window (M,) at which alpha is 1/255."""
+    """M triangles projected to the image. A triangle has the incentre (``x``, ``y``). ``slope_x`` and ``slope_y``
+    (M, 3) are the slopes of the three scaled edge distances. ``smallest`` is the value of the window at which alpha is
+    1/255."""
 
     x: Tensor
     y: Tensor
@@ -99,7 +100,7 @@ def triangles_in_range(corners: Tensor, near: float) -> Tensor:
 
 
 def edges_of(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return x, y and length of the edges (M, 3), and the doubled signed area (M,). Edge k runs from vertex k + 1 to
+    """Return x, y and the length of the edges (M, 3), and twice the signed area (M,). Edge k runs from vertex k + 1 to
     vertex k + 2."""
     x = u[:, [2, 0, 1]] - u[:, [1, 2, 0]]
     y = v[:, [2, 0, 1]] - v[:, [1, 2, 0]]
@@ -122,7 +123,7 @@ def _project(corners: Tensor, opacity: Tensor, sigma: Tensor) -> Projected:
 
 
 def pixel_centres(camera: Camera, like: Tensor) -> Tensor:
-    """Return the pixel centres (H W, 2), row by row."""
+    """Return the pixel centres (H * W, 2), row by row."""
     rows = torch.arange(camera.height, dtype=like.dtype, device=like.device) + 0.5
     columns = torch.arange(camera.width, dtype=like.dtype, device=like.device) + 0.5
     return torch.stack(torch.meshgrid(columns, rows, indexing="xy"), dim=-1).reshape(-1, 2)

@@ -22,10 +22,10 @@ def stylize_surface(
     Args:
         surface: the visible surface, in C-contiguous arrays.
         parameters: the style for the surface's camera.
-        line_state: (H, W) uint32 lines of the previous picture from the same camera, or None. The function overwrites
-            the array with the lines of the new picture. The lowest byte of an element is the strength of the line. The
-            upper 16 bits of an element are the upper 16 bits of a float32: the sum of the inverse depths at the nine
-            taps of the line filter. For the first picture from a camera, pass zeros.
+        line_state: (H, W) uint32 state of the lines of the previous picture from the same camera, or None. The function
+            overwrites the array with the state of the new picture. The lowest byte of an element is the strength of the
+            line. The upper 16 bits of an element are the upper 16 bits of a float32: the sum of the inverse depths at
+            the nine taps of the line filter. For the first picture from a camera, pass zeros.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
         out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
 

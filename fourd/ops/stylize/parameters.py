@@ -4,24 +4,24 @@ A pixel has the albedo F (colour / alpha), the coverage s, the unit normal N and
 vector towards the camera, and L is the unit vector towards the light. The stylizer computes these quantities:
 
 - The closed surface. Points leave gaps through which a farther surface is visible. A pixel in a gap of up to five
-  pixels lies between two surfaces that are nearer than its own surface. The gap's pixel gets the farther one of the two
-  surfaces.
-- The tone t = (1 + N.L) / 2 and the detail d. The detail is N.V, clamp(o + p z) or clamp(\\|o + p z\\|).
-- The colour C = S(t, d) (a + b F) + c F, where S is the shade table. Toon styles have a = 0, b = 1.5 and c = 0. X-Toon
-  styles (Barla et al. 2006) also use d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from the
-  cool colour to the warm colour. Where N.V is below a threshold, C is mixed with the angle colour.
-- Hatching with two layers of parallel lines. The lines widen where the square root of t times the grey value of F is
-  low.
+  pixels lies between two surfaces that are nearer than its own surface. The pixel is filled with the farther one of
+  these two surfaces.
+- The tone t = (1 + N.L) / 2 and the detail d. The detail is N.V, clamp(o + p * z) or clamp(\\|o + p * z\\|).
+- The colour C = S(t, d) * (a + b * F) + c * F, where S is the shade table. Toon styles have a = 0, b = 1.5 and c = 0.
+  X-Toon styles (Barla et al. 2006) also use d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from
+  the cool colour to the warm colour. Where N.V is below a threshold, C is mixed with the angle colour.
+- Hatching with two layers of parallel lines. The lines widen where sqrt(t * g) is low, where g is the grey value of F.
 - Lines of strength e. A Sobel filter or a cross filter on 1 / z and on the cosines between normals finds the lines
   (Saito and Takahashi 1990). If the state of the previous picture is given, lines fade in where the surface is at rest:
-  a line that becomes stronger gets the strength e + p (e_before - e). The surface is at rest where the sum of the
-  inverse depths at the filter's nine taps differs by at most 3% between the two pictures.
+  a line that becomes stronger gets the strength e + p * (e_before - e). To find where the surface is at rest, the
+  stylizer adds the inverse depths at the filter's nine taps. At rest, this sum differs by at most 3% between the two
+  pictures.
 - Lines near holes. The back of a surface is visible only through holes in the points. Because depths around holes are
   irregular, a line is removed if a tap of the filter shows the back of a surface. The line stays if another tap shows
   no surface.
-- Specks. A line is not drawn if it ends close to the pixel. A line is drawn only if it continues on the sides of
-  squares around the pixel, with at least the strength LEAST_STRENGTH. The sides of the squares are 2, 4, 8, ..., 2 r
-  pixels long (``speck_reach``). Specks stay in the state for the next picture.
+- Specks. Very short lines are not drawn. The line at a pixel is drawn only if lines of at least the strength
+  LEAST_STRENGTH cross the sides of every square around the pixel. The sides of the squares are 2, 4, 8, ..., 2 * r
+  pixels long, where r is the result of ``speck_reach``. Specks stay in the state for the next picture.
 - The picture. C is composited over the paper with opacity s, and the line colour is composited with opacity e.
 
 The inverse depth 1 / z of a plane is a linear function of the pixel. The cross filter therefore draws no lines on
@@ -43,29 +43,30 @@ TONES = 256
 MAX_ROWS = 64
 """Maximum number of rows of a shade table."""
 GAP = 3
-"""Maximum distance in pixels from a filled pixel in a gap to the surfaces on both sides."""
+"""A pixel in a gap is filled if both surfaces beside the gap are at most this number of pixels away."""
 MAX_THICKNESS = 8
 """Maximum number of pixels between the taps of a line filter."""
 
 SAME_TAPS = 0.03
-"""Maximum relative difference, between two pictures, of the sum of a line filter's taps on a surface at rest."""
+"""A surface is at rest if the sum of the line filter's taps changes by at most this share between two pictures."""
 
 BACK_WEIGHT = 0.1
-"""Weight in a visible surface of points whose normals face away from the camera. Other points have the weight 1."""
+"""Weight of points whose normals face away from the camera, in the depth and the normal of a visible surface. Points
+whose normals face the camera have the weight 1."""
 FRONT_SLOPE = 8.0
-"""Slope of the fade of lines near the backs of surfaces. Let m be the largest dot product of a tap's normal and the
+"""Slope with which lines fade near the backs of surfaces. Let m be the largest dot product of a tap's normal and the
 pixel's ray. A line has full strength at m = 0 and strength 0 at m = 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:
-    """Half of the side in pixels of the largest square around a pixel to which the pixel's line must reach. Shorter
-    lines are specks. The result is the largest power of 2 that is at most 4 (``thickness`` + 1).
+    """Half of the side, in pixels, of the largest square around a pixel. If the pixel's line does not reach the sides
+    of this square, the line is a speck. The result is the largest power of 2 that is at most ``4 * (thickness + 1)``.
     """
     return 1 << (4 * (thickness + 1)).bit_length() - 1
 
 
 LEAST_STRENGTH = 32
-"""Least strength, from 0 to 255, of a line that continues other lines."""
+"""Minimum strength, from 0 to 255, at which a line on the side of a square counts in the search for specks."""
 
 
 Detail = Literal["facing", "depth", "focus"]
@@ -80,13 +81,13 @@ class Surface:
     """The visible surface of a picture.
 
     Attributes:
-        albedo: (H, W, 4) uint8: three colours multiplied by alpha, then alpha.
+        albedo: (H, W, 4) uint8: red, green and blue, each multiplied by alpha, then alpha.
         inverse_depth: (H, W) float32: coverage divided by mean camera depth, in 1 / world units. In the mean depth,
             points whose normals face away from the camera have a small weight (``front_weight`` in
-            fourd/ops/stylize/reference.py). The coverage is clamp(3 alpha - 0.5, 0, 1). The inverse depth is 0 where
+            fourd/ops/stylize/reference.py). The coverage is clamp(3 * alpha - 0.5, 0, 1). The inverse depth is 0 where
             there is no surface.
-        normal: (H, W, 4) uint8: the three bytes 127 n + 128, then 255 * coverage. n is the unit normal in the camera's
-            frame and points out of the surface. n is 0 where there is no surface.
+        normal: (H, W, 4) uint8: the three bytes 127 * n + 128, then 255 * coverage. n is the unit normal in the
+            camera's frame and points out of the surface. n is 0 where there is no surface.
     """
 
     albedo: NDArray[np.uint8]
@@ -128,21 +129,21 @@ class Numbers:
     """The numbers of a style for one camera. Lengths are in pixels, colours are in [0, 1].
 
     Attributes:
-        ray: six numbers. The ray of pixel (x, y), scaled to depth 1, is
-            (ray[0] x + ray[1] y + ray[2], ray[3] x + ray[4] y + ray[5], 1).
+        ray: six numbers. The ray of pixel (x, y), scaled to depth 1, is ``(ray[0] * x + ray[1] * y + ray[2], ray[3] * x
+            + ray[4] * y + ray[5], 1)``.
         light: unit vector towards the light in the camera's frame.
         table_alone, table_times_albedo, albedo_alone: a, b and c of the colour.
         detail_offset, detail_per_depth: o and p of the detail, p in 1 / world units.
         angle_threshold, angle_softness, angle_strength, angle_colour: the colour is mixed with angle_colour where N.V
             is below angle_threshold. The share of angle_colour changes gradually within angle_softness on both sides of
             the threshold.
-        depth_threshold: minimum relative jump of the inverse depth at a line, above 0.
-        normal_threshold: minimum change of the cosine between normals at a line, above 0.
+        depth_threshold: relative jump of the inverse depth at which a line begins, above 0.
+        normal_threshold: change of the cosine between normals at which a line begins, above 0.
         line_opacity, line_colour: opacity and colour of the strongest line.
-        hysteresis: share, at least 0 and below 1, by which the thresholds are reduced where the previous picture has a
-            line.
-        persistence: weight p, at least 0 and below 1, of the previous strength of a line that becomes stronger where
-            the surface is at rest.
+        hysteresis: where the previous picture has a line, the thresholds are multiplied by ``1 - hysteresis``. At least
+            0 and below 1.
+        persistence: weight p, at least 0 and below 1. Where the surface is at rest and a line becomes stronger, p is
+            the weight of the line's previous strength.
         hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. The first layer starts where the light is
             below hatch_levels[0]. hatch_width is the largest share of ink in a layer. With hatch_width 0, there is no
             hatching.

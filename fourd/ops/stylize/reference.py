@@ -78,9 +78,9 @@ def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Num
 
 
 def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """Remove lines (H, W) that end close to the pixel. The squares around the pixel have sides of 2, 4, 8, ..., 2
-    ``reach`` pixels. A line stays if each square has a line of at least LEAST_STRENGTH on its sides. There are no lines
-    outside the picture.
+    """Remove very short lines from the strengths (H, W). The squares around each pixel have sides of 2, 4, 8, ..., ``2
+    * reach`` pixels. The line at the pixel stays if each square has a line of at least LEAST_STRENGTH on its sides.
+    There are no lines outside the picture.
 
     A group of connected lines is a speck if it does not extend to the largest of the squares. The smaller squares
     remove specks next to other specks.
@@ -93,19 +93,20 @@ def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
 
 
 def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """Strength (H, W) of the strongest line on the square around each pixel with sides of 2 ``reach`` pixels."""
+    """For each pixel, the strength (H, W) of the strongest line on the sides of a square around the pixel. The sides
+    are ``2 * reach`` pixels long."""
     padded = np.pad(lines, reach)
     side = 2 * reach + 1
-    columns = sliding_window_view(padded, side, axis=0).max(-1)  # (H, W + 2 reach)
-    rows = sliding_window_view(padded, side, axis=1).max(-1)  # (H + 2 reach, W)
+    columns = sliding_window_view(padded, side, axis=0).max(-1)  # (H, W + 2 * reach)
+    rows = sliding_window_view(padded, side, axis=1).max(-1)  # (H + 2 * reach, W)
     sides = (columns[:, : -2 * reach], columns[:, 2 * reach :], rows[: -2 * reach], rows[2 * reach :])
     return np.maximum.reduce(sides)
 
 
 def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Weight of a point in the depth and the normal of a visible surface, for the cosine between its normal and the
-    direction to the camera. Because of the weight, the backs of surfaces have an effect only where no other points are
-    visible."""
+    """Weight of a point in the depth and the normal of a visible surface. ``cosine`` is the cosine of the angle between
+    the point's normal and the direction to the camera. Because of the weight, the backs of surfaces have an effect only
+    where no other points are visible."""
     return BACK_WEIGHT + (1 - BACK_WEIGHT) * np.clip(0.5 + 5 * cosine, 0, 1)
 
 
@@ -188,8 +189,8 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
 
 
 def _kept_lines(surface: Surface, parameters: StyleParameters) -> Image:
-    """Factor of the strength of lines. The factor is 0 where a tap shows the back of a surface, unless another tap
-    shows no surface."""
+    """Factors by which the strengths of lines are multiplied. A factor is 0 where a tap shows the back of a surface,
+    unless another tap shows no surface."""
     coverage, shift = surface.coverage, _Shift(parameters.thickness)
     normal, rays = surface.unit_normal * coverage[..., None], _rays(surface.size, parameters.numbers)
     square = [(down, right) for down in (-1, 0, 1) for right in (-1, 0, 1)]
@@ -210,7 +211,7 @@ def look_up(table: NDArray[np.uint8], tone: Image, detail: Image) -> Image:
 
 
 def hatching(light: Image, numbers: Numbers) -> Image:
-    """Share of ink in [0, 1], (H, W), for the light in [0, 1] of each pixel."""
+    """Share of ink (H, W) in [0, 1]. ``light`` is the light of each pixel, in [0, 1]."""
     height, width = light.shape
     y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
     ink = np.zeros(light.shape, np.float32)
@@ -226,7 +227,7 @@ def hatching(light: Image, numbers: Numbers) -> Image:
 
 @dataclass(frozen=True)
 class _Shift:
-    """Reads pixels that are ``thickness`` pixels away. Pixels outside the image repeat the image's border."""
+    """Shifts an image by multiples of ``thickness`` pixels. Pixels outside the image repeat the image's border."""
 
     thickness: int
 

@@ -21,9 +21,9 @@ def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]
 def build_mips(tex: Tensor, level_count: int, threads: int) -> list[Tensor]:
     """Compute levels 1 to ``level_count`` - 1 of a float32 texture (B, H, W, C) or (B, 6, H, H, C).
 
-    A texel is the mean of 2 x 2 texels of the finer level, or of 2 texels if an axis has only one texel. Sides above 1
-    must be even in all levels but the last. This function is not differentiable, because :func:`sample_texture` adds
-    the gradients of the levels to the gradient of ``tex``.
+    A texel is the mean of 2 x 2 texels of the finer level, or of 2 texels if an axis has only one texel. In all levels
+    except the last, sides longer than 1 texel must be even. This function is not differentiable, because
+    :func:`sample_texture` adds the gradients of the levels to the gradient of ``tex``.
     """
     mips = _empty_mips(tex, level_count)
     if uses_gpu_kernels(tex):
@@ -102,9 +102,9 @@ def _sample_backward(
     gradient: Tensor,
     needs: Sequence[bool],
 ) -> list[Tensor]:
-    """Compute the gradients of uv, uv_da, bias, tex and the mips. ``needs`` has one bool for each of uv, uv_da, bias
-    and the texture. Gradients that are not needed are empty tensors. If ``is_chain`` is true, the result has no
-    gradients of the mips."""
+    """Compute the gradients of uv, uv_da, bias, tex and the mips. The four bools ``needs`` tell whether the gradients
+    of uv, uv_da, bias and the texture are needed. Gradients that are not needed are empty tensors. If ``is_chain`` is
+    true, the result has no gradients of the mips."""
     out = _empty_gradients(tex, mips, uv, uv_da, bias, needs)
     to_levels = [_image(level) for level in out[3:]] if needs[3] else []
     to_pixels = [one.flatten(1, 2) if needed else None for one, needed in zip(out[:3], needs[:3], strict=True)]
@@ -180,7 +180,7 @@ sample_texture.register_autograd(_backward, setup_context=_setup)
 
 
 def _image(tex: Tensor) -> Tensor:
-    """Return a texture or a level as (items, faces, height, width, channels)."""
+    """Reshape a texture or a mip level to (items, faces, height, width, channels)."""
     return tex if tex.ndim == 5 else tex.unsqueeze(1)
 
 

@@ -80,8 +80,8 @@ def _mip_level(
 
 
 def _projected(direction: Tensor, face: Tensor, derivatives: Tensor) -> Tensor:
-    """Return the derivatives (..., 2, 2) of the position on a face. ``derivatives`` (..., 3, 2) are those of the
-    direction."""
+    """Return the derivatives (..., 2, 2) of the position on a face. ``derivatives`` (..., 3, 2) are the derivatives of
+    the direction."""
     axes = face_axes(direction)[face]
     a, b, m = (axes @ direction[..., None]).unbind(-2)
     a_d, b_d, m_d = (axes @ derivatives).unbind(-2)

@@ -18,8 +18,8 @@ def unpack_positions(
     """Return the positions (N, 3) of Morton codes.
 
     Args:
-        content: (B N,) differences of successive codes as B planes of bytes, the lowest bytes first. Sums are modulo
-            2^64.
+        content: (B * N,) differences between successive codes, as B planes of N bytes. The first plane contains the
+            lowest bytes. The differences are added modulo 2^64.
         lower: (3,) position of cell 0.
         step: side length of a cell.
         points: N.
@@ -43,7 +43,7 @@ def unpack_harmonics(
     """Return ``mean + factors @ basis`` (N, 48), rounded to float16.
 
     Args:
-        content: (2 K N,) zigzag-coded factors: the low bytes (K, N), then the high bytes (K, N).
+        content: (2 * K * N,) zigzag-coded factors: the low bytes (K, N), then the high bytes (K, N).
         basis: (K, 48) rows, multiplied by the step of the factors.
         mean: (48,) mean coefficients.
         points: N.
@@ -71,8 +71,8 @@ def unpack_views(
 
     Args:
         contents: for each view, N weight codes, then the colour levels of M points as three planes: green, red - green
-            and blue - green, modulo 256. M points have levels: the points whose code is not 0, or all points.
-        mean: (N, 3) colours to which ``colour_step`` times the signed levels are added. With a step of 1, sums are
+            and blue - green, modulo 256. The M points are the points whose code is not 0, or all points.
+        mean: (N, 3) mean colours. The signed levels times ``colour_step`` are added to them. With a step of 1, sums are
             modulo 256. With a step above 1, sums are clamped to [0, 255]. Points without levels have the mean colour.
         weights: (256,) blend weight of each code.
         colour_step: quantization step of the signed levels, from 1 to 127.

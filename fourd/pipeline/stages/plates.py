@@ -70,8 +70,8 @@ def run_plates_stage(capture: Path, run: Path, selection: DataSelection) -> Stag
 
 
 def make_run_plates(files: RunPlateFiles, selection: DataSelection, context: Context) -> None:
-    """Make clean plates of all training views, if the capture has no plate for at least one training view. Held-out
-    views are not used."""
+    """If a training view has no plate in the capture, make clean plates of all training views. Otherwise, do nothing.
+    Held-out views are not used."""
     folder = files.run / BACKGROUND
     folder.mkdir(parents=True, exist_ok=True)
     with open_run_views(files.capture, selection) as views:

@@ -75,7 +75,7 @@ def run_repair(files: RepairFiles, settings: NoSettings, context: Context) -> No
     Warnings are logged for cameras whose videos start late, and for mattes that do not belong to the images.
 
     Raises:
-        UserError: if two cameras' calibrations are exchanged, or a view is upside down.
+        UserError: if the calibrations of two cameras are swapped, or a view is upside down.
     """
     found = match_capture(files.capture, context.track)
     agreement = assess_agreement(files.capture, found)

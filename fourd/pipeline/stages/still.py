@@ -42,8 +42,8 @@ class StillFiles:
 
 @dataclass(frozen=True)
 class NoPointFiles:
-    """The folder of the capture with empty mattes, and the folder of the run, to which ``hull/`` without points is
-    written."""
+    """The folder of the capture with empty mattes, and the folder of the run. The stage writes ``hull/`` with empty
+    point files to the folder of the run."""
 
     capture: Path
     run: Path
@@ -76,7 +76,7 @@ def run_still(files: StillFiles, settings: NoSettings, context: Context) -> None
 
 
 def no_points_stage(capture: Path, run: Path, selection: DataSelection) -> Stage[NoPointFiles, DataSelection]:
-    """Create the stage that writes the frames of a run without foreground points."""
+    """Create the stage that writes an empty file of foreground points for each frame of a run."""
     return Stage(
         "points",
         run_no_points,

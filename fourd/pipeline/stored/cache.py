@@ -85,7 +85,7 @@ class Cache:
 
     def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:
         """Paths of the files and links in ``folders`` that belong to a stage. The stage wrote them in earlier
-        executions on this machine, or they were copied from the stage's manifest."""
+        executions on this machine, or they were copied to this machine because the stage's manifest lists them."""
         started = self.started(name)
         if started is None:
             return self._copied(name)

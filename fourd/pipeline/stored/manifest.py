@@ -15,8 +15,8 @@ from fourd.training.run_layout import CONFIG_NAME
 
 VERSION = 1
 LINKED = ("capture", "repaired", "still")
-"""Folders in which stages make symbolic links. Links in other folders are refused, because stages write to these
-folders."""
+"""Folders in which stages make symbolic links. Links in all other folders are refused, because stages write files to
+the other folders."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def parse_manifest(content: bytes, url: StorageUrl) -> Manifest:
 
 
 def _is_link(item: tuple[str, str]) -> bool:
-    """Whether the item, a path and a target, describes a symbolic link that a stage may make."""
+    """Whether the item (a path and a target) describes a symbolic link that a stage may make."""
     path, target = item
     parts = PurePosixPath(path).parts
     inside = is_file_name(path) and len(parts) > 1 and parts[0] in LINKED and DERIVED.name not in parts

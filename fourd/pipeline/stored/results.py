@@ -39,7 +39,7 @@ class StoredResults:
 
     @property
     def root(self) -> Path:
-        """The local copy, to which the paths of stages refer."""
+        """The folder of the local copy. Stages read and write paths in this folder."""
         return self._cache.root
 
     def source(self) -> Path:
@@ -63,8 +63,8 @@ class StoredResults:
             self._cache.copy(self._store, found, self._context.track)
 
     def execute(self, inner: Execute) -> Execute:
-        """Return a function that runs stages with ``inner``. The machines that run the stages exchange files through
-        the store."""
+        """Return a function that passes stages to ``inner``, which runs them. The machines that run the stages exchange
+        files through the store."""
 
         def run(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
             by_name = {stage.name: stage for stage in stages}

@@ -29,8 +29,8 @@ class UnitFiles:
         stage: the stage, with paths of the machine that created it.
         root: the folder of the local copy on the machine that created the stage.
         store: the folder for intermediate results.
-        source: the URL and the version of the source if it is in an object store. Otherwise, the path of the source,
-            which all nodes need.
+        source: the URL and the version of the source if the source is in an object store, and otherwise its path. All
+            nodes must be able to read this path.
         needs: name and key of each stage whose results the stage reads.
     """
 
@@ -86,7 +86,8 @@ def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None
 
 
 def fetch_source(source: FetchSettings, root: Path, track: Track) -> Path:
-    """Copy the source into the local copy. Raises UserError if the source has changed since the command started."""
+    """Copy the source into the folder of the local copy. Raises UserError if the source has changed since the command
+    started."""
     url = StorageUrl(source.url)
     if list_objects(url).version != source.version:
         raise UserError(
@@ -126,8 +127,8 @@ def _prepare(
         for leftovers in stage.leftovers:
             leftovers.remove()
     if not stage.is_parallel:
-        # A stage that is not parallel may read whole folders, so files from other settings are removed from the
-        # folders.
+        # A stage that is not parallel may read whole folders, so files that were made with other settings are removed
+        # from the folders.
         cache.remove_others({stage.name, *(need.name for need in needs)})
     if isinstance(files.source, FetchSettings):
         fetch_source(files.source, cache.root, track)

@@ -19,7 +19,7 @@ class Bvh:
     :meth:`build` creates a tree. Trees are immutable, so :meth:`refit` and :meth:`update` return new trees.
 
     Attributes:
-        xyz: (V, 3) float32 positions that the tree was built for or refitted to, without gradient.
+        xyz: (V, 3) float32 positions for which the tree was built or refitted, without gradient.
         triangles: (T, 3) int32 vertex indices.
         nodes, blocks: the native records of the tree, as rows of floats.
         magnitude: largest absolute coordinate of the triangles, in world units.
@@ -58,12 +58,12 @@ class Bvh:
 
     @property
     def cost(self) -> float:
-        """Expected number of boxes that are hit by a random ray that hits the box of the whole mesh."""
+        """Expected number of boxes that a random ray hits, if the ray hits the box of the whole mesh."""
         return tree_cost(self.nodes, self.blocks)
 
     def refit(self, xyz: Tensor, *, threads: int = 0) -> Bvh:
-        """Return a tree with the same structure for moved vertices. Hits are still exact, but tracing becomes slower if
-        triangles that were close to each other move apart.
+        """Return a tree with the same structure for moved vertices. Hits are still exact. If neighbouring triangles
+        move apart, tracing becomes slower.
 
         Args:
             xyz: (V, 3) float32 positions, with the number of vertices and the device of :attr:`xyz`.
@@ -83,15 +83,15 @@ class Bvh:
         return replace(self, xyz=positions, nodes=nodes, blocks=blocks, magnitude=magnitude)
 
     def update(self, xyz: Tensor, *, rebuild_above: float = 1.5, threads: int = 0) -> Bvh:
-        """Return a refitted tree, or a new tree if the refitted tree's cost is more than ``rebuild_above`` times the
-        cost of the tree when it was built."""
+        """Refit the tree to moved vertices, and return the refitted tree. If its cost is more than ``rebuild_above``
+        times :attr:`cost_when_built`, build and return a new tree instead."""
         refitted = self.refit(xyz, threads=threads)
         if refitted.cost <= rebuild_above * self.cost_when_built:
             return refitted
         return Bvh.build(xyz, self.triangles, threads=threads)
 
     def require_positions(self, xyz: Tensor) -> None:
-        """Raise ValueError unless ``xyz`` has the values of the positions that the tree was refitted to."""
+        """Raise ValueError unless ``xyz`` equals the positions for which the tree was built or refitted."""
         # Bits are compared, because positions may be NaN.
         given = xyz.detach().to(self.xyz.dtype).contiguous()
         is_same = xyz.shape == self.xyz.shape and xyz.device == self.xyz.device

@@ -50,10 +50,11 @@ def splat_along_rays(
     """Composite soft triangles front to back along rays, as UTrice does (Li et al. 2025), with the window of triangle
     splatting (Held et al. 2025).
 
-    Let a_k = b_k P / l_k, where b_k is the barycentric weight of vertex k at the hit, P the perimeter of the triangle,
-    and l_k the length of the edge opposite to vertex k. The window is min(a_0, a_1, a_2)^sigma: 1 at the incentre and 0
-    at the edges. The alpha of a triangle is min(0.99, opacity * window). Triangles with an alpha of at least 1/255 are
-    composited in the order of (t, index), until the transmittance is at most 1e-4.
+    Let a_k = b_k * P / l_k, where b_k is the barycentric weight of vertex k at the hit, P the perimeter of the
+    triangle, and l_k the length of the edge opposite to vertex k. The window is min(a_0, a_1, a_2)^sigma: 1 at the
+    incentre and 0 at the edges. The alpha of a triangle is min(0.99, opacity * window). Triangles with an alpha of at
+    least 1/255 are composited in ascending order of t, and in the order of their indices at equal t. Compositing stops
+    when the transmittance is at most 1e-4.
 
     Without ``camera``, edge lengths and barycentric weights are computed in space. With ``camera``, edge lengths and
     barycentric weights are computed in the image of the camera. Rays through the camera's pixel centres then give the
@@ -67,7 +68,7 @@ def splat_along_rays(
         opacity: (T,) float32 opacity at the incentre.
         sigma: (T,) float32 exponent of the window, above 0.
         camera: camera whose image defines the window, or None.
-        t_min: hits with t below ``t_min`` are skipped. The point at t is origin + t direction.
+        t_min: hits with t below ``t_min`` are skipped. The point at t is ``origin + t * direction``.
         layers: maximum number of triangles that are composited along a ray, or None for no limit.
         origins, directions, backend, threads: as in :func:`fourd.raster.rays.trace`.
 
@@ -95,7 +96,7 @@ def splat_along_rays(
 
 
 class _Window:
-    """The window of triangles at barycentric weights, in space or in the image of a camera."""
+    """Computes the windows of triangles from barycentric weights, either in space or in the image of a camera."""
 
     def __init__(self, corners: Tensor, camera: Camera | None) -> None:
         if camera is None:
@@ -129,7 +130,7 @@ def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Soup:
-    """All triangles: features (T, C), opacity and sigma (T,), and windows."""
+    """The attributes of all triangles: features (T, C), opacity (T,), sigma (T,) and windows."""
 
     features: Tensor
     opacity: Tensor

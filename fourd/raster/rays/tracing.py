@@ -18,10 +18,11 @@ MAX_RAYS = 2**31 - 1
 
 @dataclass(frozen=True)
 class Hits:
-    """The K nearest hits of R rays, in the order of (t, triangle).
+    """The K nearest hits of R rays, in ascending order of t. Hits with equal t are in the order of their triangle
+    indices.
 
     Attributes:
-        t: (R, K) float32, differentiable. The hit is at origin + t direction. Without a hit, t is infinite.
+        t: (R, K) float32, differentiable. The hit is at ``origin + t * direction``. Without a hit, t is infinite.
         u, v: (R, K) float32 barycentric weights of the vertices 0 and 1 of the triangle, differentiable. Vertex 2 has
             the weight 1 - u - v. Without a hit, u and v are 0.
         triangle: (R, K) int32 index of the triangle; -1 where there is no hit.
@@ -38,8 +39,8 @@ class Hits:
         return self.triangle >= 0
 
     def last(self) -> tuple[Tensor, Tensor]:
-        """Return t (R,) and triangle (R,) of the last layer, for the argument ``after`` of :func:`trace`. Rays that had
-        fewer than K hits find no further hits."""
+        """Return t (R,) and triangle (R,) of the last layer, for the argument ``after`` of :func:`trace`. With this
+        argument, rays that had fewer than K hits find no further hits."""
         return self.t[:, -1].detach(), self.triangle[:, -1]
 
 
@@ -58,23 +59,25 @@ def trace(
 ) -> Hits:
     """Find the nearest hits of rays with triangles.
 
-    The result equals that of a loop over all triangles. Hits are sorted by (t, triangle index). The test is watertight
-    (Woop, Benthin and Wald 2013): a ray that passes through a common edge of two triangles hits at least one of them.
-    Rays hit triangles from both sides. Triangles with two equal corners, and triangles that are seen exactly edge-on,
-    are not hit.
+    The result is the same as if each ray were tested against every triangle. Hits are sorted by t, and hits with equal
+    t are sorted by triangle index. The test is watertight (Woop, Benthin and Wald 2013): a ray that passes through a
+    common edge of two triangles hits at least one of them. Rays hit triangles from both sides. Triangles with two equal
+    corners, and triangles that are seen exactly edge-on, are not hit.
 
     Args:
         bvh: tree over the triangles.
-        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. The gradient of the positions goes to
-            ``xyz``.
+        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. The gradient of the positions flows to this
+            tensor, because the tree has no gradient.
         origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
-        directions: (R, 3) float32, of any length. The point at t is origin + t direction. The largest absolute
-            coordinate of a direction must be between 1e-18 and 1e18. Other rays hit nothing.
-        t_min, t_max: limits of t for all rays, or (R,) limits for each ray. Hits have t in [t_min, t_max]. A ray with
-            t_min > t_max hits nothing.
+        directions: (R, 3) float32, of any length. The point at t is ``origin + t * direction``. The largest absolute
+            coordinate of a direction must be between 1e-18 and 1e18. A ray outside the limits for origins and
+            directions hits nothing.
+        t_min, t_max: limits of t for all rays, or (R,) limits for each ray. Only hits with t in [t_min, t_max] are
+            found. A ray with t_min > t_max hits nothing.
         layers: number K of hits for each ray, from 1 to 1024.
-        after: t (R,) and triangle (R,) of a hit of each ray. Only later hits are found. If ``after`` is ``hits.last()``
-            of the previous call, the call returns the next hits, and hits of equal t are neither lost nor repeated.
+        after: t (R,) and triangle (R,) of one hit of each ray. Only hits that come after this hit are found. If
+            ``after`` is ``hits.last()`` of the previous call, the call returns the next hits, and hits of equal t are
+            neither lost nor repeated.
         backend: "auto" for the kernels of the tensors' device, or "reference" for plain torch (float32 or float64,
             slow).
         threads: number of threads on the CPU; 0 means the environment variable FOURD_THREADS, or

@@ -60,8 +60,9 @@ def antialias(
     Each pixel is compared with its right and its lower neighbour. Let p and q be two neighbouring pixels that show
     different triangles, where p shows the triangle with the smaller z/w. If a silhouette edge of this triangle crosses
     the segment between the centres of p and q, let t be the distance in pixels from the centre of p to the crossing. If
-    t < 0.5, the colour of p changes by (0.5 - t) (q - p), where p and q denote the colours. If t >= 0.5, the colour of
-    q changes by (t - 0.5) (p - q). Edges whose angle to the segment is below 45 degrees are ignored.
+    t < 0.5, the colour of p changes by (0.5 - t) * (q - p), where p and q stand for the colours of the pixels. If t >=
+    0.5, the colour of q changes by (t - 0.5) * (p - q). Edges whose angle to the segment is below 45 degrees are
+    ignored.
 
     An edge is a silhouette edge if it belongs to only one triangle or to more than two triangles, or if its two
     triangles lie on the same side of the edge in the image.
@@ -75,11 +76,11 @@ def antialias(
         rast: (B, H, W, 4) result of ``rasterize`` for ``pos`` and ``tri``. A pixel whose encoded triangle index is T +
             1 or more is treated as background.
         pos: (B, V, 4) vertices in clip space, or (V, 4) if all images share the vertices ("range mode"). Pixels are not
-            blended across an edge if a value of the edge is not finite.
+            blended across an edge if a coordinate of one of its two vertices is not finite.
         tri: (T, 3) int32 vertex indices. On a GPU, triangles with indices out of range are ignored. On the CPU, an
             index out of range is an error.
-        topology: result of :func:`antialias_construct_topology` for ``tri``. If None, each call finds the neighbours of
-            the triangles again.
+        topology: result of :func:`antialias_construct_topology` for ``tri``. If None, this call finds the neighbours of
+            the triangles itself.
         pos_gradient_boost: number by which the gradient of ``pos`` is multiplied.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.

@@ -14,8 +14,9 @@ def clip_matrix(camera: Camera, near: float, far: float) -> Tensor:
     """Return the matrix that maps homogeneous world coordinates to clip coordinates, (4, 4) float32.
 
     The clip coordinates of points are ``pos = xyz_homogeneous @ clip_matrix(camera, near, far).T``. From these clip
-    coordinates, :func:`fourd.raster.triangles.rasterize` computes an image with the rows and columns of the camera's
-    image, with row 0 at the top. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth ``far``.
+    coordinates, :func:`fourd.raster.triangles.rasterize` computes an image with the same rows and columns as the
+    camera's image. Row 0 is at the top. w is the camera depth. z/w is -1 at the depth ``near`` and 1 at the depth
+    ``far``.
 
     Args:
         camera: pinhole camera without lens distortion.

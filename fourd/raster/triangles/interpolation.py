@@ -26,8 +26,8 @@ def interpolate(
 ) -> tuple[Tensor, Tensor]:
     """Interpolate vertex attributes at the pixels of :func:`fourd.raster.triangles.rasterize`.
 
-    The value at a pixel is ``u a_0 + v a_1 + (1 - u - v) a_2``, where a_k are the attributes of the vertices of the
-    pixel's triangle.
+    The value at a pixel is ``u * a_0 + v * a_1 + (1 - u - v) * a_2``, where a_k are the attributes of the vertices of
+    the pixel's triangle.
 
     Args:
         attr: (B, V, C) float32 attributes of each mesh, or (1, V, C) or (V, C) attributes that all images share.
@@ -39,7 +39,7 @@ def interpolate(
         backend, threads: see ``rasterize``.
 
     Returns:
-        ``out`` (B, H, W, C) and ``out_da`` (B, H, W, 2 D) for D channels in ``diff_attrs``. ``out_da`` has the
+        ``out`` (B, H, W, C) and ``out_da`` (B, H, W, 2 * D) for D channels in ``diff_attrs``. ``out_da`` has the
         derivatives with respect to the pixel position along columns (X) and rows (Y), in the order d0/dX, d0/dY, d1/dX,
         d1/dY and so on. Pixels that show no triangle, or a triangle with index T or more, have the value 0.
 

@@ -26,18 +26,18 @@ def rasterize(
 
     The semantics are those of nvdiffrast (Laine et al. 2020, Modular Primitives for High-Performance Differentiable
     Rendering). A vertex with clip coordinates (x, y, z, w) is at the image position (x/w, y/w). The centre of the pixel
-    in row i and column j is at ((2 j + 1) / W - 1, (2 i + 1) / H - 1). Row 0 is therefore at the border y = -1 of the
-    image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w, and among
-    triangles of equal z/w the one with the smallest index. Back faces are also visible.
+    in row i and column j is at ((2 * j + 1) / W - 1, (2 * i + 1) / H - 1). Row 0 is therefore at the border y = -1 of
+    the image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w. If
+    several triangles have this z/w, the pixel shows the one with the smallest index. Back faces are also visible.
 
-    Because the positions of vertices are rounded to 1/256 pixel, the coverage test is exact. If a pixel centre lies on
-    the common edge of two triangles, exactly one of the two triangles covers the pixel. If a vertex of a triangle is
-    behind the camera (w <= 0), the part of the triangle in front of the camera is drawn. Triangles with a vertex that
-    is NaN or infinite are culled.
+    The positions of vertices are rounded to 1/256 pixel, so integer arithmetic makes the coverage test exact. If a
+    pixel centre lies on the common edge of two triangles, exactly one of the two triangles covers the pixel. If a
+    vertex of a triangle is behind the camera (w <= 0), the part of the triangle in front of the camera is drawn.
+    Triangles with a vertex that is NaN or infinite are culled.
 
     Args:
-        pos: float32 clip coordinates: (B, V, 4), one mesh per image, or (V, 4) with ``ranges``.
-        tri: (T, 3) int32 vertex indices of the triangles, which all images share.
+        pos: float32 clip coordinates: (B, V, 4) with one mesh per image, or (V, 4) if ``ranges`` is given.
+        tri: (T, 3) int32 vertex indices. All images share the triangles.
         resolution: (H, W) in pixels, each from 1 to 32768.
         ranges: (B, 2) int32: index of the first triangle, and number of triangles, for each image. The tensor may be on
             any device.

@@ -41,8 +41,8 @@ def rasterize_soft(
     Triangle j covers the share D_ij of pixel i: D_ij = sigmoid(d_ij^2 / sigma) if the pixel's centre is inside the
     triangle, and D_ij = sigmoid(-d_ij^2 / sigma) if it is outside. The argument ``distance`` defines d_ij. The alpha of
     the pixel is 1 - prod_j (1 - D_ij). The features of the pixel are a weighted mean over the triangles and the
-    background. In the mean, triangle j has the weight D_ij exp(zbar_ij / gamma), and the background has the features 0
-    and the weight exp(eps / gamma). zbar_ij is the normalised depth of the triangle at the pixel: 1 at ``near`` and 0
+    background. In the mean, triangle j has the weight D_ij * exp(zbar_ij / gamma), and the background has the features
+    0 and the weight exp(eps / gamma). zbar_ij is the normalised depth of the triangle at the pixel: 1 at ``near`` and 0
     at ``far``. Outside the triangle, zbar_ij is computed from the clamped barycentric coordinates of the pixel.
 
     The results are differentiable in xyz and features. In the backward pass, the selection of triangles is treated as
@@ -55,7 +55,8 @@ def rasterize_soft(
         camera: a pinhole camera without lens distortion.
         sigma: softness of the edges, greater than 0. The unit of sigma is the unit of d_ij squared.
         gamma: temperature of the softmax over depths, greater than 0.
-        layers: maximum number K of triangles per pixel, or None for no limit. The K nearest are used; ties go by index.
+        layers: maximum number K of triangles per pixel, or None for no limit. The K nearest triangles are used. At
+            equal depth, the triangle with the smaller index counts as nearer.
         distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d_ij is the smallest barycentric coordinate.
         cutoff: triangles are skipped at pixels where D_ij is below ``cutoff``. The cutoff is in (0, 0.5).

@@ -17,8 +17,8 @@ from fourd.ops.splat_triangles.reference import splat_triangles_reference
 
 MAX_CHANNELS = 32
 LARGEST_COORDINATE = 1e9
-"""Maximum absolute value of coordinates in normals and depths. Larger coordinates are treated as 0, because their
-squares could overflow."""
+"""Maximum absolute value of the coordinates from which normals and depths are computed. Larger coordinates are treated
+as 0, because their squares could overflow."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,8 @@ def _split(composited: Tensor, alpha: Tensor, weight: Tensor, geometry: bool) ->
 
 
 def _geometry_of(xyz: Tensor, tri: Tensor, camera: Camera) -> Tensor:
-    """Return the unit normals towards the camera and the camera depths of the triangles' centres, (T, 4)."""
+    """Return (T, 4): for each triangle, the unit normal that points towards the camera, and the camera depth of the
+    centre."""
     # Coordinates that are too large or not finite are replaced, because they would give NaN gradients to culled
     # triangles.
     xyz = torch.where(xyz.abs() < LARGEST_COORDINATE, xyz, 0)

@@ -1,11 +1,11 @@
 """Filtered texture sampling (public API).
 
 The mip level of a pixel is the base-2 logarithm of the longer axis of its footprint in the texture, in texels (Heckbert
-1989, Fundamentals of Texture Mapping and Image Warping). Let (s, t) = (u W, v H) be the position in the texture in
+1989, Fundamentals of Texture Mapping and Image Warping). Let (s, t) = (u * W, v * H) be the position in the texture in
 texels, and (X, Y) the position in the image in pixels. With A = |d(s, t)/dX|^2, B = |d(s, t)/dY|^2 and C = d(s, t)/dX .
 d(s, t)/dY, the level is
 
-    0.5 log2(0.5 (A + B) + sqrt(0.25 (A - B)^2 + C^2)) + bias,
+    0.5 * log2(0.5 * (A + B) + sqrt(0.25 * (A - B)^2 + C^2)) + bias,
 
 clamped to the existing levels. ``bias`` is ``mip_level_bias``. For a cube map, u and v are the coordinates on the face
 of the cube, in [0, 1].
@@ -140,7 +140,8 @@ def _checked_filter(
     max_mip_level: int | None,
     backend: Backend,
 ) -> FilterMode:
-    """Check all arguments except ``mip``. Return the filter mode, with "auto" replaced."""
+    """Check all arguments except ``mip``. Return the filter mode. "auto" is replaced by the mode for which it
+    stands."""
     is_cube = boundary_mode == "cube"
     checks.check_modes(filter_mode, boundary_mode)
     checks.check_texture(tex, is_cube, backend)

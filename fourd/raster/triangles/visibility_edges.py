@@ -21,22 +21,22 @@ def edge_gradients(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Return ``color`` unchanged. In the backward pass, the gradient due to the motion of visibility edges is added to
-    the gradient of ``pos``.
+    """Return ``color`` unchanged. The backward pass adds the gradient that is caused by the motion of visibility edges
+    to the gradient of ``pos``.
 
     Unlike ``antialias``, this function gives gradients at visibility edges without changing the image. The method
     follows Pidhorskyi et al. 2024, "Rasterized edge gradients". A visibility edge separates two neighbouring pixels
     that show different triangles. Let c_1 and c_2 be the colours of the two pixels. If the edge moves by dt pixels from
-    the first pixel towards the second, one of the two pixels changes by dt (c_1 - c_2). Because it is not known which
+    the first pixel towards the second, one of the two pixels changes by dt * (c_1 - c_2). Because it is not known which
     of the two pixels changes, the gradient is the mean of the gradients of both cases. A visibility edge is one of two
     kinds: a silhouette edge of the nearer triangle, as in :func:`fourd.raster.triangles.antialias`, or the line along
     which two triangles intersect. Edges whose angle to the segment between the pixel centres is below 45 degrees are
     ignored.
 
-    The result is differentiable in ``color``, with the gradient of the identity, and in x, y and w of ``pos``. At
-    intersections, the result is also differentiable in z. The forward pass copies no data, and the edges are found in
-    the backward pass. On the CPU, gradients are bit-identical for any number of threads. On a GPU, the last bits of the
-    gradient of ``pos`` can differ between calls.
+    The result is differentiable in ``color`` and in x, y and w of ``pos``. The gradient of the result is passed to
+    ``color`` unchanged. At intersections, the result is also differentiable in z. The forward pass copies no data, and
+    the edges are found in the backward pass. On the CPU, gradients are bit-identical for any number of threads. On a
+    GPU, the last bits of the gradient of ``pos`` can differ between calls.
 
     Args:
         color, rast, pos, tri, topology, backend, threads: see :func:`fourd.raster.triangles.antialias`.

@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
 COLOURS = "colours.json"
 POWERS = (2, 4, 1, 1, 6, 2, 4, 6, 1, 3, 1, 3)
-"""Exponents for the scaling of distortion: if the focal length is multiplied by z, OpenCV's i-th distortion coefficient
-is multiplied by z to the power POWERS[i]."""
+"""Exponents for scaling the distortion coefficients: if the focal length is multiplied by z, OpenCV's i-th distortion
+coefficient is multiplied by z to the power POWERS[i]."""
 
 
 def with_start_cameras(capture: Capture, folder: Path) -> Capture:
@@ -53,7 +53,7 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
     Args:
         folder: folder of the run.
-        capture: the selected views, in the rig's order.
+        capture: the selected part of the capture. Its cameras have the same order as those of ``rig``.
         rig: the corrected cameras and colours.
         below: name of the subfolder of ``calibration/`` to write to. An empty name selects ``calibration/`` itself.
     """
@@ -79,8 +79,8 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
-    """Return ``lens`` with the pose and the focal length of ``camera``. The distortion coefficients are scaled with the
-    focal length, so that undistorted images stay the same."""
+    """Return ``lens`` with the pose and the focal length of ``camera``. The distortion coefficients are scaled to match
+    the new focal length, so that undistorting an image gives the same result as before."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)

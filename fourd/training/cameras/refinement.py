@@ -2,8 +2,8 @@
 
 The renderers treat cameras as constants: they compute no gradient with respect to the camera parameters. A camera
 correction instead gets its gradient through the positions of the rendered points. Each position is replaced by a
-function of the correction whose value is the position itself. The derivative of the function is the motion of the point
-relative to the camera when the correction changes.
+differentiable function of the correction. The function returns the position unchanged. Its derivative is the motion of
+the point relative to the camera when the correction changes.
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ class Refinement(nn.Module):
 
     def _colour_map(self, index: int) -> Tensor:
         """A camera's affine colour map (3, 4). The mean of the colour maps of all training cameras is kept at the
-        identity: a colour change that all cameras share belongs to the scene."""
+        identity, because a colour change that all cameras share belongs to the scene and not to the cameras."""
         mean = torch.stack([tint.detach() for tint in self.tints]).mean(dim=0)
         return IDENTITY + self.tints[self.places[index]] - mean
 

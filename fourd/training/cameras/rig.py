@@ -16,7 +16,7 @@ class Rig:
 
     Attributes:
         cameras: pinhole cameras, in the capture's order.
-        colours: (V, 3, 4) affine map ``M rgb + offset`` from the scene's colours to each camera's colours. The offset
+        colours: (V, 3, 4) affine map ``M @ rgb + offset`` from the scene's colours to each camera's colours. The offset
             is the last column of each map. If ``colours`` is None, all cameras show the scene's colours unchanged.
     """
 
@@ -38,5 +38,5 @@ class Rig:
 
 def recolour(colours: Tensor, rgb: Tensor, alpha: Tensor) -> Tensor:
     """Apply an affine colour map to colours ``rgb`` (H, W, 3) that are premultiplied by ``alpha`` (H, W). The map
-    ``colours`` (3, 4) is [M, offset], and the result is ``M rgb + alpha offset``."""
+    ``colours`` (3, 4) is [M, offset], and the result is ``M @ rgb + alpha * offset``."""
     return rgb @ colours[:, :3].T + alpha[..., None] * colours[:, 3]

@@ -20,8 +20,8 @@ DECODED_MB = 32
 
 @dataclass(frozen=True)
 class DataSelection:
-    """The part of a capture that a run uses: views, frames and image scale. The fields have the meaning of the fields
-    of :class:`TrainConfig`."""
+    """The part of a capture that a run uses: views, frames and image scale. Each field has the same meaning as the
+    field of :class:`TrainConfig` with the same name."""
 
     views: tuple[str, ...] | None = None
     test_views: tuple[str, ...] = ()

@@ -21,10 +21,10 @@ BACKEND = "gloo"
 JOIN_SECONDS = 120.0
 """Maximum time in seconds to wait for an answer from the address of rank 0."""
 MAX_REASON = 200
-"""Maximum number of characters of torch's message in an error message."""
+"""Error messages quote at most this number of characters of torch's own message."""
 WAIT = timedelta(days=7)
-"""Maximum time for which a rank waits for the other ranks. Rank 0 carves while the other ranks wait. torchrun ends all
-ranks if one of them fails."""
+"""Maximum time for which a rank waits for the other ranks. The time is long, because the other ranks wait while rank 0
+carves the visual hull. A rank that fails does not keep the others waiting, because torchrun then ends all ranks."""
 
 RATE_EXPONENT = 0.5
 """With W ranks, the learning rates of dense parameters are multiplied by W to the power of this exponent."""
@@ -32,17 +32,17 @@ RATE_EXPONENT = 0.5
 
 @dataclass(frozen=True)
 class ProcessGroup:
-    """The ranks that train one model together. A process that torchrun did not start is a group of one rank, which
-    communicates nothing.
+    """The ranks that train one model together. A process that torchrun did not start forms a group of one rank, without
+    any communication.
 
-    Each rank takes one step at a time, with a view of one of its own frames. All ranks have the same dense parameters
-    (networks, planes and corrections of cameras), because their gradients are averaged over the ranks before each
-    update. The points of a frame are stored and updated only by the rank that owns the frame, so points and their
-    gradients are never sent.
+    In each update, every rank performs one training step on a view of one of its own frames. All ranks have the same
+    dense parameters (networks, planes and corrections of cameras), because their gradients are averaged over the ranks
+    before each update. The points of a frame are stored and updated only by the rank that owns the frame, so points and
+    their gradients are never sent.
 
     torch's DistributedDataParallel is not used, because it requires one module that is called once per step. A training
-    step calls several methods of the model, and some parameters have a gradient only in some steps. The gradients are
-    therefore averaged after the backward pass, in one message.
+    step calls several methods of the model, and some parameters have a gradient only in some steps. The gradients of
+    all parameters are therefore averaged together in one all-reduce after the backward pass.
 
     Attributes:
         rank: number of this rank, from 0.
@@ -58,24 +58,24 @@ class ProcessGroup:
         return self.rank == 0
 
     def own_frames(self, frames: int) -> range:
-        """The indices of the frames that this rank owns, out of ``frames`` frames."""
+        """The indices of the frames that this rank owns. ``frames`` is the number of frames of all ranks together."""
         return range(self.rank, frames, self.size)
 
     def first_ranks_frame(self, frame: int) -> int:
-        """The last frame with an index of at most ``frame`` that rank 0 owns."""
+        """The index of the last frame up to and including ``frame`` that rank 0 owns."""
         return frame - frame % self.size
 
     @property
     def rate_factor(self) -> float:
-        """Factor on the learning rates of dense parameters. With W ranks, dense parameters have only one update for W
-        views."""
+        """Factor that multiplies the learning rates of dense parameters. It compensates for fewer updates: with W
+        ranks, W views together give only one update."""
         return self.size**RATE_EXPONENT
 
     @torch.no_grad()
     def average_gradients(self, parameters: Iterable[Tensor]) -> None:
         """Replace each gradient by its mean over all ranks. If only some ranks have a gradient of a parameter, the
-        missing gradients are treated as zero. If no rank has a gradient of a parameter, the parameter gets none, so
-        that its optimizer state does not change.
+        missing gradients are treated as zero. If no rank has a gradient of a parameter, the parameter remains without a
+        gradient, so that its optimizer state does not change.
 
         All ranks must pass the same parameters in the same order. The parameters have the same dtype.
         """
@@ -113,8 +113,8 @@ class ProcessGroup:
                 dist.barrier()
 
     def require_same(self, what: str, text: str) -> None:
-        """End all ranks if the text of any rank differs from that of rank 0. The message names this rank and the first
-        line that differs. All ranks call this method.
+        """End all ranks if the text of any rank differs from that of rank 0. The message names the rank with the
+        different text, and the first line that differs. All ranks call this method.
         """
         if self.size == 1:
             return
@@ -145,7 +145,7 @@ class ProcessGroup:
 
     @contextmanager
     def _all_ranks(self) -> Iterator[None]:
-        """Raise UserError if another rank ends while the ranks communicate in the ``with`` block."""
+        """Run the ``with`` block, in which the ranks communicate. Raise UserError if another rank ends meanwhile."""
         try:
             yield
         except RuntimeError as error:
@@ -186,8 +186,8 @@ def join_process_group() -> Iterator[ProcessGroup]:
     variables are not set, the group has one rank.
 
     Raises:
-        UserError: if the address of rank 0 does not answer. On ranks other than 0, the message of each UserError of the
-            block names the rank and its machine.
+        UserError: if the address of rank 0 does not answer. If the block raises a UserError on a rank other than 0, the
+            message also contains the number of the rank and the name of its machine.
     """
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         yield ALONE

@@ -2,10 +2,10 @@
 evaluate scenes that were trained with camera refinement.
 
 Camera refinement changes the poses of the training cameras, and the scene moves with them. A held-out camera is not
-refined during training, so its pose does not fit the scene exactly. BARF (Lin et al., ICCV 2021, sec. 4.2) therefore
-optimises each test camera against the frozen scene before computing metrics. This module uses direct image alignment
-with the rendered depth (Lucas and Kanade 1981), from blurred to sharp images. The image gradient is the mean of the
-gradients of the rendered and the true image (Benhimane and Malis, IROS 2004).
+refined during training, so its pose does not fit the scene exactly. For the same reason, BARF (Lin et al., ICCV 2021,
+sec. 4.2) optimises each test camera against the frozen scene before it computes metrics. This module uses direct image
+alignment with the rendered depth (Lucas and Kanade 1981), first on blurred and then on sharper images. The image
+gradient is the mean of the gradients of the rendered and the true image (Benhimane and Malis, IROS 2004).
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ MAX_STEPS = 12
 INITIAL_DAMPING = 1e-3
 MAX_FRAMES = 3
 CONVERGED = 3e-5
-"""Convergence threshold: the optimization at a blur level ends when all six components of a step are smaller. The three
-rotation components are in radians. The three translation components are shares of the camera's distance from the
-scene's centre."""
+"""Convergence threshold: the optimization at a blur level ends when all six components of a step are smaller than this
+value. The three rotation components are in radians. The three translation components are shares of the camera's
+distance from the scene's centre."""
 MIN_ALPHA = 0.02
 COLOUR_REGULARISATION = 1e-3
 """Regularisation weight per pixel in the least-squares fit of the colour map. The regularisation penalises the squared
@@ -47,7 +47,7 @@ class FittedView:
     """A held-out camera that was aligned with the scene.
 
     Attributes:
-        camera: the aligned camera of the whole image.
+        camera: the aligned camera, for the uncropped image.
         colours: (3, 4) affine map from the scene's colours to the camera's colours; if None, the colours were not
             fitted.
         degrees: angle of the rotation between the given and the aligned camera.
@@ -72,7 +72,7 @@ def fit_test_camera(
     Args:
         renderer: the trained scene.
         frames: the points of the trained scene's frames.
-        index: index of the camera. All frames of the camera share one pose.
+        index: index of the camera. One pose is fitted for all frames.
         layers: maximum number K of points that are composited at each pixel.
         colours: whether to fit the camera's colours in addition to its pose.
     """
@@ -111,8 +111,8 @@ class _Alignment:
     def optimize(self, camera: Camera, blur_px: float) -> Camera:
         """Optimise the camera with Levenberg-Marquardt on images blurred by ``blur_px``.
 
-        Because the camera moves little during the optimization, the points' colours are evaluated only once, for the
-        initial ``camera``.
+        Because the camera moves little during the optimization, the points' colours are evaluated only once, as seen by
+        the given ``camera``.
         """
         for frame in self.selected:
             self.clouds[frame] = self.renderer.evaluate(self.frames.get(frame), frame, camera, self.index)

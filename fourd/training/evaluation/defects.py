@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 CONTOUR_PX = 1.5
-"""Maximum distance from the matte's contour of pixels in the class "contour"."""
+"""Pixels that are at most this distance, in pixels, from the matte's contour belong to the class "contour"."""
 NEAR_PX = 4.0
-"""Maximum distance from the matte's contour of pixels in the class "near", which are inside the matte and farther than
-CONTOUR_PX from the contour. Pixels farther inside belong to the class "inside"."""
+"""Pixels inside the matte, more than CONTOUR_PX and at most NEAR_PX from the contour, belong to the class "near".
+Pixels farther inside belong to the class "inside"."""
 WRONG_ALPHA = 0.3
 """Minimum difference between rendered alpha and matte at which the alpha is classified as wrong."""
 SPECK_ERROR = 0.15
@@ -31,8 +31,8 @@ Image = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class ContourErrors:
-    """Shares in [0, 1] of an image's summed squared error, by distance of the pixels from the matte's contour. The four
-    shares add up to 1.
+    """Shares in [0, 1] of an image's summed squared error. The pixels are divided into four classes by their distance
+    from the matte's contour, and the four shares add up to 1.
 
     Attributes:
         contour: at most CONTOUR_PX from the contour, on either side.
@@ -98,7 +98,7 @@ def silhouette_errors(
 
 
 def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
-    """Mask (H, W) of the pixels that belong to specks.
+    """Mask (H, W), true for the pixels that belong to specks.
 
     A speck is a connected region of at most SPECK_AREA_PX pixels with errors above SPECK_ERROR. At least
     MIN_SPECK_NEIGHBOURS of the eight neighbours of each pixel in the region have errors of at most SPECK_ERROR.
@@ -116,8 +116,8 @@ def speck_pixels(prediction: Image, truth: Image) -> NDArray[np.bool_]:
 
 
 def jump_ratio(images: Sequence[Image]) -> float:
-    """Largest mean absolute difference between successive images, divided by the median over all pairs of successive
-    images.
+    """The mean absolute difference is computed for each pair of successive images. The result is the largest difference
+    divided by the median difference.
 
     If the camera moves slowly in equal steps and the image changes smoothly, the ratio is close to 1.
 
@@ -129,7 +129,7 @@ def jump_ratio(images: Sequence[Image]) -> float:
 
 
 def flicker(predictions: Sequence[Image], truths: Sequence[Image]) -> float:
-    """Mean absolute error of the change from one frame to the next, for a camera that does not move.
+    """Mean absolute error of the change of the image from one frame to the next, for a camera that does not move.
 
     Args:
         predictions: at least 2 images (H, W, 3) of successive frames.

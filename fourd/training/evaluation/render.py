@@ -49,8 +49,8 @@ class ModelRenderer:
         Args:
             scene: the scene with its models and training images.
             training: indices of the training cameras.
-            focus: (3,) point in world units. Angles between cameras are measured at this point. The source views are
-                those with the smallest angles to the viewing camera.
+            focus: (3,) point in world units. Angles between cameras are measured at this point. The cameras with the
+                smallest angles to the viewing camera become the source views.
             pixel_filter: weight of a neighbouring pixel in the filter of rendered images.
         """
         self.scene = scene
@@ -85,7 +85,7 @@ class ModelRenderer:
     def evaluate(
         self, points: FramePoints, frame: int, camera: Camera, exclude: int | None = None
     ) -> list[RenderablePoints]:
-        """The renderable points of a frame for ``camera``. The arguments are those of :meth:`render`."""
+        """The renderable points of a frame for ``camera``. The arguments have the same meaning as in :meth:`render`."""
         return self.scene.evaluate_frame(points, frame, camera, self._nearest(camera, exclude))
 
     def render_background(self, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:

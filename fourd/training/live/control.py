@@ -27,8 +27,8 @@ class ControlRequest:
     Attributes:
         session: the training to which the request is addressed, see :class:`fourd.training.live.state.TrainingState`.
             Other trainings of the same run ignore the request.
-        action: ``pause``: save and wait. ``resume``: continue after a pause. ``save``: save and continue. ``stop``:
-            save and end.
+        action: what the training is asked to do. ``pause`` saves a checkpoint and waits, ``resume`` continues after a
+            pause, ``save`` saves a checkpoint and continues, and ``stop`` saves a checkpoint and ends.
     """
 
     session: str
@@ -52,7 +52,7 @@ class ControlReader:
     def read(self) -> ControlRequest | None:
         """The request to this training that was written since the last call, or None if there is none.
 
-        If the file has not changed, the call reads only the file's status, which takes some microseconds.
+        If the file has not changed, this method only queries the file's status, which takes some microseconds.
 
         Raises:
             UserError: if the file has changed and is not a valid request. The next call ignores the invalid file.
@@ -73,8 +73,8 @@ class ControlReader:
         return request if request.session == self._session else None
 
     def _version(self) -> tuple[int, int, int] | None:
-        """Values that identify a version of the file: they change when the file is replaced. None if there is no
-        file."""
+        """Values that identify a version of the file: they change when the file is replaced. If there is no file, the
+        result is None."""
         try:
             status = os.stat(self._path)
         except OSError:

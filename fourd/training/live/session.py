@@ -20,7 +20,7 @@ from fourd.training.live.state import MAX_REASON, Phase, TrainingState, training
 CONTROL_SECONDS = 0.5
 """Minimum time in seconds between two reads of the control file."""
 STATE_SECONDS = 1.0
-"""Minimum time in seconds between two writes of the state file if the phase has not changed."""
+"""Minimum time in seconds between two writes of the state file. If the phase changes, the file is written at once."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class NoSession:
 class LiveSession:
     """A context manager that writes the state of a training and reads the requests to the training.
 
-    The state is written and requests are read between training steps. :meth:`show` and :meth:`look` return at once if
-    less than the minimum time has passed. If the state cannot be written, training continues without writing it.
+    The state is written and requests are read between training steps. :meth:`show` and :meth:`look` do nothing if the
+    last write or read was too recent. If the state cannot be written, training continues without writing it.
 
     Attributes:
         wanted: the last request that was not yet answered, or None.

@@ -27,8 +27,8 @@ MAX_STATE_BYTES = 1 << 14
 MAX_REASON = 500
 """Maximum number of characters of the reason in a state."""
 SILENT_SECONDS = 60.0
-"""Age of a state, in seconds, above which a training on another machine, or on a system without locks, is assumed to
-have ended."""
+"""If the lock of a training cannot be tested and its last state is older than this number of seconds, the training is
+assumed to have ended. The lock cannot be tested for a training on another machine, or on a system without locks."""
 
 Phase = Literal["training", "paused", "finished", "stopped", "failed"]
 
@@ -85,10 +85,12 @@ def read_state(run: Path) -> TrainingState | None:
 
 @contextmanager
 def training_lock(run: Path) -> Iterator[None]:
-    """Show other processes that this process trains a run, until the ``with`` block or the process ends.
+    """Hold a lock that shows other processes that this process trains a run. The lock is held until the ``with`` block
+    or the process ends.
 
-    The lock is a shared flock on the folder ``live/``, which is created. Two trainings of one run are excluded by the
-    lock on the run itself, see :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
+    The lock is a shared flock on the folder ``live/``. The folder is created if it is missing. This lock does not
+    prevent a second training of the same run. The lock on the run's own folder does, see
+    :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
     """
     folder = run / LIVE
     folder.mkdir(parents=True, exist_ok=True)

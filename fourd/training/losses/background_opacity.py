@@ -17,14 +17,14 @@ from fourd.training.losses.term import RenderedStep
 from fourd.training.rendering import NEAR, visible_points
 
 LAYERS = 64
-"""Maximum number of points that are composited at each pixel. The maximum exceeds the number of points that overlap at
-a pixel, even on a floor viewed at a grazing angle. With too few layers, the transmittance after the last layer would
-not be 0, and the gradient would enlarge the discs until even more discs overlap."""
+"""Maximum number of points that are composited at each pixel. At any pixel, fewer points than this maximum overlap,
+even on a floor viewed at a grazing angle. With too few layers, some transmittance would remain after the last layer,
+and training would enlarge the discs until even more discs overlap."""
 MAX_LATERAL_OFFSET = 0.15
 """Maximum distance of a viewpoint from the line between two cameras, as a share of the line's length."""
 RNG_STREAM = 4
-"""Number of the random stream of this loss, which is unique in a run. The loss draws its random numbers from
-``default_rng([seed, RNG_STREAM, step])``."""
+"""Number of the random stream that this loss uses. No other random stream of a run has the same number. The loss draws
+its random numbers from ``default_rng([seed, RNG_STREAM, step])``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,8 @@ def interpolate_viewpoint(camera: Camera, others: Sequence[Camera], side_px: int
 
 
 def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hidden_weight: float) -> Tensor:
-    """Mean of (1 - alpha)^2 over an image of the background. Only the background's model gets a gradient.
+    """Mean of (1 - alpha)^2 over an image of the background. Only the parameters of the background's model get a
+    gradient.
 
     Point positions get no gradient, because the plates determine the positions.
     """

@@ -12,7 +12,7 @@ import re
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
-from pickle import UnpicklingError  # raised by torch.load for a file that would execute code
+from pickle import UnpicklingError  # torch.load raises this error for a file that would execute code
 
 import torch
 from safetensors import SafetensorError
@@ -23,14 +23,14 @@ from torch.nn import functional
 from fourd.errors import UserError
 from fourd.limits import require_regular
 
-# Numbers of output channels of VGG-16's convolutions. Each group of convolutions except the last one is followed by a
-# pooling layer.
+# Number of output channels of each convolution of VGG-16. A pooling layer follows each group of convolutions except the
+# last one.
 GROUPS = ((64, 64), (128, 128), (256, 256, 256), (512, 512, 512), (512, 512, 512))
 # Mean and standard deviation of the colours of ImageNet images, scaled to [-1, 1]. The LPIPS heads were trained with
 # images that are normalised by this mean and standard deviation.
 SHIFT = (-0.030, -0.088, -0.188)
 SCALE = (0.458, 0.448, 0.450)
-# Smaller images would have size 0 after four pooling layers.
+# Images with a shorter side would have size 0 after four pooling layers.
 MIN_SIDE_PX = 16
 SUFFIXES = (".pth", ".pt", ".safetensors")
 VGG_NAME = "vgg16-397923af.pth"

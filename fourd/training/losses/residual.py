@@ -1,4 +1,4 @@
-"""Residual term: penalises large displacements of the points by the residual field."""
+"""Residual term: penalises large displacements, which the residual field adds to the positions of the points."""
 
 from __future__ import annotations
 

@@ -15,26 +15,26 @@ from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.spacing import point_spacings
 
 NEIGHBOURS = 3
-"""Number of nearest neighbours of a parent point from which the parent's partner is chosen at random. A split adds a
-new point midway between parent and partner. A midpoint between near neighbours is close to the surface."""
+"""When a parent point is split, its partner is chosen at random from this number of nearest neighbours. The split adds
+a new point midway between parent and partner. The midpoint of two near neighbours is close to the surface."""
 
 
 @dataclass(frozen=True)
 class Densification:
-    """Numbers of points that were added and removed in one densification."""
+    """How many points were added and how many were removed in one densification."""
 
     added: int
     removed: int
 
 
 def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
-    """Add the magnitudes of a training step's gradient to the gradient history of the points ``rows`` (M,).
-    ``gradient`` (M, 3) is the gradient with respect to positions.
+    """For each of the points ``rows`` (M,), add the magnitude of its gradient in a training step to its gradient
+    history. ``gradient`` (M, 3) is the gradient with respect to positions.
 
     The magnitude is the norm of a point's gradient times the point's spacing. To first order, the magnitude is the
-    largest change of the loss when the point moves by one spacing. Magnitudes of near and far points can be compared,
-    because the magnitude does not depend on the unit of length. In contrast, Kerbl et al. 2023, sec. 5.2, split points
-    with large view-space gradients.
+    largest change of the loss when the point moves by one spacing. The magnitude does not depend on the unit of length,
+    so the magnitudes of near and far points can be compared. In contrast, Kerbl et al. 2023, sec. 5.2, split the points
+    whose view-space gradients are large.
     """
     magnitude = gradient.norm(dim=1) * points.spacing[rows]
     points.gradient_sum[rows] += magnitude
@@ -50,9 +50,9 @@ def unobserved_points(points: FramePoints, patience: int) -> Tensor:
 def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed: list[int]) -> Densification:
     """Split the points with the largest mean gradient magnitudes and remove unobserved points, in place.
 
-    ``config.share`` limits the share of points that are split. ``config.growth`` limits the number of points, relative
-    to the initial number. A new point gets the mean parameters of its parent and partner, initial optimizer state and
-    an empty gradient history.
+    At most the share ``config.share`` of the points is split. Splitting stops when the number of points is
+    ``config.growth`` times the initial number. A new point gets the mean parameters of its parent and partner, initial
+    optimizer state and an empty gradient history.
 
     Args:
         points: the cloud.

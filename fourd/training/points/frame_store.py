@@ -32,8 +32,8 @@ class FrameStore:
             frames: number of frames.
             make: function that returns a frame's initial points, given the frame's index.
             memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed this size.
-            saved: folder that :meth:`save` has written and from which points are read; if None, initial points are
-                used.
+            saved: folder that :meth:`save` has written. The points are read from this folder; if None, initial points
+                are used.
         """
         self._scratch = scratch
         self._make = make
@@ -48,8 +48,8 @@ class FrameStore:
         return len(self._cache)
 
     def get(self, frame: int) -> FramePoints:
-        """The points of a frame. Changes of the points in place are kept only if they are made before the next call of
-        this method."""
+        """The points of a frame. The caller may change the points in place, but only before the next call of this
+        method. Later changes may be lost."""
         if frame not in self._cache:
             self._cache[frame] = self._load(frame).copy_outside_heap()
         return self._cache[frame]
@@ -62,8 +62,8 @@ class FrameStore:
         self._saved = folder
 
     def close(self) -> None:
-        """Remove the scratch folder. If this method is not called, the folder is removed when the object is deleted.
-        Python ignores a Ctrl-C during the deletion of an object.
+        """Remove the scratch folder. Without a call of this method, the folder is removed when the object is deleted. A
+        call is better, because Python ignores a Ctrl-C that arrives while an object is deleted.
         """
         self._scratch.close()
 

@@ -16,11 +16,11 @@ if sys.platform != "win32":
     import fcntl
 
 LOCK_SUFFIX = ".lock"
-"""Suffix of lock files: NAME.lock is locked as long as the process that uses the folder NAME is running."""
+"""Suffix of lock files. While a process uses the scratch folder NAME, it keeps the file NAME.lock locked."""
 
 
 class Scratch:
-    """A new folder in ``parent`` that is used by no other process or object.
+    """A new folder in ``parent``. No other process and no other Scratch object uses this folder.
 
     The folder is removed when this object is deleted or the process exits. If the process is killed, the folder remains
     until the next Scratch with the same ``parent`` is created.
@@ -49,8 +49,8 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
             stream = path.open("xb")
         except FileNotFoundError:
             continue  # Another process has removed ``parent``, which was empty.
-        # Other processes treat lock files that are not locked as leftovers of processes that have ended, and remove
-        # them. Another process may therefore have removed the new lock file before this process locked it.
+        # Another process may have removed the new lock file before this process locked it: a lock file that is not
+        # locked looks like a leftover of a process that has ended.
         if _try_lock(stream) and path.exists():
             return name, stream
         stream.close()
@@ -59,8 +59,8 @@ def _create_lock(parent: Path) -> tuple[str, BinaryIO]:
 def _remove(folder: Path, lock: BinaryIO) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     if sys.platform == "win32":
-        lock.close()  # on Windows, open files cannot be removed
-    if folder.exists():  # this folder is removed when the next scratch folder is made, because its lock file remains
+        lock.close()  # On Windows, open files cannot be removed.
+    if folder.exists():  # The next Scratch with this parent removes the folder, because the lock file remains.
         lock.close()
         return
     with contextlib.suppress(OSError):

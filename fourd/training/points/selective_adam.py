@@ -13,9 +13,9 @@ from fourd.training.memory import tensor_outside_heap
 BETAS = (0.9, 0.99)
 EPSILON = 1e-15
 EPSILONS = {"rgb": 1e-6}
-"""Epsilon of Adam for parameters whose epsilon differs from EPSILON, with the parameter's name as key. The stored
-colours ("rgb") of most background points hardly affect the image, so their gradients are mostly noise. With the small
-epsilon EPSILON, the colours would follow a random walk."""
+"""Parameter name -> Adam's epsilon, for the parameters that do not use EPSILON. The stored colours ("rgb") of most
+background points hardly affect the image, so their gradients are mostly noise. With an epsilon as small as EPSILON,
+Adam would take full-size steps on this noise, and the colours would follow a random walk."""
 
 
 @dataclass
@@ -52,7 +52,7 @@ class SelectiveAdam:
             parameters: name -> parameters (N, C).
             rows: (M,) indices of the rows to update, without duplicates, or a slice of the rows.
             gradients: name -> gradients (M, C). Parameters without a gradient keep their values.
-            rates: name -> learning rate in the parameter's units, a number or (M, 1).
+            rates: name -> learning rate in the parameter's units, as one number or as a tensor (M, 1).
         """
         self.steps[rows] += 1
         steps = self.steps[rows][:, None]

@@ -16,10 +16,10 @@ from fourd.training.points.frame_points import FramePoints
 def revert_moves_out_of_silhouettes(
     points: FramePoints, rows: Tensor, before: Tensor, views: Sequence[tuple[Camera, Tensor]]
 ) -> None:
-    """Move each point that left the silhouette in a view back to its position before the move.
+    """If a move took a point out of the silhouette in a view, restore the point's position before the move.
 
-    A point that was already outside the silhouette before the move is not moved back. Points outside a view's image are
-    not constrained by the view.
+    Points that were already outside the silhouette before the move are not restored. A view does not constrain points
+    outside its image.
 
     Args:
         points: the cloud. Positions are changed in place.
@@ -36,8 +36,8 @@ def revert_moves_out_of_silhouettes(
 
 
 def _is_inside(xyz: Tensor, camera: Camera, matte: Tensor, outside_image: bool) -> Tensor:
-    """(N,) bool, true for points (N, 3) where the matte is at least 0.5. Points that lie outside the image get the
-    value ``outside_image``."""
+    """(N,) bool, true for points (N, 3) where the matte is at least 0.5. For points outside the image, the result is
+    ``outside_image``."""
     pixels, depth = project_points(xyz, (camera,))
     size = torch.tensor([matte.shape[1], matte.shape[0]], dtype=pixels.dtype)
     grid = (2 * pixels / size - 1)[:, None]

@@ -1,9 +1,9 @@
 """Surface smoothing: moves points towards planes through their neighbours, and moves isolated points back to their
 neighbours.
 
-The images determine the position of a point well along the surface, but poorly in the direction of the normal. Training
-therefore moves points across the surface at random, by about half a point spacing. In training views, the colours of
-the points compensate for these displacements. In novel views, the displacements make contours ragged.
+The images determine the position of a point accurately along the surface, but poorly in the direction of the normal.
+Training therefore moves points across the surface at random, by about half a point spacing. In training views, the
+colours of the points compensate for these displacements. In novel views, the displacements make contours ragged.
 """
 
 from __future__ import annotations
@@ -24,14 +24,15 @@ TOLERANCE = 0.25
 """Tolerance in point spacings: points that are at most this far from their plane are not moved. Smoothing therefore
 changes neither creases nor details below the tolerance."""
 REFIT_STEPS = 40
-"""Number of training steps of a frame between two fits of the planes of the frame's points."""
+"""The planes of a frame's points are fitted again after this number of training steps on the frame."""
 ISOLATION_RANK = 8
 """Rank of the neighbour whose distance decides whether a point is isolated. The nearest neighbour has rank 1."""
 ISOLATION_SPACINGS = 4.0
-"""Distance to the neighbour of rank ISOLATION_RANK, in point spacings, beyond which a point is isolated. On an even
-surface, the distance to this neighbour is about 2 spacings."""
+"""A point is isolated if its distance to the neighbour of rank ISOLATION_RANK exceeds this number of point spacings. On
+an even surface, the distance to this neighbour is about 2 spacings."""
 MAX_SHARE = 0.5
-"""Maximum share that one step removes of a point's distance from its plane beyond the tolerance."""
+"""One step reduces a point's excess distance by at most this share. The excess distance is the part of the distance
+from the plane that exceeds the tolerance."""
 
 
 def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: float) -> None:
@@ -41,17 +42,16 @@ def smooth_surface(points: FramePoints, rows: Tensor, rates: Tensor, strength: f
     points would be visible as specks beside the subject in novel views. The loss does not move isolated points back,
     because each image shows only few of them.
 
-    In each call, the part of the distance from the plane that exceeds the tolerance is reduced by the share ``strength
-    * rate / spacing``. The values ``rate`` and ``spacing`` are the point's learning rate and spacing. Smoothing and the
-    loss both move a point in proportion to its learning rate, so the balance between the two does not depend on the
-    learning rate.
+    A point's excess distance is the part of its distance from the plane that exceeds the tolerance. Each call reduces
+    the excess distance by the share ``strength * rate / spacing``, where ``rate`` and ``spacing`` are the point's
+    learning rate and spacing. Smoothing and the loss both move a point in proportion to its learning rate, so the
+    balance between the two does not depend on the learning rate.
 
     Args:
         points: the points of a frame or of the background. The planes are fitted again every REFIT_STEPS steps.
         rows: (M,) indices of the points to move.
         rates: (M, 1) learning rates of the positions in world units.
-        strength: share that is removed of the distance from the plane beyond the tolerance, for a learning rate of one
-            point spacing.
+        strength: share by which the excess distance is reduced if the learning rate equals the point spacing.
     """
     if len(points.xyz) < NEIGHBOURS:
         return

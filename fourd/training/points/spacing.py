@@ -12,8 +12,8 @@ DEFAULT_SPACING = 0.01
 """Spacing in world units that is assumed for clouds with too few points to measure it."""
 MAX_SAMPLES = 4096
 MEAN_NEIGHBOUR_DISTANCE = 1.2
-"""Ratio of the mean distance to the four nearest neighbours to the spacing, for points that are spread evenly over a
-surface."""
+"""Mean distance of a point to its four nearest neighbours, divided by the spacing. The value holds for points that are
+spread evenly over a surface."""
 
 
 def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = None) -> NDArray[np.float32]:
@@ -31,8 +31,8 @@ def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = Non
 def mean_spacing(xyz: NDArray[np.float32]) -> float:
     """Mean spacing at the first 4,096 points of ``xyz`` (N, 3).
 
-    The mean distance to four neighbours is used, because the distance to the nearest neighbour depends more on how
-    evenly the points are spread.
+    The spacing is computed from the mean distance to four neighbours. The distance to the nearest neighbour alone would
+    depend more on how evenly the points are spread.
     """
     if len(xyz) <= NEIGHBOURS + 1:
         return DEFAULT_SPACING

@@ -28,11 +28,11 @@ from fourd.training.schedule import StepSample
 from fourd.training.views import View, ViewStore
 
 RNG_STREAM = 3
-"""Number of the random stream of densification, which is unique in a run. Densification draws its random numbers from
-``default_rng([seed, RNG_STREAM, frame, age])``."""
+"""Number of the random stream that densification uses. No other random stream of a run has the same number.
+Densification draws its random numbers from ``default_rng([seed, RNG_STREAM, frame, age])``."""
 BACKGROUND_SEED = 2**31
-"""Number that replaces the frame index in the seed of the background's densification, and that differs from all frame
-indices."""
+"""In the seed of the background's densification, this number takes the place of the frame index. It is larger than
+every frame index."""
 
 
 class FullScene:
@@ -123,7 +123,7 @@ class FullScene:
     def evaluate_background(
         self, camera: Camera, sources: SelectedViews, shadow_time: float | None = None
     ) -> RenderablePoints:
-        """All points of the background, with the shadows of the time ``shadow_time``. If ``shadow_time`` is None, the
+        """All points of the background, with the shadows at the time ``shadow_time``. If ``shadow_time`` is None, the
         points have no shadows."""
         model, points = self.background.model, self.background.points
         with torch.no_grad():
@@ -171,8 +171,8 @@ def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> t
     sides are clipped to the size of the image.
 
     ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
-    the image is shifted into the image. The shift makes windows at the corners of the image frequent. If windows were
-    placed uniformly inside the image, almost no window would contain a corner of the image.
+    the image is shifted into the image. Because of the shift, windows often lie at the corners of the image. If windows
+    were placed uniformly inside the image, almost no window would contain a corner.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

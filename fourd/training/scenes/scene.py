@@ -1,5 +1,5 @@
-"""The interface of a scene, which covers everything in training and rendering that differs between object scenes and
-full scenes."""
+"""The interface of a scene. It covers everything in training and rendering that differs between object scenes and full
+scenes."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Target:
         known: (H, W) mask in [0, 1]: 1 where ``rgb`` is known, 0 where it is unknown. In an object scene, the mask is
             the matte. For a frame of a full scene, the mask is 1 everywhere. For a plate, the mask is 1 where the plate
             shows the background.
-        fills_picture: whether the whole image belongs to the scene. If true, unknown pixels are excluded from the loss.
-            If false, unknown pixels get the step's background colour.
+        fills_picture: whether the scene covers the whole image. If true, pixels whose colour is unknown are excluded
+            from the loss. If false, these pixels get the step's background colour.
     """
 
     camera: Camera
@@ -55,7 +55,8 @@ class OptimizedPoints:
     Attributes:
         cloud: the whole cloud.
         rows: (M,) indices of the visible points.
-        parameters: name -> optimised tensor of the visible points, an autograd leaf that receives the gradient.
+        parameters: name -> optimised tensor of the visible points. Each tensor is an autograd leaf that receives the
+            gradient.
         evaluated: geometry and features of the visible points.
         colour: (M, 3) RGB of the visible points as seen by the target camera.
         sources: the source views from which colours are blended, or None without image-based colour.
@@ -116,7 +117,7 @@ class TrainingScene(Protocol):
         rates by ``factor``."""
 
     def finish_step(self) -> None:
-        """Notify the scene that a training step has updated the parameters."""
+        """Tell the scene that a training step has ended and has updated the parameters."""
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
         """Split and remove points after a step, if densification is due at this step. ``spent`` is the spent share of

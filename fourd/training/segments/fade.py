@@ -11,10 +11,11 @@ GOLDEN_RATIO = (5**0.5 - 1) / 2
 def kept_points(count: int, share: float, *, is_first: bool) -> NDArray[np.int64]:
     """Indices of the points that a segment contributes to a frame, in ascending order.
 
-    Both segments have points on the whole surface. A segment contributes ``share`` of its points, spread evenly over
-    the surface. Neither the number of points of the frame nor the number of points along each viewing ray changes much
-    during the fade. In Morton order, points with close indices are usually close in space. Multiples of the golden
-    ratio modulo 1 choose evenly spaced indices, which therefore are evenly spread over the surface.
+    Both segments have points on the whole surface. Each segment contributes only the share ``share`` of its points,
+    spread evenly over the surface. The number of points of the frame and the number of points along each viewing ray
+    therefore hardly change during the fade. In Morton order, points with close indices are usually close in space. The
+    indices are chosen by multiples of the golden ratio modulo 1, which are evenly distributed. The chosen points are
+    therefore spread evenly over the surface.
 
     Args:
         count: number of points of the segment in this frame, in Morton order.

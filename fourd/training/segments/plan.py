@@ -13,8 +13,8 @@ class SegmentPlan:
     """The frames of each segment.
 
     Attributes:
-        ranges: for each segment, the indices of its frames in the selected frames. Successive segments share
-            ``overlap`` frames, and no frame belongs to three segments.
+        ranges: for each segment, the range of its frames, as indices into the selected frames. Successive segments
+            share ``overlap`` frames, and no frame belongs to three segments.
         overlap: number of frames that two successive segments share.
     """
 
@@ -36,9 +36,10 @@ class SegmentPlan:
         return cls(tuple(range(start, stop) for start, stop in zip(starts, stops, strict=True)), shared)
 
     def shares(self, frame: int) -> tuple[tuple[int, float], ...]:
-        """Each segment that contains a frame, with the share of the segment in the frame. The shares sum to 1.
+        """(segment, share) for each segment that contains ``frame``. The share is the part of the frame's points that
+        comes from the segment. The shares sum to 1.
 
-        In the frames that two segments share, the share of the second segment grows linearly.
+        Where two segments overlap, the share of the later segment grows linearly from frame to frame.
         """
         owners = [segment for segment, frames in enumerate(self.ranges) if frame in frames]
         if len(owners) == 1:
@@ -52,7 +53,7 @@ def frame_range(numbers: Sequence[int], frames: range) -> str:
     """The config value ``frames`` (A:B or A:B:S) that selects the frames of a segment.
 
     Args:
-        numbers: indices in the capture of the frames of the whole run, which are evenly spaced.
+        numbers: indices of all frames of the run, counted in the frames of the capture. The indices are evenly spaced.
         frames: indices of the segment's frames in ``numbers``.
     """
     step = numbers[1] - numbers[0] if len(numbers) > 1 else 1

@@ -1,4 +1,4 @@
-"""A trained run with segments, of which at most two are open."""
+"""A trained run with segments. At most two segments are open at the same time."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ class SegmentFrame:
     Attributes:
         trained: the segment.
         frame: index of the frame in the segment.
-        share: share of the segment in the frame, in (0, 1]. The shares of all segments of a frame sum to 1.
+        share: part of the frame's points that comes from the segment, in (0, 1]. The shares of all segments of a frame
+            sum to 1.
         is_first: whether the segment is the first of the segments of this frame.
     """
 
@@ -37,13 +38,14 @@ class SegmentFrame:
     is_first: bool
 
     def kept(self, count: int) -> NDArray[np.int64]:
-        """Indices of the points that the segment contributes to the frame, out of the segment's ``count`` points."""
+        """Indices of the points that the segment contributes to the frame. ``count`` is the number of the segment's
+        points in this frame."""
         return kept_points(count, self.share, is_first=self.is_first)
 
 
 class SegmentedRun:
-    """A run with segments. A segment is loaded when one of its frames is needed. Only the segments of the last frame
-    stay loaded, so memory does not grow with the number of segments.
+    """A run with segments. A segment is loaded when one of its frames is needed. Only the segments of the last
+    requested frame stay loaded, so memory does not grow with the number of segments.
 
     Attributes:
         run: the whole run, which has no models.
@@ -81,7 +83,7 @@ class SegmentedRun:
         return self._open[index]
 
     def at(self, frame: int) -> tuple[SegmentFrame, ...]:
-        """The one or two segments that describe a frame."""
+        """The one or two segments that contain a frame."""
         shares = self.plan.shares(frame)
         self._close_all_except({index for index, _ in shares})
         return tuple(
@@ -90,7 +92,7 @@ class SegmentedRun:
         )
 
     def render(self, frame: int, camera: Camera, layers: int, exclude: int | None = None) -> RenderedView:
-        """Render a frame. The arguments are those of :meth:`ModelRenderer.render`."""
+        """Render a frame. The arguments have the same meaning as in :meth:`ModelRenderer.render`."""
         clouds = [_evaluate(part, camera, exclude) for part in self.at(frame)]
         return render_view([concatenate(clouds)], camera, layers, self.run.config.train.pixel_filter)
 
@@ -104,8 +106,8 @@ class SegmentedRun:
         for index in closed:
             self._open.pop(index).close()
         if closed:
-            # Garbage is collected explicitly: a segment contains reference cycles, so its memory would otherwise stay
-            # until Python's next full collection.
+            # A segment contains reference cycles. Without this explicit collection, its memory would not be freed until
+            # Python's next full collection.
             gc.collect()
 
 

@@ -29,8 +29,8 @@ def write_warm_start(run: Run, previous: Path) -> None:
     """Write a checkpoint at step 0 with the networks of the previous segment. The points and the optimizer are those of
     an untrained segment.
 
-    A row of a time plane belongs to one frame. In the frames that both segments share, the rows are copied. The rows of
-    frames after the previous segment are copies of the previous segment's last row.
+    A row of a time plane belongs to one frame. The rows of the frames that both segments share are copied. The rows of
+    all later frames are copies of the previous segment's last row.
 
     Args:
         run: the segment, which has no checkpoint.
@@ -57,7 +57,8 @@ def write_warm_start(run: Run, previous: Path) -> None:
 
 
 def _shifted(model: PointModel, tensors: Mapping[str, Tensor], shift: int) -> dict[str, Tensor]:
-    """The state of ``model`` from the tensors of a checkpoint whose frame ``shift`` is the first frame of ``model``."""
+    """The state dict of ``model``, filled with the tensors of the previous segment's checkpoint. The first frame of
+    ``model`` is the frame with the index ``shift`` in the previous segment."""
     state = model.state_dict()
     for name, value in state.items():
         given = tensors[f"{PREFIX}{name}"]
