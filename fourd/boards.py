@@ -42,8 +42,8 @@ class CalibrationBoard:
         double_sided: whether the back shows the mirrored pattern, so that each corner is visible at the same point from
             both sides. Only boards with markers can be double-sided, because markers distinguish the front from the
             back.
-        legacy_pattern: whether OpenCV before version 4.6 made the pattern. Before version 4.6, the pattern is different
-            if ``rows`` is even.
+        legacy_pattern: whether the board has the pattern of OpenCV before version 4.6. This pattern differs from the
+            current pattern only if ``rows`` is even.
 
     Raises:
         ValueError: if a value is invalid. The message starts with the name of the value.
@@ -133,8 +133,8 @@ def load_dictionary(name: str) -> cv2.aruco.Dictionary:
 
 
 def charuco_board(board: CalibrationBoard) -> cv2.aruco.CharucoBoard:
-    """OpenCV's object for a ChArUco board. In OpenCV's board coordinates, the origin is at the upper left and y points
-    down."""
+    """The object that describes a ChArUco board in OpenCV. In OpenCV's board coordinates, the origin is at the upper
+    left and y points down."""
     assert board.dictionary is not None
     assert board.marker_m is not None
     found = cv2.aruco.CharucoBoard(
@@ -195,7 +195,7 @@ def write_board(path: Path, board: CalibrationBoard) -> None:
 
 
 def ink_rectangles(board: CalibrationBoard) -> Array:
-    """Rectangles (N, 4) to print in board coordinates, as x0, y0, x1, y1 in metres.
+    """Rectangles (N, 4) to print. Each row contains x0, y0, x1, y1 in board coordinates, in metres.
 
     The rectangles do not overlap. The rectangles are dark on a bright background, or bright on a dark background if the
     board is inverted.
@@ -222,7 +222,7 @@ def ink_rectangles(board: CalibrationBoard) -> Array:
 
 
 def draw_board(board: CalibrationBoard, pixels_per_square: int, margin: int = 0) -> Grey:
-    """Draw the front of the board as an image (H, W), with an empty margin of ``margin`` pixels on each side."""
+    """Draw the front of the board as an image (H, W), with a blank margin of ``margin`` pixels on each side."""
     scale = pixels_per_square / board.square_m
     height, width = (round(scale * side) + 2 * margin for side in board.size_m[::-1])
     picture = np.full((height, width), 255, np.uint8)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Factor for the limit angle of :func:`fading_weights`. If no other camera has an angle as large as the largest angle
-of the chosen cameras, the limit angle is this largest angle times the factor.
+"""Factor for the limit angle of :func:`fading_weights`. It is used only if every camera that is not chosen has a
+smaller angle than the largest angle of the chosen cameras. The limit angle is then this largest angle times the factor.
 """
 
 
@@ -114,7 +114,7 @@ class Camera:
         return self.resize(max(1, round(self.width * scale)), max(1, round(self.height * scale)))
 
     def resize(self, width: int, height: int) -> Camera:
-        """Return this camera with the same view sampled at ``width`` x ``height`` pixels."""
+        """Return a camera with the same field of view, whose image has ``width`` x ``height`` pixels."""
         zoom = np.diag([width / self.width, height / self.height, 1.0])
         return replace(self, intrinsics=zoom @ self.intrinsics, width=width, height=height)
 
@@ -144,7 +144,7 @@ def look_at(centre: Array, target: Array, up: Array, intrinsics: Array, width: i
 
 
 def estimate_up(cameras: Sequence[Camera]) -> Array:
-    """Estimate the up direction (3,) of a capture, because a calibration does not define one.
+    """Estimate the up direction (3,) of a capture. A calibration does not define the up direction.
 
     The result is the normalised mean of the cameras' -y axes, which point up in the images. If the axes cancel out, the
     result is the -y axis of the first camera.
@@ -185,10 +185,10 @@ def fading_weights(
     """Return view weights (V,) of the ``chosen`` cameras, which decrease with the angle to the viewing camera.
 
     A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b, where b is the limit angle.
-    Let A be the largest angle of the chosen cameras. The limit angle b is the smallest angle of a camera that is not
-    chosen and whose angle is at least A. When another camera replaces a chosen camera, both have the view weight 0, so
-    the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4). Angles are
-    measured at the point ``focus``. If all view weights would be 0, all view weights are 1.
+    Let A be the largest angle of the chosen cameras. To find b, consider the cameras that are not chosen and whose
+    angle is at least A: b is the smallest of their angles. At the moment when another camera replaces a chosen camera,
+    both have the view weight 0, so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al.
+    2001, sec. 4). Angles are measured at the point ``focus``. If all view weights would be 0, all view weights are 1.
 
     Args:
         camera: the viewing camera.

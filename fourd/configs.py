@@ -117,7 +117,7 @@ class _Place:
 
 
 MAX_DIGITS = 64
-"""Maximum number of characters of a whole number. Python itself rejects texts of more than 4300 digits."""
+"""Maximum number of characters of an integer in a config. Python itself rejects integers of more than 4300 digits."""
 
 
 class _Dumper(yaml.SafeDumper):
@@ -229,8 +229,8 @@ def _entries(node: yaml.Node, known: list[str], place: _Place) -> list[tuple[str
 def _value(kind: Any, node: yaml.Node, base: Any, place: _Place) -> Any:
     """Convert a YAML node to the type ``kind``.
 
-    ``base`` is the old value of the config field. If ``base`` is a dataclass, fields that the node does not name
-    keep their values.
+    ``base`` is the old value of the config field. If ``base`` is a dataclass, the node may name only some of its
+    fields, and the other fields keep their values.
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if dataclasses.is_dataclass(kind) and isinstance(kind, type):
@@ -319,7 +319,8 @@ def _float(text: str) -> float:
 
 
 def _plain_tag(node: yaml.Node) -> str | None:
-    """Return the implicit YAML tag of an unquoted scalar, or None for any other node or an explicit tag."""
+    """Return the implicit YAML tag of an unquoted scalar. For other nodes, and for explicit tags, the result is
+    None."""
     if isinstance(node, yaml.ScalarNode) and node.style is None and node.tag in _PLAIN_TAGS:
         return node.tag
     return None

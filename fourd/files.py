@@ -49,7 +49,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     except OSError as error:
         if error.filename not in (None, name) or error.errno is None:
             raise
-        # The error message names the target file, because the user does not know the temporary file.
+        # The error message names the target file, because the name of the temporary file means nothing to the user.
         raise OSError(error.errno, error.strerror, str(target)) from error
     finally:
         try:
@@ -64,8 +64,8 @@ def atomic_folder(target: Path) -> Iterator[Path]:
     """Yield a temporary folder beside ``target``. On success, the temporary folder replaces the folder ``target``.
 
     If the ``with`` block raises an exception, the temporary folder is removed and ``target`` is unchanged. An existing
-    ``target`` is first renamed, and is removed after the new folder has the name ``target``. The folder ``target`` is
-    therefore missing only for a moment.
+    ``target`` is renamed first. Then the temporary folder gets the name ``target``, and the old folder is removed. The
+    folder ``target`` is therefore missing only for a moment.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = Path(tempfile.mkdtemp(dir=target.parent, prefix=f"{UNFINISHED}{target.name}-"))
@@ -114,7 +114,8 @@ def remove_unfinished(folder: Path | str, *, deep: bool = False) -> None:
 def remove_unfinished_file(target: Path | str) -> None:
     """Remove the temporary files that killed processes left for the file ``target``.
 
-    Temporary files of running processes are kept, because they are locked. Other files are kept.
+    Temporary files of running processes are kept, because they are locked. All files that are not temporary files of
+    ``target`` are also kept.
     """
     target = Path(target)
     stem, suffix = glob.escape(target.stem), glob.escape(target.suffix)
@@ -149,7 +150,7 @@ def remove_unfinished_folder(target: Path) -> None:
 
 
 def resolved(path: Path | str) -> Path:
-    """The absolute path without symbolic links, also of missing files.
+    """The absolute path without symbolic links. The file may be missing.
 
     Before Python 3.13, Path.resolve raises RuntimeError for links that form a loop. Such links are kept here.
     """
@@ -172,17 +173,18 @@ def _create_temporary(target: Path) -> tuple[int, str]:
         descriptor, name = tempfile.mkstemp(
             dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix
         )
-        # Before the file was locked, another process may have taken it for a leftover and removed it.
+        # Another process may have removed the file before it was locked, because an unlocked temporary file looks like
+        # a leftover.
         if try_lock(descriptor) is not False and os.path.exists(name):
             return descriptor, name
         os.close(descriptor)
 
 
 def try_lock(descriptor: int) -> bool | None:
-    """Lock an open file or folder until its descriptor is closed. Returns False if another process holds a lock.
+    """Lock an open file or folder until its descriptor is closed, and return True. Returns False if another process
+    holds a lock.
 
-    Returns None if nothing is locked: on Windows, where open files cannot be renamed, and on file systems without
-    locks.
+    Returns None, without locking, on file systems without locks and on Windows, where open files cannot be renamed.
     """
     if sys.platform == "win32":
         return None

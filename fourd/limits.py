@@ -18,7 +18,8 @@ from typing import Any
 from fourd.errors import UserError
 
 MAX_TEXT_BYTES = 64 << 20
-"""Maximum size in bytes of a file that is read whole and parsed, such as JSON, YAML, TOML and XML."""
+"""Maximum size in bytes of a file that is read into memory as a whole and parsed, such as JSON, YAML, TOML and XML
+files."""
 MAX_CALIBRATION_BYTES = 16 << 20
 """Maximum size in bytes of intri.yml and extri.yml. 1,000 cameras need about 1 MB."""
 MAX_CONFIG_BYTES = 1 << 20
@@ -39,7 +40,8 @@ _KINDS = (
 def require_regular(path: Path | str) -> None:
     """Raise UserError if ``path`` is a named pipe, a socket or a device, because reading it may never end.
 
-    Symbolic links are followed. Missing files and folders are not reported, so that the reader can report them.
+    Symbolic links are followed. No error is raised for a folder or a missing path. The code that opens the path reports
+    these errors.
     """
     try:
         mode = os.stat(path).st_mode
@@ -55,10 +57,10 @@ def open_regular(path: Path | str) -> BufferedReader:
         UserError: if ``path`` is a named pipe, a socket or a device.
         OSError: if ``path`` is missing, is a folder, or cannot be opened.
     """
-    # The file is examined before and after it is opened. Opening a device can have side effects, and another process
-    # may replace the file between examining and opening. The stream owns the descriptor from the start: if Ctrl-C
-    # arrived between opening and owning, the descriptor would be closed twice. The second close could close a
-    # descriptor that another thread has opened in the meantime.
+    # The file is examined before it is opened, because opening a device can have side effects. It is examined again
+    # afterwards, because another process may have replaced it in between. The stream owns the descriptor from the
+    # start. Otherwise, if Ctrl-C arrived after the descriptor was opened and before the stream owned it, the descriptor
+    # would be closed twice. The second call could then close a file that another thread has opened in the meantime.
     _require_regular_mode(path, os.stat(path).st_mode)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     # Opening raises IsADirectoryError for folders.
@@ -88,7 +90,8 @@ def read_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
 
 
 def read_text_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Read UTF-8 text like :func:`read_limited`. Raises UnicodeDecodeError, a ValueError, for other bytes."""
+    """Read a file as UTF-8 text, with the limit and the errors of :func:`read_limited`. Also raises UnicodeDecodeError,
+    a ValueError, if the bytes are not UTF-8."""
     return read_limited(path, max_bytes).decode("utf-8")
 
 
@@ -107,7 +110,7 @@ def read_fraction(value: object) -> Fraction:
     """Convert a value from a file, such as 25, 29.97 or "30000/1001", to an exact fraction.
 
     Raises TypeError, ValueError or ZeroDivisionError for other values, and for numbers with exponents or more than 64
-    characters. For example, the text "1e99999999" would need gigabytes of memory as a fraction.
+    characters. Such numbers could fill the memory: as a fraction, the text "1e99999999" would need gigabytes.
     """
     if isinstance(value, bool) or not isinstance(value, str | int | float):
         raise TypeError("expected a number")

@@ -20,8 +20,8 @@ Result = TypeVar("Result")
 Item = TypeVar("Item")
 
 MAX_BLOCK = 16
-"""Maximum number of items per job. Small jobs let all cores finish at about the same time, but large jobs open files
-less often."""
+"""Maximum number of items per job. With small jobs, all cores finish at about the same time. With large jobs, files are
+opened less often."""
 POLL_SECONDS = 0.2
 """Interval in seconds at which the queue of results is read."""
 
@@ -75,8 +75,8 @@ def _initialize(results: SimpleQueue[Any]) -> None:
     """Set up a process of the pool.
 
     The process ignores Ctrl-C, because the terminal sends Ctrl-C to all processes and the parent handles it. The
-    process exits when its parent exits. The process uses one OpenCV thread, because the other cores run other processes
-    of the pool.
+    process exits when its parent exits. OpenCV uses only one thread in the process, because the other cores run the
+    other processes of the pool.
     """
     global _results
     cv2.setNumThreads(1)

@@ -1,4 +1,4 @@
-"""Progress reports of all stages: a bar on a terminal, or a line every 30 seconds in a file."""
+"""Progress reports of all stages: a bar if the output is a terminal, otherwise a line of text every 30 seconds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RATE_SECONDS = 60.0
 RATE_ITEMS = 20
 """Minimum number of items in the time window over which the rate of finished items is measured."""
 MIN_LOGGED_SECONDS = 2.0
-"""Minimum duration, in seconds, of a phase that prints a line when it ends."""
+"""A phase prints a line at its end only if it took at least this number of seconds."""
 
 
 class Track(Protocol):
@@ -42,7 +42,7 @@ def untracked(items: Iterable[Item], count: int, what: str) -> Iterable[Item]:
 
 
 class Terminal(Console):
-    """A console that shows text as it is: without markup, and with escaped control characters.
+    """A console that prints text literally: markup is not interpreted, and control characters are escaped.
 
     Paths, names of cameras and messages of libraries can contain square brackets and sequences that change the
     terminal.
@@ -115,8 +115,8 @@ class Tracker:
 class EndEstimate:
     """Estimates the end of a phase from the rate at which the last items were finished.
 
-    The rate is measured over the last minute, or over the last 20 items if they took longer than a minute. The time
-    window is long enough for a stable estimate when several processes finish items at the same time. The time window is
+    The rate is measured over the last minute, or over the last 20 items if they took longer than a minute. This time
+    window is long enough for a stable estimate, even if several processes finish items at the same time. It is also
     short enough that the estimate follows changes of the machine's load.
     """
 
@@ -144,7 +144,7 @@ def format_duration(seconds: float) -> str:
 
 
 class _RemainingTime(ProgressColumn):
-    """Progress bar column with the time until the estimated end of the phase."""
+    """Column of the progress bar that shows the time until the estimated end of the phase."""
 
     def render(self, task: Task) -> Text:
         end: float | None = task.fields["end"]

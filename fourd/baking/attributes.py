@@ -1,5 +1,5 @@
-"""The table of the arrays that a baked frame consists of. The table is used by the manifest, by the scene reader and
-writer, for the combination of frames and for the upload to OpenGL.
+"""The table of the arrays that a baked frame consists of. The manifest, the scene reader, the scene writer, the
+combination of frames and the upload to OpenGL use this table.
 
 To add an attribute, add a row to :data:`ATTRIBUTES` with ``is_optional=True``. Add a field of the same name to
 :class:`fourd.baking.scene.BakedFrame`, and compute the attribute in :mod:`fourd.baking.bake`. Scenes without the new
@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from fourd.ops.shade.harmonics import SH_TERMS
 
 Values = Literal["any", "finite", "nonnegative", "unit"]
-"""Valid values of an attribute. "unit" means [0, 1]. Every value of ``Values`` except "any" excludes NaN and
-infinity."""
+"""Valid values of an attribute. "unit" means [0, 1]. Only "any" permits NaN and infinity."""
 
 Combine = Literal["concatenate", "cast_shadow"]
 """How the background's array is appended to the array of the dynamic points: "concatenate" appends the background's
-array unchanged, "cast_shadow" appends its product with the frame's shadow factors."""
+array unchanged, "cast_shadow" multiplies the background's array by the frame's shadow factors and appends the
+product."""
 
 
 @dataclass(frozen=True)

@@ -46,7 +46,8 @@ GetSourceView = Callable[[int, EvaluatedPoints], SourceViews]
 tested."""
 
 MAX_BAKED_WEIGHT = 1024.0
-"""Largest blend weight of each point after scaling. Without scaling, small weights would underflow in fp16."""
+"""The blend weights of each point are scaled such that the largest weight has this value. Without scaling, small
+weights would underflow in fp16."""
 
 
 def bake_run(

@@ -1,7 +1,7 @@
 """Fitting of spherical harmonics to the colours of a scene.
 
-For each point, spherical harmonics are fitted by least squares to the colours that the point shows to the capture's
-cameras and to cameras between them. Directions from which the point is visible have the largest weights.
+For each point, spherical harmonics are fitted by least squares to the point's colours in the capture's cameras and in
+cameras between them. Directions from which the point is visible have the largest weights.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from fourd.ops.points.arrays import point_visibility_numpy
 from fourd.ops.shade.harmonics import SH_CONSTANT, directional_terms
 
 MIN_WEIGHT = 0.02
-"""Weight in the fit of a direction from which the point is not visible. The visibility of the point, in [0, 1], is
-added to the weight."""
+"""The weight of a direction in the fit is this number plus the visibility, in [0, 1], of the point from this
+direction."""
 RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
 """Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics. The
 regularisation keeps the coefficients from fitting noise."""

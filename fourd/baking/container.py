@@ -57,8 +57,8 @@ def member_name(frame: int, attribute: str) -> str:
 class SceneWriter:
     """Writes a scene to a file, one frame after the other. Memory use does not grow with the number of frames.
 
-    Use the writer as a context manager: the complete file appears at ``path`` when the block ends. If the block raises
-    an exception, no partial file remains, and an existing file at ``path`` is unchanged.
+    Use the writer as a context manager: the complete file appears at ``path`` when the ``with`` block ends. If the
+    block raises an exception, no partial file remains, and an existing file at ``path`` is unchanged.
 
     Args:
         path: path of the `.4dv`. Missing folders of ``path`` are created.
@@ -198,7 +198,7 @@ class SceneReader:
     """Reads a `.4dv`. Each call reads the requested frame from the file. Only the background is kept in memory.
 
     Several threads may use one instance. ``path`` can be a URL, such as s3://bucket/scene.4dv. A scene at a URL is read
-    by ranges, without a local copy.
+    with range requests, without a local copy.
 
     Attributes:
         path: the path or URL of the file.
@@ -231,7 +231,8 @@ class SceneReader:
         self._background = None
 
     def read(self, index: int) -> BakedFrame:
-        """Read frame ``index``, from 0: the dynamic points, followed by the background points with the frame's shadow.
+        """Read the frame with the 0-based ``index``: the dynamic points, followed by the background points with the
+        frame's shadow.
 
         The arrays are read-only. Raises IndexError if the scene has no frame ``index``.
         """
@@ -311,7 +312,8 @@ class SceneReader:
 
     @contextmanager
     def _decoding(self, name: str) -> Iterator[None]:
-        """Raise a UserError that names the file if the code in the block finds a damaged member."""
+        """Context manager that raises a UserError with the file's name if the code in the ``with`` block finds a
+        damaged member."""
         try:
             yield
         except StreamError as error:

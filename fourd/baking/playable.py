@@ -44,7 +44,7 @@ class Playable(Protocol):
     def render(
         self, camera: Camera, frame: int, layers: int | None, background: NDArray[np.float32]
     ) -> NDArray[np.float32]:
-        """Render a frame (index from 0): RGB (H, W, 3) float32 in [0, 1].
+        """Render the frame with the 0-based index ``frame`` as RGB (H, W, 3) float32 in [0, 1].
 
         Args:
             layers: maximum number K of points that are composited per pixel. If ``layers`` is None, the value of the
@@ -142,8 +142,8 @@ def find_view(playable: Playable, name: str) -> Camera:
 def select_frames(playable: Playable, selection: str | None) -> list[int]:
     """Return the indices of the frames whose numbers in the capture are in the range ``selection``.
 
-    The text A:B:S selects the frames A, A + S, A + 2 S, ... below B. The text A:B has the step 1. If ``selection`` is
-    None, all frames are selected. Raises UserError.
+    The text A:B:S selects the frames A, A + S, A + 2 * S and so on, below B. The text A:B has the step 1. If
+    ``selection`` is None, all frames are selected. Raises UserError.
     """
     numbers = playable.frame_numbers
     if selection is None:

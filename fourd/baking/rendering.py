@@ -80,7 +80,8 @@ class Scene:
             self._cache.clear()
 
     def frame(self, index: int) -> BakedFrame:
-        """Return frame ``index``, from 0: the dynamic points, then the background points, in read-only arrays.
+        """Return the frame with the 0-based ``index``: the dynamic points, then the background points, in read-only
+        arrays.
 
         Raises IndexError if the scene has no such frame, and UserError if the file is damaged.
         """
@@ -106,7 +107,7 @@ class Scene:
 
         Args:
             camera: a pinhole camera without lens distortion.
-            frame: index of the frame, from 0.
+            frame: 0-based index of the frame.
             layers: maximum number of points that are composited per pixel. If ``layers`` is None, the manifest's value
                 is used.
             background: (3,) RGB colour in [0, 1] behind the points, or None for black.
@@ -150,7 +151,8 @@ def open_scene(path: Location | str, *, cache_bytes: int = CACHE_BYTES) -> Scene
     """Open a `.4dv`, a `.ply` or `.splat` file of Gaussian splats, or a folder with one such file for each frame.
 
     Args:
-        path: a path, or the URL of a `.4dv`, such as s3://bucket/scene.4dv. A scene at a URL is read by ranges.
+        path: a path, or the URL of a `.4dv`, such as s3://bucket/scene.4dv. A scene at a URL is read with range
+            requests.
         cache_bytes: size in bytes of the cache for frames and the background. One frame is cached even if it exceeds
             this limit.
 

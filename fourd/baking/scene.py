@@ -143,21 +143,22 @@ class SceneManifest:
 
     Attributes:
         source_names, source_cameras: names and cameras of the V source views, in the order of the frames' arrays.
-        focus: (x, y, z) in world units of the point at which angles between views are measured.
+        focus: point (x, y, z), in world units, at which angles between views are measured.
         bounds: lower and upper corner, in world units, of the box that contains the dynamic points.
-        frame_numbers: number in the capture of each frame.
+        frame_numbers: for each frame, its number in the capture.
         points: number of dynamic points of each frame; set by the writer.
         other_names, other_cameras: names and cameras of the capture's other views, such as held-out views. Other views
             are not source views, but images can be rendered from their cameras by name.
         fps: playback rate, frames per second.
-        is_fps_known: whether ``fps`` is known to be the rate of the recording, or was set by the user.
+        is_fps_known: true if ``fps`` is the rate of the recording or was set by the user; false if ``fps`` may be a
+            default value.
         layers: maximum number of points that are composited per pixel (K in 4K4D).
         neighbours: number of source views that are blended for a viewing camera (N' in 4K4D).
         fade_views: whether the weight of a source view decreases with its angle to the viewing camera; see
             :func:`fourd.cameras.fading_weights`.
         sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
             are the spherical harmonics in viewing direction d.
-        near: depth in world units of the near plane. Points with a smaller depth are not rendered.
+        near: depth, in world units, of the near plane. Points with a smaller depth are not rendered.
         pixel_filter: weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25; see
             :func:`fourd.ops.pixel_filter.op.filter_pixels`. With 0, images are not filtered.
         kind: "object" (on black) or "full" (with a static background).

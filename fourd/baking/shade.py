@@ -41,8 +41,8 @@ def make_shading(camera: Camera, manifest: SceneManifest) -> Shading:
 
 
 def select_source_views(camera: Camera, manifest: SceneManifest) -> SelectedViews:
-    """Select the source views with the smallest angles to ``camera``, measured at the focus. ``manifest.neighbours`` is
-    the number of returned views.
+    """Select the ``manifest.neighbours`` source views with the smallest angles to ``camera``. The angles are measured
+    at the focus.
 
     If a scene has no source views, none are selected.
     """

@@ -47,7 +47,8 @@ def project(xyz: Tensor, side: int) -> Tensor:
 
 
 def rasterizing(count: int, side: int, backward: bool) -> Work:
-    """Return a function that rasterizes about ``count`` triangles with derivatives, or only computes the gradient."""
+    """Return a function that rasterizes about ``count`` triangles and computes the screen-space derivatives. If
+    ``backward``, the function only computes the gradient of the positions."""
     xyz, tri = make_mesh(count)
     pos = project(xyz, side)
     if not backward:
@@ -59,7 +60,8 @@ def rasterizing(count: int, side: int, backward: bool) -> Work:
 
 
 def interpolating(count: int, side: int, backward: bool) -> Work:
-    """Return a function that interpolates three channels, or only computes the gradients of attributes and weights."""
+    """Return a function that interpolates three channels. If ``backward``, the function only computes the gradients of
+    the attributes and of the barycentric weights."""
     xyz, tri = make_mesh(count)
     rast, _ = rasterize(project(xyz, side), tri, (side, side))
     if not backward:
@@ -71,9 +73,9 @@ def interpolating(count: int, side: int, backward: bool) -> Work:
 
 
 def antialiasing(count: int, side: int, *, changes_image: bool = True) -> Work:
-    """Return a function that antialiases three channels with a given topology, and computes the gradients of colours
-    and positions. If ``changes_image`` is false, :func:`fourd.raster.triangles.edge_gradients` replaces
-    ``antialias``."""
+    """Return a function that antialiases three channels and computes the gradients of the colours and the positions.
+    The topology is built only once, before the timing. If ``changes_image`` is false,
+    :func:`fourd.raster.triangles.edge_gradients` replaces ``antialias``."""
     xyz, tri = make_mesh(count)
     topology = antialias_construct_topology(tri)
     pos = project(xyz, side)

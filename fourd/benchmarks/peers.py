@@ -17,7 +17,7 @@ from fourd.cameras import Camera
 
 
 def missing_peers() -> list[str]:
-    """Return the names of the libraries that CPU benchmarks compare with and that are not installed."""
+    """Return the names of the libraries that are missing for the comparisons of CPU benchmarks."""
     return [name for name in ("pytorch3d", "embreex") if find_spec(name) is None]
 
 
@@ -60,7 +60,8 @@ def pytorch3d_compositor(cloud: dict[str, Tensor], view: Camera, layers: int, ba
 
 
 def pytorch3d_rasterizer(pos: Tensor, tri: Tensor, side: int) -> Work | None:
-    """Return a function that rasterizes clip coordinates (V, 4) with PyTorch3D, one triangle per pixel and no gradient.
+    """Return a function that rasterizes clip coordinates (V, 4) with PyTorch3D. Each pixel stores one triangle, and no
+    gradient is computed.
 
     Returns None if PyTorch3D is not installed.
     """

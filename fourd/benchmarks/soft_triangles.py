@@ -17,8 +17,8 @@ overlap."""
 
 
 def make_soup(count: int) -> dict[str, Tensor]:
-    """Make the array arguments of ``splat_triangles``: equilateral triangles in the tangent planes of the ellipsoid of
-    :func:`fourd.benchmarks.workloads.make_points`, in random colours, without shared vertices."""
+    """Make the array arguments of ``splat_triangles``. The triangles are equilateral, have random colours and share no
+    vertices. They lie in tangent planes of the ellipsoid of :func:`fourd.benchmarks.workloads.make_points`."""
     rng = np.random.default_rng(SEED)
     centres = make_points(count)[0].astype(np.float64)
     normals = _unit(centres)
@@ -37,7 +37,8 @@ def make_soup(count: int) -> dict[str, Tensor]:
 
 
 def splatting(count: int, side: int, backward: bool) -> Work:
-    """Return a function that splats ``count`` triangles without geometry, or only computes the gradients."""
+    """Return a function that splats ``count`` triangles with ``geometry=False``. If ``backward``, the function only
+    computes the gradients."""
     soup, camera = make_soup(count), make_camera(side, side)
     if not backward:
         return lambda: splat_triangles(**soup, camera=camera, geometry=False)  # type: ignore[arg-type]
@@ -48,8 +49,8 @@ def splatting(count: int, side: int, backward: bool) -> Work:
 
 
 def make_sphere(count: int) -> tuple[Tensor, Tensor]:
-    """Make a closed sphere of about ``count`` triangles that covers most of the image of ``make_camera``: vertices
-    (V, 3) float32 and triangles (T, 3) int32."""
+    """Make a closed sphere of about ``count`` triangles: vertices (V, 3) float32 and triangles (T, 3) int32. The sphere
+    covers most of the image of ``make_camera``."""
     rows = max(2, round((count / 4) ** 0.5) + 1)
     columns = 2 * rows
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rows + 1), np.arange(columns) * 2 * np.pi / columns, indexing="ij")
@@ -63,7 +64,7 @@ def make_sphere(count: int) -> tuple[Tensor, Tensor]:
 
 
 def soft_silhouette(count: int, side: int, layers: int) -> Work:
-    """Return a function that renders a soft silhouette and computes the gradient of the vertices."""
+    """Return a function that renders a soft silhouette and computes its gradient with respect to the vertices."""
     xyz, tri = make_sphere(count)
     xyz.requires_grad_()
     features, camera = torch.ones(len(tri), 1), make_camera(side, side)

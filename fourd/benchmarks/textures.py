@@ -41,7 +41,8 @@ def make_textured_plane(side: int) -> dict[str, Tensor]:
 
 
 def trilinear_texture(side: int, backward: bool) -> Work:
-    """Return a function that builds the mip levels of a texture and samples it, or only computes all gradients."""
+    """Return a function that builds the mip levels of a texture and samples the texture. If ``backward``, the function
+    only computes the gradients of all arguments."""
     arguments = make_textured_plane(side)
     if not backward:
         return lambda: texture(**arguments)  # type: ignore[arg-type]

@@ -1,7 +1,7 @@
 """Timings that are comparable on a machine under varying load.
 
-A timing is the median over several runs. A timing is given in milliseconds and relative to the time of the unit, a
-fixed computation.
+A timing is the median over several runs, in milliseconds. It is also given as a multiple of the time of the unit, which
+is a fixed computation.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ class Clock:
         units, times = [], []
         for _ in range(runs):
             units.append(_time_ms(lambda: self._square @ self._square))
-            # The first run of the work is not timed. During this run, the OpenMP threads of the matrix product above
-            # still spin and would make the work slower.
+            # The first run of the work is not timed, because the OpenMP threads of the matrix product above still spin
+            # during this run and slow it down.
             work()
             times.append(_time_ms(work) / repeats)
         ratios = [one / unit for one, unit in zip(times, units, strict=True)]

@@ -1,5 +1,5 @@
-"""Whole training steps on a synthetic capture. A step includes everything in a step of `fourd train` except the reading
-of images."""
+"""Whole training steps on a synthetic capture. Each step does the same work as a step of `fourd train`, except that it
+reads no images."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ CAMERAS = 6
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
     """Yield four training steps with their names.
 
-    Two steps use the default config, and two steps use whole images and every point. Of each two steps, one trains the
-    image CNN and the other keeps the CNN frozen.
+    Two steps use the default config, and two steps use whole images and every point. In each of these pairs, one step
+    trains the image CNN, and the other step keeps it frozen.
 
     The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """

@@ -31,8 +31,9 @@ OutLocation = Annotated[Location, PATH_OR_URL, tyro.conf.arg(aliases=["-o"])]
 
 @contextmanager
 def scene_or_copy(location: Location) -> Iterator[Location]:
-    """Yield a local path, or the URL of a .4dv file, which is read by ranges. Other objects in a store are copied to a
-    local path, which exists until the block ends."""
+    """Yield ``location`` itself if it is a local path or the URL of a .4dv file. (Such a file can be read in parts,
+    without a copy.) Copy any other object in a store to a temporary local path, which exists until the block ends, and
+    yield the path."""
     if isinstance(location, Path) or location.suffix.lower() == ".4dv":
         yield location
         return
@@ -46,8 +47,8 @@ def transfer_progress() -> Track:
 
 
 def refuse_urls(arguments: object, words: Sequence[str]) -> None:
-    """Raise UserError if a URL was given where only a local path is valid. The check prevents the use of a URL as a
-    path.
+    """Raise UserError if a URL was given where only a local path is valid. Without this check, the URL would be used as
+    a path.
 
     Args:
         arguments: the parsed arguments of a command, as a dataclass.

@@ -63,14 +63,14 @@ FILE_ERRORS = (
 """File system errors that the user can fix."""
 
 SYSTEM_FOLDERS = ("/proc", "/sys")
-"""Folders in which no files can be created. If a program tries to create a file in such a folder, Linux reports that
-the file does not exist."""
+"""Folders in which no program can create files. If a program tries to create one, Linux reports that the file does not
+exist."""
 
 MAX_MESSAGE = 4000
 """Maximum number of characters of an error message. The middle of a longer message, which may quote text from a file,
 is left out."""
 MAX_SHOWN = 200
-"""Maximum number of characters of a wrong name that an error message shows."""
+"""If an error message quotes a wrong name, it shows at most this number of characters of the name."""
 
 LESS_MEMORY = "use smaller images or fewer points, or a machine with more memory"
 
@@ -112,7 +112,7 @@ Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be
 
 
 BROKEN_PIPE = 141
-"""Exit code if the program that reads the output ends first, as in ``fourd info FILE | head``.
+"""Exit code if the program that reads the output ends before fourd, as in ``fourd info FILE | head``.
 
 A process that the signal SIGPIPE ends has the same exit code.
 """
@@ -140,7 +140,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def console_main() -> int:
-    """Run the command of the terminal and return the exit code. The process must exit afterwards."""
+    """Run the command that the user typed in the terminal, and return the exit code. The process must exit
+    afterwards."""
     try:
         return main()
     finally:
@@ -214,7 +215,7 @@ def _report_errors(words: list[str]) -> int:
 
 
 def _is_in_system_folder(error: OSError) -> bool:
-    """Whether an error says that a file is missing because no file can be created in its folder."""
+    """Whether the error is a FileNotFoundError for a path in one of :data:`SYSTEM_FOLDERS`."""
     if not isinstance(error, FileNotFoundError) or not isinstance(error.filename, str):
         return False
     path = Path(os.path.realpath(error.filename))

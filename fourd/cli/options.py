@@ -133,7 +133,7 @@ def check_rendering(
     steps: int | None = None,
     fps: float | None = None,
 ) -> None:
-    """Raise UserError for a rendering option that is out of range. Options that are None are not checked."""
+    """Raise UserError for a rendering option that is out of range. Options whose value is None are not checked."""
     if layers is not None and not 1 <= layers <= 64:
         raise UserError(f"--layers: expected 1 to 64, got {layers}")
     if any(not 0 <= value <= 1 for value in background):
@@ -152,7 +152,8 @@ def split_names(text: str | None) -> tuple[str, ...] | None:
 
 
 def parse_offsets(words: Sequence[str]) -> dict[str, float]:
-    """Parse the values of --offset, CAM=FRAMES separated by commas, to frames by camera name."""
+    """Parse the values of --offset, each a list of CAM=FRAMES separated by commas. The result maps each CAM to its
+    FRAMES."""
     found: dict[str, float] = {}
     for part in (part.strip() for word in words for part in word.split(",") if part.strip()):
         name, _, frames = part.rpartition("=")

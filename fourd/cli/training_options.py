@@ -41,7 +41,7 @@ CONFIG_KEYS = {
     "seed": "seed",
     "segment": "segments.frames",
 }
-"""For each option, the dotted key of the training config that the option overrides."""
+"""The options that override a value of the training config, each with the dotted key of the value."""
 
 SWITCHES = {
     "refine.poses": "refine_cameras",
@@ -49,7 +49,7 @@ SWITCHES = {
     "refine.colours": "refine_colours",
     "segments.warm_start": "warm_start",
 }
-"""For each dotted key of the training config that a flag switches on, the name of the flag."""
+"""The dotted keys of the training config that a flag sets to true, each with the name of the flag."""
 
 
 def _config_option(name: str, metavar: str, text: str | None = None) -> Any:
@@ -104,7 +104,8 @@ class TrainingOptions:
     lpips_weights: LpipsWeights = None
 
     def train_config(self, max_seconds: float | None = None) -> TrainConfig:
-        """Return the default config, overridden first by the config file and then by --set and the flags.
+        """Return the default config with the values of the config file, --set and the flags. --set and the flags
+        override the config file.
 
         Args:
             max_seconds: training budget in seconds, used if neither the options nor the config file set a budget. If
@@ -118,7 +119,7 @@ class TrainingOptions:
         return config
 
     def overlay(self, config: TrainConfig) -> TrainConfig:
-        """Return ``config``, overridden by the config file, --set and the flags."""
+        """Return ``config`` with the values of the config file, --set and the flags."""
         if self.config is not None:
             config = load_overlay(config, self.config)
         assigned = assigned_keys(self.assignments)
@@ -144,7 +145,7 @@ def _flag(name: str) -> str:
 
 
 def _config_values(name: str, key: str, value: Any) -> dict[str, Any]:
-    """Return the new values of the config fields that option ``name`` sets, by field name."""
+    """Return the config fields that the option ``name`` sets, and their new values."""
     if name == "background":
         return _seeding(value)
     if name in ("views", "test_views"):

@@ -37,7 +37,8 @@ def one_line_of_usage() -> Iterator[None]:
 
 
 def condense(box: str) -> str:
-    """Shorten the error box of tyro to one line: the first section of the box, and the option that tyro suggests."""
+    """Shorten tyro's error box to one line, which consists of the first section of the box and the option that tyro
+    suggests."""
     sections: list[list[str]] = [[]]
     for line in COLOUR.sub("", box).splitlines():
         text = line.strip(FRAME)

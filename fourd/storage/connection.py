@@ -1,4 +1,4 @@
-"""Connections to object stores through fsspec, and messages for the user about errors of stores.
+"""Connections to object stores through fsspec, and conversion of the stores' errors to messages for the user.
 
 The packages for object stores are optional, so they are imported when the first connection is made. Credentials and
 endpoints are read from each store's standard settings, such as AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL and ~/.aws/ for
@@ -112,8 +112,8 @@ def _describe(url: StorageUrl, error: Exception) -> str:
 def run_together(calls: Sequence[Callable[[Event], object]]) -> Iterator[int]:
     """Run calls with several connections, and yield the index of each call when it is finished.
 
-    After an error, or if the caller stops, the event that each call gets is set, and calls that have not started are
-    dropped. The error of a call is raised here.
+    Each call gets an event. After an error, or if the caller stops, this event is set, and calls that have not started
+    are dropped. If a call raises an error, this function raises the error.
     """
     stop = Event()
     with ThreadPoolExecutor(CONNECTIONS) as pool:

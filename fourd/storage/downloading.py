@@ -31,7 +31,7 @@ MAX_OBJECTS = 1_000_000
 MIN_FREE_BYTES = 1 << 30
 """Number of bytes that a copy leaves free on the disk."""
 RECORD = ".fetched.jsonl"
-"""File beside a copied folder with one line for each copied object: its key, size and version."""
+"""File beside a copied folder. The file has one line for each copied object: the object's key, size and version."""
 MAX_RECORD_LINE = 1 << 16
 
 

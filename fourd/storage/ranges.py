@@ -1,5 +1,5 @@
-"""Objects as files that are read by ranges, so that a part of an object can be read without a copy of the whole
-object."""
+"""Objects in a store as readable files. A read downloads only a range of bytes, so a part of an object can be read
+without a copy of the whole object."""
 
 from __future__ import annotations
 

@@ -27,7 +27,8 @@ MEGABYTE = 1 << 20
 PART_BYTES = 16 * MEGABYTE
 """Size of the parts of an upload. One part is in memory at a time."""
 MAX_PARTS = 9000
-"""S3 accepts at most 10,000 parts. A file with more than MAX_PARTS parts of PART_BYTES is sent in larger parts.
+"""S3 accepts at most 10,000 parts. If a file is larger than MAX_PARTS parts of PART_BYTES bytes each, larger parts are
+sent.
 """
 
 

@@ -31,8 +31,8 @@ LEAST_COSINE = 0.1
 TURNING_ROUNDS = 2
 """Number of rounds in which each normal is rotated towards each camera that sees the point."""
 _SEES = 0.3
-"""Minimum weight with which a camera counts as seeing a point, as a share of the point's largest weight. Smaller
-weights often belong to cameras that see the point through a gap between other points."""
+"""A camera counts as seeing a point if its weight is above this share of the point's largest weight. Smaller weights
+often belong to cameras that see the point through a gap between other points."""
 _COARSE = 12
 """Number of cells of a coarse grid along the longest side of the scene. The grid is used to find the outer side of
 surfaces that no camera sees."""
@@ -102,7 +102,7 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
 
 def encode_octahedral(normals: NDArray[np.floating]) -> NDArray[np.uint8]:
     """Encode unit normals (N, 3) as (N, 2) uint8 (Cigolle et al. 2014). Each normal is projected to a point (x, y) of
-    an unfolded octahedron, which is stored as the bytes 127 x + 128 and 127 y + 128. The angle between a normal and the
+    an unfolded octahedron. The stored bytes are 127 * x + 128 and 127 * y + 128. The angle between a normal and the
     decoded normal is at most 1 degree."""
     length = np.abs(normals).sum(1, keepdims=True)
     plane = normals[:, :2] / np.maximum(length, 1e-12)
@@ -128,8 +128,8 @@ def _least_spread(positions: NDArray[np.float32], near: NDArray[np.intp]) -> Nor
 
 
 def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Visibility) -> Normals:
-    """Rotate each normal towards the cameras that see its point, until the cosine between normal and direction to the
-    camera is LEAST_COSINE."""
+    """Rotate each normal towards the cameras that see its point, until the cosine between the normal and the direction
+    to the camera is LEAST_COSINE."""
     least = _SEES * np.asarray(seen.weights, np.float32).max(1, initial=0)
     for _ in range(TURNING_ROUNDS):
         turned = normals
@@ -142,8 +142,8 @@ def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Vis
 
 
 def _away_from_centres(positions: NDArray[np.float32]) -> NDArray[np.float32]:
-    """For each point, the direction (N, 3) to the point from the mean position of the points in the 3 x 3 x 3 coarse
-    cells around it."""
+    """For each point, the vector (N, 3) from a mean position to the point. The mean is over all points in the 3 x 3 x 3
+    coarse cells around the point."""
     lower = positions.min(0)
     side = max(float((positions.max(0) - lower).max()) / _COARSE, 1e-12)
     cells = np.minimum(((positions - lower) / side).astype(int), _COARSE - 1) + 1

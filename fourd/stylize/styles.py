@@ -42,7 +42,7 @@ class Ramp:
     Attributes:
         stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and the red, green and blue of the
             colour. The first stop has the tone 0.
-        softness: width of the transition between two colours, in tones, 0 to 1.
+        softness: range of tones, from 0 to 1, over which one colour changes to the next.
         map: path of a PNG that replaces ``stops``. The columns of the PNG are tones, and its rows are details, starting
             with the detail 0. Toon shading has 1 row, X-Toon shading has 1 to 64 rows.
         gain: factor by which the colours are multiplied.
@@ -70,11 +70,12 @@ class DetailAxis:
     Attributes:
         by: the quantity that determines the detail. With "depth", the detail is 0 at ``near`` and 1 at ``far``. With
             "focus", the detail is 0 at the depth ``focus`` and 1 at the distance ``far - near`` from ``focus``. With
-            "facing", the detail is N.V to the power ``power``, which is 0 at silhouettes.
+            "facing", the detail is N.V to the power ``power``: 0 at silhouettes. N.V is the cosine of the angle between
+            the normal and the direction to the camera.
         near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
         power: exponent of N.V.
-        fade: share of ``fade_colour`` in the colours where the detail is 1, or at silhouettes if ``by`` is facing. With
-            a map, ``fade`` has no effect.
+        fade: share of ``fade_colour`` in the colours where the detail is 1. If ``by`` is "facing", it is the share at
+            silhouettes. With a map, ``fade`` has no effect.
         fade_colour: colour that ``fade`` mixes into the colours.
     """
 
@@ -98,8 +99,8 @@ class DetailAxis:
 
 @dataclass(frozen=True)
 class Gooch:
-    """The two colours of Gooch shading: that of surfaces that face away from the light, and that of surfaces that face
-    the light."""
+    """The two colours of Gooch shading: surfaces that face away from the light have the cool colour, and surfaces that
+    face the light have the warm colour."""
 
     cool: Triple = (0.1, 0.16, 0.5)
     warm: Triple = (0.62, 0.5, 0.2)
@@ -114,9 +115,10 @@ class Angle:
     """Darkening of surfaces at grazing angles.
 
     Attributes:
-        threshold: surfaces darken where N.V is below this number. 0 disables the darkening.
+        threshold: surfaces darken where N.V, the cosine between the normal and the direction to the camera, is below
+            this number. 0 disables the darkening.
         softness: half of the width of the transition, in units of N.V.
-        strength: largest share of ``colour``.
+        strength: largest share of ``colour`` in the darkened surface colour.
         colour: red, green and blue.
     """
 
@@ -192,10 +194,10 @@ class Style:
         shading: how a colour depends on the light.
         albedo: share of the captured colours in the surface colours, 0 to 1. The rest is white, or ``base`` if the
             shading is none.
-        base: colour that has the share ``1 - albedo`` in the surface colours if the shading is none.
+        base: if the shading is none, this colour has the share ``1 - albedo`` in the surface colours.
         paper: colour behind the scene, or None for the background colour of the picture.
-        persistence: weight of the previous depth, normals and fainter lines while the camera does not move, from 0 to
-        0.95.
+        persistence: from 0 to 0.95. While the camera does not move, this is the weight of the previous picture's depth,
+            normals and fainter lines.
         hysteresis: share by which the thresholds of lines are reduced where the previous picture has a line.
     """
 

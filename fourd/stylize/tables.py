@@ -71,7 +71,7 @@ def _rows_of_stops(style: Style) -> NDArray[np.float64]:
         return first
     share = np.linspace(0, style.detail.fade, _DETAIL_ROWS)[:, None, None]
     if style.detail.by == "facing":
-        share = share[::-1]  # the fade colour is at silhouettes
+        share = share[::-1]  # at silhouettes, the detail is 0 and the fade colour is used
     return (1 - share) * first + share * np.array(style.detail.fade_colour)
 
 

@@ -69,8 +69,8 @@ def view_style(
 
 
 def _colour_factors(style: Style) -> dict[str, float]:
-    """The factors a, b and c of the colour S (a + b F) + c F, where S is the colour of the table and F is the captured
-    colour."""
+    """The factors a, b and c of the colour S * (a + b * F) + c * F, where S is the colour of the table and F is the
+    captured colour."""
     share, gain = style.albedo, style.ramp.gain
     if style.shading == "none":
         return {"table_alone": 1 - share, "table_times_albedo": 0.0, "albedo_alone": share}

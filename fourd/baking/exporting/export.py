@@ -36,7 +36,8 @@ SUFFIXES: dict[Format, str] = {
     "ply": ".ply",
 }
 Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
-"""Formats of files with +y up. The other formats of splats have -y up. The format "ply" keeps the axes of the scene."""
+"""File formats in which the up direction is +y. In the other formats of splats, it is -y. The format "ply" keeps the
+axes of the scene."""
 MEASURED_VIEWS, MEASURED_FRAMES = 4, 3
 """Maximum numbers of viewpoints and of frames for which the PSNR of an export is measured."""
 
@@ -48,7 +49,7 @@ class ExportSettings:
     Attributes:
         format: "ply-sequence": Gaussian splats in the PLY files of 3D Gaussian Splatting. "splat", "spz", "glb" and
             "usd": Gaussian splats in these formats. "ply": coloured points.
-        frames: indices of the frames, from 0.
+        frames: 0-based indices of the frames.
         degree: largest degree of the spherical harmonics, 0 to 3. The formats "splat" and "ply" can only store degree
             0.
         keep_axes: whether the files keep the scene's axes. If false, the scene is rotated to the up direction of the

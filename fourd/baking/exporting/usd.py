@@ -62,7 +62,7 @@ def write_splat_usd(path: Path, cloud: SplatCloud, time: float) -> None:
 
 
 def write_usd_scene(folder: Path, frames: Sequence[str], degree: int, fps: float) -> None:
-    """Write ``scene.usda``, which plays the files ``frames`` of ``folder`` at ``fps`` frames per second, atomically.
+    """Atomically write ``scene.usda``, which plays the files ``frames`` of ``folder`` at ``fps`` frames per second.
 
     The frames have the time codes 0, 1, 2 and so on.
     """

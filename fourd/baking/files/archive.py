@@ -1,4 +1,4 @@
-"""The ZIP archive of a `.4dv`: checks of its members, and errors that the user can fix.
+"""The ZIP archive of a `.4dv`: checks of its members, and error messages that say what the user can do.
 
 The archive stores the bytes of members without compression. Members of packed scenes are compressed before they are
 stored. The archive is untrusted input.
@@ -43,7 +43,8 @@ def make_member(name: str) -> zipfile.ZipInfo:
 
 
 def open_zip(path: Location) -> zipfile.ZipFile:
-    """Open an archive for reading. An object in a store is read by ranges. Raises UserError."""
+    """Open an archive for reading. The archive is read with range requests if it is an object in an object store.
+    Raises UserError."""
     if isinstance(path, Path) and path.is_dir():
         raise UserError(f"{path}: expected a .4dv file, got a folder; name the file that fourd export wrote")
     try:
@@ -63,7 +64,7 @@ def open_zip(path: Location) -> zipfile.ZipFile:
 
 
 def archive_size(archive: zipfile.ZipFile) -> int:
-    """Size of the file of an open archive in bytes."""
+    """File size, in bytes, of an open archive."""
     assert archive.fp is not None
     return archive.fp.seek(0, os.SEEK_END)
 
@@ -112,7 +113,8 @@ def damaged(path: Location, expected: str, got: str) -> UserError:
 
 @contextmanager
 def disk_errors(path: Path) -> Iterator[None]:
-    """Raise a UserError that names ``path`` if the code in the block cannot write to the disk."""
+    """Context manager that raises a UserError with ``path`` if the code in the ``with`` block cannot write to the
+    disk."""
     try:
         yield
     except OSError as error:

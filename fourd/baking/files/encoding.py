@@ -32,7 +32,7 @@ class CloudEncoding:
         position_step: quantisation step of the coordinates, in world units.
         position_bits: number of bits per coordinate, 1 to 21.
         radius_lower: radius in world units that code 1 encodes. Code 0 encodes the radius 0.
-        radius_steps: number of codes per factor of 2 in the radius.
+        radius_steps: number of codes for each doubling of the radius.
         density_levels: code that encodes the density 1, at most 255.
         sh_basis: (K, 48) float32, orthonormal basis vectors as rows. The spherical-harmonics coefficients of a point
             are ``sh_mean`` plus a weighted sum of the rows. The weights of the sum are called factors, and the scene
@@ -40,7 +40,7 @@ class CloudEncoding:
             then 16 for blue.
         sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
-        weight_steps: number of codes per factor of 2 in the blend weight. Code 1 is the largest blend weight of the
+        weight_steps: number of codes for each doubling of the blend weight. Code 1 is the largest blend weight of the
             point, and code 0 is the weight 0.
         colour_step: quantisation step of the colours in the source views, in units of 1/255. The step is at most
             MAX_COLOUR_STEP.
@@ -48,7 +48,7 @@ class CloudEncoding:
             stored only for the views in which the point's blend weight is above 0. In views without a stored colour, a
             point gets its mean colour.
         image_scale: texels per pixel of the source cameras, if the colours in the source views are stored as images
-            (:mod:`fourd.baking.packed.images`). None if each point has colours of its own.
+            (:mod:`fourd.baking.packed.images`). None if the colours in the source views are stored for each point.
     """
 
     lower: NDArray[np.float64]

@@ -18,7 +18,7 @@ from fourd.baking.files.json_node import JsonNode
 from fourd.ops.morton import MAX_BITS
 
 MAX_STEPS = 1 << 16
-"""Maximum number of codes per factor of 2, for radii and for weights."""
+"""Maximum number of codes for each doubling of a radius or of a weight."""
 MIN_IMAGE_SCALE = 1 / 64
 
 

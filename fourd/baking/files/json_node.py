@@ -50,7 +50,7 @@ class JsonNode:
         return value
 
     def choice(self, key: str, options: Sequence[Option]) -> Option:
-        """The text of a key, which must be one of ``options``."""
+        """The text value of a key. The value must be one of ``options``."""
         text = self.text(key)
         for option in options:
             if text == option:

@@ -1,4 +1,4 @@
-"""Drawing of triangle meshes: pictures, and the visible surface for styles."""
+"""Drawing of triangle meshes as pictures, and as the visible surface that styles need."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def draw_mesh(mesh: Mesh, camera: Camera, *, samples: int = SAMPLES, threads: in
 
 
 def _box(xyz: NDArray[np.float32], camera: Camera) -> tuple[int, int, int, int]:
-    """Left, top, width and height in pixels of a box that contains the mesh in the image. The box has at least one
+    """Left, top, width and height, in pixels, of a box that contains the mesh in the image. The box has at least one
     pixel. If the mesh extends behind the camera, the box is the whole image."""
     pixels, depth = camera.project(xyz)
     if depth.min() <= 0:
@@ -111,7 +111,8 @@ def _attributes(mesh: Mesh, camera: Camera) -> NDArray[np.float32]:
 
 
 def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
-    """Cameras whose pixel centres are the samples of the pixels."""
+    """Yield one camera per sample position within a pixel. The camera's principal point is shifted such that the
+    camera's pixel centres lie at this sample position."""
     offsets = (np.arange(samples) + 0.5) / samples - 0.5
     for down in offsets:
         for right in offsets:
@@ -121,8 +122,8 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Clip coordinates (V, 4). The far plane lies behind all vertices. The near plane lies behind a vertex only if the
-    vertex's depth is below ``_NEAR_SHARE`` times the depth of the far plane."""
+    """Clip coordinates (V, 4). The far plane is farther than all vertices. Of the vertices in front of the camera, only
+    those with a depth below ``_NEAR_SHARE`` times the far plane's depth can be nearer than the near plane."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]
@@ -145,7 +146,8 @@ def _towards_camera(normal: NDArray[np.float32], camera: Camera, seen: NDArray[n
 
 
 def _colours(mesh: Mesh, values: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colours (P, 3) in [0, 1] of texture coordinates (P, 2) or of interpolated colours (P, 3)."""
+    """Colours (P, 3) in [0, 1]. ``values`` are texture coordinates (P, 2) if the mesh has a texture, or else the
+    interpolated colours (P, 3)."""
     if mesh.texture is None:
         return values
     height, width = mesh.texture.shape[:2]

@@ -29,7 +29,7 @@ def read_glb_mesh(path: Path) -> Mesh:
     """Read a mesh in the world coordinates of its capture.
 
     Raises:
-        UserError: if the file is missing or damaged, or is not a GLB file with one mesh as fourd writes it.
+        UserError: if the file is missing or damaged, or is not a GLB file with one mesh in the form that fourd writes.
     """
     try:
         document, binary = _read_parts(path)
@@ -63,7 +63,7 @@ def _read_parts(path: Path) -> tuple[dict[str, Any], bytes]:
 
 
 class _Accessors:
-    """Reads arrays from the binary part, and checks that they lie inside it."""
+    """Reads arrays from the binary part of the file, and checks that the arrays lie inside this part."""
 
     def __init__(self, document: dict[str, Any], binary: bytes) -> None:
         self.document = document

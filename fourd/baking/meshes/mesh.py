@@ -21,7 +21,7 @@ class Mesh:
         normals: (V, 3) float32 unit normals. If None is given, the mean normals of the adjacent triangles are used.
         rgb: (V, 3) uint8 sRGB colours, or None.
         uv: (V, 2) float32 positions in the texture, from 0 to 1 with v downwards, or None.
-        texture: (S, S', 3) uint8 sRGB texture, or None. It replaces ``rgb``.
+        texture: (S, S', 3) uint8 sRGB texture, or None. If a texture is given, ``rgb`` is ignored.
         up: (3,) up direction in world coordinates.
 
     Raises:

@@ -21,7 +21,8 @@ from fourd.stylize.tables import make_table
 
 
 class PlayableMeshes:
-    """One mesh, or a sequence of meshes, with cameras in a ring around the first, middle and last mesh.
+    """One mesh, or a sequence of meshes, with one ring of cameras. The ring surrounds the common bounding box of the
+    first, middle and last mesh.
 
     The class implements :class:`fourd.baking.playable.Playable`. While the camera does not move, lines fade in and have
     a hysteresis, as in :class:`fourd.baking.styled.player.StyledPlayer`. Depths and normals are not averaged over time.

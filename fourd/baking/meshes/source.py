@@ -17,7 +17,8 @@ frame."""
 
 
 def is_mesh(path: Path) -> bool:
-    """Whether a path names a GLB file, a PLY file with triangles, or a folder of such files that is not a run.
+    """Whether a path names a GLB file, a PLY file with triangles, or a folder that contains such files and is not a
+    run.
 
     Raises UserError if a PLY file has no valid header.
     """
@@ -44,7 +45,7 @@ class MeshSource:
         self.frame_numbers = numbers if len(set(numbers)) == len(numbers) else tuple(range(len(numbers)))
 
     def read(self, index: int) -> Mesh:
-        """Read frame ``index``, from 0. Raises UserError if its file is not a valid mesh."""
+        """Read the frame with the 0-based ``index``. Raises UserError if the frame's file is not a valid mesh."""
         file = self._files[index]
         if file.suffix.lower() == ".ply" and read_header(file).faces is None:
             raise UserError(f"{file}: expected a mesh as in the other files, got points; remove the file")

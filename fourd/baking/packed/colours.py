@@ -34,6 +34,6 @@ def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
 
 
 def has_own_unseen_colours(frame: BakedFrame) -> bool:
-    """Return whether any point has a colour that differs from its mean colour in a view in which its blend weight is
-    0."""
+    """Return whether the colour of any point, in any view in which the point's blend weight is 0, differs from the
+    point's mean colour."""
     return frame.view_count > 0 and not np.array_equal(fill_unseen_colours(frame).rgb, frame.rgb)

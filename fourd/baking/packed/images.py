@@ -5,8 +5,9 @@ point's colour in the view is its mean colour plus the difference at the project
 
 An image is stored as a header and a key frame of VP9 (profile 0, 8 bits, 4:2:0). The texels form a grid over the
 camera's picture. With the ``image_scale`` s of the encoding, texel (i, j) covers the square from (i, j) / s to (i + 1,
-j + 1) / s in pixels. The image contains the part of the grid that its points need. In the planes of an image, the value
-128 encodes the difference 0. The conversion to red, green and blue is that of JFIF (BT.601, full range).
+j + 1) / s in pixels. The image contains only the part of the grid around the projections of the points that the view
+sees. In the planes of an image, the value 128 encodes the difference 0. The conversion to red, green and blue is that
+of JFIF (BT.601, full range).
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ MAX_SIDE = 1 << 14
 """Largest width and height of an image in texels."""
 _NEAR, _HALF = np.float32(1e-6), np.float32(0.5)
 _FRAME_BYTES_PER_TEXEL = 2
-"""Maximum size of a stored image in bytes per texel. Even lossless VP9 frames are smaller."""
+"""Maximum size, in bytes per texel, of a stored image. Even lossless VP9 frames are smaller."""
 _SMALLEST_FRAME = 1024
 _KEY_FRAME = b"\x82", b"\x83"
 """The valid first bytes of a visible VP9 key frame of profile 0 (VP9 specification, 6.2). The first value is without
@@ -127,7 +128,7 @@ def decode_image(content: bytes, camera: Camera, scale: float) -> ViewImage:
 def sample_differences(image: ViewImage, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the differences of red, green and blue (N,) at the positions x (N,) and y (N,) of the grid.
 
-    The planes are sampled bilinearly. Beyond the border, they continue with the texels of the border.
+    The planes are sampled bilinearly. Positions beyond the border of a plane get the value of the nearest border texel.
     """
     x, y = x - np.float32(image.left), y - np.float32(image.top)
     (luma,) = bilinear(image.planes[:1], x, y)
@@ -139,7 +140,7 @@ def sample_differences(image: ViewImage, x: Floats, y: Floats) -> tuple[Floats, 
 def bilinear(planes: Sequence[NDArray[Any]], x: Floats, y: Floats) -> list[Floats]:
     """Sample planes (H, W) of one size at the positions x (N,) and y (N,). Texel centres are at half-integers.
 
-    Positions that are not numbers are sampled at a border.
+    NaN positions are sampled at a border.
     """
     height, width = planes[0].shape
     # Both maxima are 0 for NaN, because fmax ignores NaN.

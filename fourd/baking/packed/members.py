@@ -1,4 +1,4 @@
-"""Encoding and decoding of one cloud of points: of the members in a frame's folder, or in the background's folder.
+"""Encoding and decoding of one cloud of points, whose members are in a frame's folder or in the background's folder.
 
 The cloud has N points in Morton order, and its members are listed below. All arithmetic on colours is modulo 256:
 
@@ -39,7 +39,7 @@ LARGEST_WEIGHT = 1024.0
 times the largest weight are normal float16 numbers."""
 _MAX_RADIUS_CODE = 2**16 - 1
 _MAX_LEVEL = 127
-"""Largest difference between a colour and its mean colour, in steps. Levels are signed bytes."""
+"""Largest difference between a colour and its mean colour, in quantisation steps. Levels are signed bytes."""
 
 
 @dataclass(frozen=True)
@@ -263,7 +263,8 @@ def _rounded_sum(colours: NDArray[np.uint8], differences: NDArray[np.float32]) -
 def _colour_levels(
     rgb: NDArray[np.uint8], mean: NDArray[np.uint8], steps: NDArray[np.int64], unit: int
 ) -> NDArray[np.uint8]:
-    """Return the differences (N, 3) of colours from mean colours, rounded to ``steps`` (N, 1), in units of ``unit``."""
+    """Return the differences (N, 3) of colours from mean colours, as multiples of ``unit``. The differences are rounded
+    to multiples of ``steps`` (N, 1)."""
     levels = np.rint((rgb.astype(np.int16) - mean.astype(np.int16)) / steps) * (steps // unit)
     return np.clip(levels, -_MAX_LEVEL, _MAX_LEVEL).astype(np.int16).astype(np.uint8)
 

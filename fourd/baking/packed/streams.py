@@ -92,8 +92,8 @@ def decompress_exactly(member: bytes, size: int) -> NDArray[np.uint8]:
 
 
 def split_planes(values: NDArray[np.unsignedinteger], planes: int) -> bytes:
-    """Return the lowest bytes of all values, then the next bytes of all values, and so on, for ``planes`` bytes per
-    value."""
+    """Return the bytes of values that have ``planes`` bytes each: first the lowest byte of every value, then the next
+    byte of every value, and so on."""
     return b"".join((values >> np.array(8 * plane, values.dtype)).astype(np.uint8).tobytes() for plane in range(planes))
 
 

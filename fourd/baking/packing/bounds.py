@@ -20,9 +20,10 @@ HALF_PRECISION = 2.0**-11
 
 @dataclass(frozen=True)
 class ColourErrors:
-    """Errors of the colours in the source views: the weighted sum of squares, and the sum of the weights.
+    """Errors of the colours in the source views: the weighted sum of squared errors, and the sum of the weights.
 
-    The weight of a point in a view is its blend weight divided by its largest blend weight.
+    The weight of a point in a view is the point's blend weight in this view, divided by its largest blend weight in any
+    view.
     """
 
     squares: float = 0.0

@@ -36,13 +36,13 @@ from fourd.baking.scene import BakedFrame, SceneManifest
 from fourd.cameras import Camera
 
 BLURS = (2.0, 1.0, 0.7, 0.0, 0.0)
-"""Blur of each successive correction of a fitted plane: standard deviations in texels. The first corrections also fill
-the gaps between points."""
+"""Standard deviation, in texels, of the blur that is applied to each successive correction of a fitted plane. The first
+corrections also fill the gaps between points."""
 _OPTIONS = {"b": "0", "lag-in-frames": "0", "deadline": "good", "cpu-used": "1", "aq-mode": "0"}
 """Options of libvpx-vp9: constant quality, and a packet for each frame."""
 _DAMPING = 0.02
-"""Regularisation that is added to the sum of the points' weights in each texel, and that keeps texels with a small sum
-near the difference 0."""
+"""Regularisation that is added to the sum of the points' weights in each texel. In texels with a small sum, the
+regularisation keeps the difference near 0."""
 _FROM_YCC = np.array([[1, 0, RED_FROM_CR], [1, GREEN_FROM_CB, GREEN_FROM_CR], [1, BLUE_FROM_CB, 0]], np.float64)
 _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 """Matrix from red, green and blue to Y, Cb and Cr."""
@@ -51,7 +51,7 @@ _TO_YCC = np.linalg.inv(_FROM_YCC).astype(np.float32)
 def choose_scale(cloud: BakedFrame, manifest: SceneManifest, precision: Precision) -> float | None:
     """Return the scale of the images for a typical cloud, or None if the tier has no images.
 
-    For each view, the median radius in pixels of the points that the view sees is computed. The scale is chosen such
+    For each view, the median radius, in pixels, of all points that the view sees is computed. The scale is chosen such
     that the largest median over all views is ``precision.texels_per_radius`` texels. The images have at most the
     resolution of the cameras.
     """
@@ -133,8 +133,9 @@ def fit_plane(
 ) -> NDArray[np.float32]:
     """Return the plane (H, W) whose bilinear samples at the positions x (M,) and y (M,) are near ``values`` (M,).
 
-    Simultaneous algebraic reconstruction (Andersen and Kak 1984): each iteration distributes the remaining errors to
-    the texels, with the weights of bilinear interpolation. Texels far from all points have the value 0.
+    The method is simultaneous algebraic reconstruction (Andersen and Kak 1984). Each iteration distributes the
+    remaining errors to the texels, with the weights of bilinear interpolation. Texels far from all points have the
+    value 0.
 
     Args:
         values: (M,) values to approximate.

@@ -32,13 +32,13 @@ class PackReport:
 
     Attributes:
         bytes: size of the file.
-        parts: mean compressed size per frame, in bytes, of each kind of member, such as "points" or "views".
-            "background" is the total size of the background, which is stored once.
+        parts: for each kind of member, such as "points" or "views", the mean compressed size per frame in bytes. For
+            "background", the total size, because the background is stored once.
         streamed: mean compressed size, in bytes per frame, of the members that a player fetches for one viewing camera.
             The player fetches the members of ``neighbours`` source views, and all members that do not belong to a
             source view.
-        colour_psnr: PSNR in dB of the colours in the source views against those of the source scene. None if the tier
-            does not store the colours in the source views as images.
+        colour_psnr: PSNR, in dB, of the colours in the source views, compared with the colours of the source scene.
+            None if the tier does not store the colours in the source views as images.
     """
 
     bytes: int
@@ -68,8 +68,8 @@ def pack_scene(
         level: index of the tier's level in :data:`fourd.baking.packing.precision.LEVELS`. 0 is the finest. None selects
             the level of :data:`fourd.baking.packing.precision.DEFAULT_LEVELS`.
         storage: compression and order of the members.
-        has_normals: whether the packed scene has normals, which styles of web pages need. If ``source`` has no normals,
-            they are estimated.
+        has_normals: whether the packed scene has normals. Web pages need normals to draw styles. If ``source`` has no
+            normals, they are estimated.
 
     Raises:
         UserError: if ``source`` is not a valid scene or has no frames, or if ``out`` cannot be written.
@@ -169,7 +169,7 @@ class _Packer:
         return replace(report, colour_psnr=self.colours.psnr if has_images else None)
 
     def _read(self, index: int, *, for_file: bool = False) -> BakedFrame:
-        """Read the dynamic points of a frame that are visible in at least one view, converted for the tier.
+        """Read those dynamic points of a frame that are visible in at least one view, and convert them for the tier.
 
         Unless ``for_file`` is true, the points have no normals.
         """

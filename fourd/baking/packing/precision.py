@@ -1,4 +1,5 @@
-"""How exactly each tier stores the points of a scene, in levels from the finest to the coarsest."""
+"""The precision with which each tier stores the points of a scene. Each tier has several levels, from the finest to the
+coarsest."""
 
 from __future__ import annotations
 
@@ -10,19 +11,21 @@ from fourd.baking.packed.members import ColourRounding
 
 @dataclass(frozen=True)
 class Precision:
-    """Steps of a level of a tier. See :class:`fourd.baking.files.encoding.CloudEncoding` for the undocumented fields.
+    """Quantisation steps and thresholds of one level of a tier. See :class:`fourd.baking.files.encoding.CloudEncoding`
+    for the undocumented fields.
 
     Attributes:
         positions_per_radius: number of position steps per median radius.
-        colour_step: quantisation step of colours. The step is at least 2, because colour differences are stored as
-            signed bytes, in steps.
+        colour_step: quantisation step of colours. The step is at least 2, because colour differences are divided by the
+            step and stored as signed bytes.
         mean_colour_step: step to which mean colours are rounded, in units of 1/255.
         unseen_colour_step: step to which the colours of a point are rounded in views with a blend weight of 0, in units
-            of 1/255. None replaces colours in views with a blend weight of 0 by the mean colour.
+            of 1/255. If None, these colours are replaced by the point's mean colour.
         min_visibility: dynamic points are left out if their visibility is below this minimum in all views of the
             capture and in all views between them. The visibility of a point is in [0, 1].
-        crf: constant quality of the images of the source views, from 0 (best) to 63. None stores colours of points.
-        texels_per_radius: texels of the images per median radius of the points in the images.
+        crf: constant quality of the images of the source views, from 0 (best) to 63. If None, the colours are stored
+            for each point instead of in images.
+        texels_per_radius: number of image texels that the median radius of the points spans.
     """
 
     positions_per_radius: int

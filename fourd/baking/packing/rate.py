@@ -17,16 +17,15 @@ from fourd.progress import Track, untracked
 SAMPLED_FRAMES = 3
 """Number of frames from which the bytes of a level are estimated."""
 MARGIN = 0.95
-"""Share of the connection's data rate that the estimated data rate may use. The rest is for frames that are larger than
-the mean."""
+"""Maximum estimated data rate of a level, as a share of the connection's data rate. The remaining data rate is for
+frames that are larger than the mean."""
 WEB_MARGIN = 0.9
-"""Share of the connection's data rate that the estimated data rate may use on web pages, which request several frames
-at the same time."""
+"""The same share for web pages. It is lower because web pages request several frames at the same time."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A level of a tier, and the rates that led to its choice.
+    """The chosen level of a tier, and the data rates on which the choice is based.
 
     Attributes:
         tier, level: see :data:`fourd.baking.packing.precision.LEVELS`.
@@ -49,8 +48,8 @@ class Choice:
 
 
 LIGHT_FROM = 3
-"""Index of the finest level of "light" that is used for a connection. The finer levels of "light" are not used, because
-levels of "stream" have a similar size and quality."""
+"""Index of the finest level of "light" that can be chosen for a connection. Finer levels of "light" are not needed,
+because levels of "stream" have a similar size and quality."""
 CANDIDATES: tuple[tuple[Tier, int], ...] = (
     *(("full", level) for level in range(len(LEVELS["full"]))),
     *(("stream", level) for level in range(len(LEVELS["stream"]))),

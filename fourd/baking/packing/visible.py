@@ -11,7 +11,8 @@ from fourd.ops.points.arrays import point_visibility_numpy
 
 
 def find_visible(cloud: BakedFrame, manifest: SceneManifest, least: float) -> NDArray[np.int64]:
-    """Return the indices, in ascending order, of the points whose visibility is at least ``least`` in some view.
+    """Return the indices, in ascending order, of the points whose visibility is at least ``least`` in one or more
+    views.
 
     The views are those of :func:`fourd.baking.colour_fit.viewpoints`: the views of the capture and the views between
     them. The visibility of a point is in [0, 1]. The background does not hide dynamic points.

@@ -39,9 +39,9 @@ class Storage:
 
     Attributes:
         compression: compression of all members. Web browsers can only decompress "zlib".
-        view_order: order of the source views inside each cloud's part of the file. A player on a network reads views
-            that are adjacent in the file with one request. If ``view_order`` is empty, the views have the order of the
-            manifest.
+        view_order: order of the source views inside each cloud's part of the file. A player on a network needs only one
+            request to read several views that are adjacent in the file. If ``view_order`` is empty, the views have the
+            order of the manifest.
     """
 
     compression: Compression = "zstd"
@@ -51,13 +51,13 @@ class Storage:
 class PackedWriter:
     """Writes a packed scene, one member after the other. Memory use does not grow with the number of frames.
 
-    Use the writer as a context manager: the complete file appears at ``path`` when the block ends. If the block raises
-    an exception, no partial file remains, and an existing file at ``path`` is unchanged.
+    Use the writer as a context manager: the complete file appears at ``path`` when the ``with`` block ends. If the
+    block raises an exception, no partial file remains, and an existing file at ``path`` is unchanged.
 
     Args:
         path: path of the `.4dv`. Missing folders of ``path`` are created.
-        manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``. ``points`` are upper limits:
-            the file contains the numbers of points of the added frames.
+        manifest: manifest of the scene, with ``points``, ``background`` and ``encoding``. The values in ``points`` are
+            upper limits. The written file contains the actual numbers of points of the added frames.
         storage: compression and order of the members.
 
     Raises:
@@ -99,7 +99,7 @@ class PackedWriter:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """The compressed size in bytes of each member that was written so far."""
+        """The compressed size, in bytes, of each member that was written so far."""
         return dict(self._sizes)
 
     def __exit__(
@@ -154,7 +154,8 @@ class PackedWriter:
         return text.ljust(self._manifest_room())
 
     def _overwrite_manifest(self, manifest: bytes) -> None:
-        """Replace the spaces that :meth:`__enter__` wrote by the manifest, and correct the manifest's checksum."""
+        """Replace the spaces, which :meth:`__enter__` wrote as a placeholder, by the manifest. Correct the manifest's
+        checksum."""
         with open_zip(self._temporary) as archive:
             header = archive.getinfo(MANIFEST_NAME).header_offset
         with self._temporary.open("rb+") as stream:

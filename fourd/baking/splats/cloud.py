@@ -92,8 +92,8 @@ def rotate_cloud(cloud: SplatCloud, rotation: NDArray[np.float64]) -> SplatCloud
     """Rotate a cloud about the origin by the matrix R = ``rotation``.
 
     Args:
-        rotation: (3, 3) matrix R. A point x moves to R x. Seen from the direction R d, the moved point has the colour
-            that the point had from the direction d.
+        rotation: (3, 3) matrix R. A point x moves to R @ x. The colour that a splat has in the direction d before the
+            rotation is its colour in the direction R @ d after the rotation.
     """
     turned = _multiply(_quaternion(rotation), cloud.rotation)
     harmonics = _harmonics_rotation(rotation)[: cloud.sh.shape[-1], : cloud.sh.shape[-1]]

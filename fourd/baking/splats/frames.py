@@ -1,7 +1,8 @@
 """Conversion between the frames of a scene and Gaussian splats.
 
 The alpha of a fourd point is ``density * (1 - d^2 / radius^2)`` at the distance d from its centre. A Gaussian splat
-with the standard deviation ``radius / 2`` and the same alpha at the centre has the same integral over the image.
+with the standard deviation ``radius / 2`` and the same alpha at the centre has the same integral of alpha over the
+image.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ _POINT_SCALE = 0.9
 """Standard deviation of the splat of a coloured point, as a multiple of the distance to the nearest point."""
 MAX_HALF = float(np.finfo(np.float16).max)
 _SPREAD = 2.4
-"""Distance between the first and last point that replace an elongated splat, in standard deviations of the splat."""
+"""Distance between the first and the last of the points that replace an elongated splat, as a multiple of the splat's
+largest standard deviation."""
 
 
 class SplatFit:
@@ -78,7 +80,7 @@ def frame_from_splats(cloud: SplatCloud) -> BakedFrame:
     count = pieces[source]
     position = np.where(count > 1, index / np.maximum(count - 1, 1) - 0.5, 0.0) * _SPREAD
     shift = (position * scale[source, 0])[:, None] * longest[source]
-    with np.errstate(over="ignore"):  # The radius is clipped below.
+    with np.errstate(over="ignore"):  # The radius is clipped later.
         radius = RADIUS_PER_SCALE * np.where(count > 1, scale[source, 1], np.sqrt(scale[source, 0] * scale[source, 1]))
     sh = np.zeros((len(source), 3, SH_TERMS), np.float32)
     sh[..., : cloud.sh.shape[-1]] = cloud.sh[source] / SPLAT_SH_RANGE

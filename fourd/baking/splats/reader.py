@@ -24,16 +24,16 @@ SPLAT_LAYERS = 48
 """Maximum number of points that are composited per pixel. Splats are less opaque than fourd's points, so more splats
 must be composited."""
 OUTLIERS = 2.0
-"""Percentage of the splats that may lie outside the bounds, for each of the six sides."""
+"""Percentage of the splats that lie outside each of the six sides of the bounds."""
 
 
 def open_reader(path: Location) -> SceneReader | SplatReader:
-    """Open a `.4dv` or its URL, a file of splats or points, or a folder of them. Raises UserError."""
+    """Open a `.4dv` or its URL, a file of splats or points, or a folder of such files. Raises UserError."""
     return SplatReader(path) if isinstance(path, Path) and is_splats(path) else SceneReader(path)
 
 
 def is_splats(path: Path) -> bool:
-    """Whether a path names a file of splats or points, or a folder with such files that is not a run."""
+    """Whether a path names a file of splats or points, or a folder that contains such files and is not a run."""
     if path.is_dir():
         return not (path / "config.yaml").exists() and bool(_list_files(path))
     return path.suffix.lower() in SUFFIXES
@@ -81,7 +81,7 @@ class SplatReader:
         """Do nothing: files are open only while they are read."""
 
     def read(self, index: int) -> BakedFrame:
-        """Read frame ``index``, from 0.
+        """Read the frame with the 0-based ``index``.
 
         Raises IndexError if there is no such frame, and UserError if its file is damaged.
         """

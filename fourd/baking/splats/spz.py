@@ -45,7 +45,8 @@ def write_spz(path: Path, cloud: SplatCloud) -> None:
 
 
 def _fractional_bits(cloud: SplatCloud) -> int:
-    """Number of fractional bits of the fixed-point positions, such that the farthest position can be represented."""
+    """Largest number of fractional bits of the fixed-point positions with which the farthest position can be
+    represented."""
     farthest = float(np.abs(cloud.xyz).max(initial=1e-3))
     whole = max(int(np.ceil(np.log2(farthest * 1.001))), 0) + 1
     return min(max(POSITION_BITS - 1 - whole, 0), MAX_FRACTIONAL_BITS)

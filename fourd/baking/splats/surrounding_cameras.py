@@ -17,7 +17,7 @@ def cameras_around(focus: NDArray[np.float64], diagonal: float, up: NDArray[np.f
 
     Args:
         focus: (3,) centre of the subject in world units.
-        diagonal: diagonal of the subject's box in world units, above 0.
+        diagonal: length of the diagonal of the subject's bounding box, in world units, above 0.
         up: (3,) unit vector, the up direction of the ring.
     """
     width, height = IMAGE_SIZE

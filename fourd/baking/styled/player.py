@@ -36,9 +36,10 @@ class StyledPlayer:
     """Draws baked frames in a style. Only one thread may use an instance.
 
     While the camera does not move, depths and normals are averaged over successive pictures. Lines fade in, and a line
-    disappears only when it is clearly below its threshold. The averages and the hysteresis reduce the flicker of lines
-    that the noise of the points causes. Where a surface moves, its depth or normal differs from that of the previous
-    picture, and no average is computed. The first picture in a style has all its lines at full strength.
+    disappears only when it is clearly below its threshold. The noise of the points makes lines flicker. The averages
+    and the hysteresis reduce this flicker. No average is computed where a surface moves, which shows as a clear
+    difference in depth or normal from the previous picture. The first picture in a style has all its lines at full
+    strength.
 
     Attributes:
         style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.

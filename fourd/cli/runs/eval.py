@@ -115,7 +115,7 @@ def _fit_cameras(
 ) -> dict[int, FittedView]:
     """Fit each evaluated camera to its own images.
 
-    Returns the fitted cameras by camera index. Without --refine-test, no camera is fitted.
+    Returns the fitted cameras, keyed by camera index. Without --refine-test, no camera is fitted.
     """
     if arguments.refine_test_colours and not arguments.refine_test:
         raise UserError(
@@ -156,7 +156,8 @@ def _truth(picture: NDArray[np.uint8], matte: NDArray[np.uint8] | None) -> NDArr
 def _backgrounds(
     trained: TrainedRun | SegmentedRun, indices: list[int], folder: Path, fitted: dict[int, FittedView]
 ) -> dict[str, float]:
-    """Compare the rendered background with the images in ``folder``. Returns the PSNR in dB by camera name."""
+    """Compare the rendered background of each camera with the image of the same camera in ``folder``. Returns the PSNR
+    in dB, keyed by camera name."""
     if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
         raise UserError("--plates: expected a run with --scene full, got a run with --scene object; leave --plates out")
     layers = trained.run.config.train.layers

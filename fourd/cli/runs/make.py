@@ -66,7 +66,7 @@ class Arguments:
     work: Annotated[Location | None, PATH_OR_URL, option("FOLDER|URL", WORK_DEFAULT, WORK_HELP)] = None
     ray: Annotated[str | None, option("{auto,HOST:PORT}", "none; all stages run in this process", RAY_HELP)] = None
     ray_cores: int = 1
-    """With --ray: number of cores of each segment. Other stages use all cores of one node."""
+    """With --ray: number of cores that train each segment. All other stages use all cores of one node."""
 
 
 def run(arguments: Arguments) -> None:

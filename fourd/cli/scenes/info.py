@@ -34,7 +34,7 @@ _NAMES_SHOWN = 24
 _MOST_HEADER = 100 << 20
 _MOST_VALUE = 1e300
 _MOST_TEXT = 1000
-"""Maximum number of characters shown of a text that was read from a file."""
+"""A text that was read from a file is cut to this number of characters when it is shown."""
 
 
 @dataclass(frozen=True)
@@ -247,7 +247,8 @@ def _turned_size(path: Path) -> str:
 def _run(path: Path) -> Rows:
     bad = UserError(f"{path / 'config.yaml'}: expected the config.yaml of a run, got other content; restore the file")
     try:
-        # The nodes are not converted to Python objects, because aliases can describe objects of any size.
+        # The YAML nodes are not converted to Python objects, because a small file with aliases can describe huge
+        # objects.
         config = yaml.compose(read_limited(path / "config.yaml", MAX_CONFIG_BYTES), Loader=yaml.SafeLoader)
     except (ValueError, RecursionError, yaml.YAMLError) as error:
         raise bad from error
@@ -282,7 +283,7 @@ def _entry(node: yaml.Node | None, key: str) -> yaml.Node | None:
 
 
 def _text(node: yaml.Node | None) -> str:
-    """The text of a YAML scalar, or of a list of scalars. Other nodes and null have no text."""
+    """The text of a YAML scalar, or of a list of scalars. The text is empty for null and for all other nodes."""
     if isinstance(node, yaml.SequenceNode):
         return _names(_text(item) for item in node.value if isinstance(item, yaml.ScalarNode))
     if not isinstance(node, yaml.ScalarNode) or node.value in ("null", "~"):

@@ -50,8 +50,8 @@ class LensOptions:
 
 
 def make_lens(options: LensOptions, camera: Camera, focus: NDArray[np.float64]) -> Lens:
-    """Return the lens for a scene with this focus. The defaults of a thin lens depend on the distance from ``camera``
-    to the focus.
+    """Return the lens that the options describe. The default focus distance of a thin lens is the depth of the scene's
+    focus point ``focus`` in ``camera``, and the default aperture is proportional to the focus distance.
 
     Raises:
         UserError: if an option is out of range.
@@ -94,7 +94,7 @@ def make_inserts(options: LensOptions, cameras: list[Camera], subject: NDArray[n
     heights = (points - middle) @ up
     across = points - middle - heights[:, None] * up
     radius = float(np.percentile(np.linalg.norm(across, axis=1), 99.5))
-    # A percentile of the heights is used, so that single points below the subject do not lower the floor.
+    # The floor is at a low percentile of the heights, so that a few stray points below the subject do not lower it.
     floor = middle + float(np.percentile(heights, 0.1)) * up
     inserts: list[Insert] = []
     if options.mirror_floor:
@@ -109,8 +109,8 @@ def _glass_ball(
 ) -> GlassBall:
     if text == "auto":
         size = 0.28 * radius
-        # The ball is placed towards the first camera and to its right, so that the subject is visible both through
-        # the ball and beside the ball.
+        # The ball is placed on the subject's side that faces the first camera, and to the right of the subject, so that
+        # the subject is visible both through the ball and beside the ball.
         right = np.cross(up, floor - cameras[0].centre)
         right /= -np.linalg.norm(right)
         forward = np.cross(right, up)

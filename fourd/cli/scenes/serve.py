@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Arguments:
-    """Serves until Ctrl-C. If the scene is exported again, the page shows the new scene. The page of a run shows its
-    curves and pictures while it trains, and the scene of its newest checkpoint."""
+    """Serves until Ctrl-C. If the scene is exported again, the page shows the new scene. The page of a run shows the
+    run's curves and pictures during training, and the scene of the newest checkpoint."""
 
     source: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENE|RUN|SITE")]]
     """A .4dv file, a run, or a folder that fourd web has written."""

@@ -68,7 +68,8 @@ def run(arguments: Arguments) -> None:
 
 
 def _choose(scene: Path, max_mbps: float, track: Track) -> Choice:
-    """Choose the level of an unpacked scene for a connection, with the compression of web pages."""
+    """Choose the best level of an unpacked scene that a web page can play without pauses over a connection of
+    ``max_mbps`` Mbit/s."""
     reader = SceneReader(scene)
     is_packed = reader.manifest.encoding is not None
     reader.close()
