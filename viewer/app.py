@@ -46,7 +46,8 @@ def run_viewer(
 ) -> None:
     """Open a window that shows ``source``, and run the viewer until the user closes the window.
 
-    ``style_name`` is the preset or the style file of the style in ``settings``.
+    ``style_name`` is the name of the preset, or the path of the style file, from which the style in ``settings`` was
+    loaded.
 
     Raises UserError when the source cannot be opened, when there is no display, or when OpenGL is not available.
     """
@@ -125,8 +126,8 @@ class App:
         with state.timings.measure("present"):
             window.swap_buffers()
         if is_drawn:
-            # The cpu renderer runs the stylizer while it draws. OpenGL renderers run the stylizer on the GPU, and the
-            # window waits for the GPU when it presents the image.
+            # The part "draw" contains the time of the stylizer in the cpu renderer. OpenGL renderers run the stylizer
+            # on the GPU, and the part "present" waits for the GPU.
             source = "draw" if state.renderer.choice.name == "cpu" else "present"
             state.timings.move(source, "style", state.renderer.renderer.style_seconds)
         state.timings.finish_image()

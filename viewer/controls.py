@@ -146,8 +146,8 @@ def _fly(pose: Pose, io: imgui.IO, seconds: float) -> Pose:
 
 
 def _next_speed(speed: float, direction: int) -> float:
-    """Return the next faster (direction 1) or slower (direction -1) preset speed, relative to the absolute value of
-    ``speed``.
+    """Return the preset speed that is next to the absolute value of ``speed``: the next faster one for direction 1, or
+    the next slower one for direction -1.
 
     The result has the sign of ``speed``.
     """

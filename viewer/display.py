@@ -11,7 +11,7 @@ from fourd.cameras import Camera
 from fourd.stylize import Style
 
 MIN_SCALE, MAX_SCALE = 0.1, 10.0
-"""Minimum and maximum of the factors in the panel for point size and density."""
+"""Minimum and maximum of the factors for point size and density that the panel offers."""
 
 
 @dataclass(frozen=True)
@@ -35,8 +35,8 @@ class DisplaySettings:
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
         """Return ``frame`` with scaled radii and densities. If both factors are 1, return ``frame`` itself.
 
-        In a scaled frame, ``background`` is None, because the scaled background points differ from the shared
-        background.
+        In a scaled frame, ``background`` is None, because its background points differ from the background that all
+        frames share.
         """
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame

@@ -50,8 +50,7 @@ class Headless:
         """Write an MP4 of the scene along a camera path.
 
         ``path`` is "orbit", "spiral", "cameras" or a file that was recorded in the window. A recorded path also selects
-        the frame of each image. Along a path that is not recorded, the scene plays in a loop. Returns the number of
-        images.
+        the frame of each image. Along the other paths, the scene plays in a loop. Returns the number of images.
         """
         scene = LoadedScene(self.source, open_frame_source(self.source))
         try:

@@ -33,8 +33,8 @@ class LoadedScene:
         self.path = path
         self.manifest: SceneManifest = source.manifest
         self._run = source if isinstance(source, RunSource) else None
-        # The frames of a run are baked on demand. For a run, the buffer is as small as possible, so that less baking
-        # slows training.
+        # The frames of a run are baked on demand, and baking slows training. For a run, the buffer is therefore as
+        # small as possible, so that few frames are baked in advance.
         self.frames = FramePrefetcher(source, 0 if self._run else BUFFER_BYTES)
         self.up = estimate_up(self.manifest.cameras) if self.manifest.cameras else np.array([0.0, 0.0, 1.0])
         self.has_normals = "normals" in self.manifest.optional_attributes

@@ -33,14 +33,14 @@ class Session:
         message: the last error or notice for the user, or an empty string.
         error: the error of the last scene that could not be opened, or None.
         is_waiting: whether the current frame is still being read.
-        style_name: the preset or the path of the style file that was chosen, or None for the captured colours. The
-            user may have changed the style in ``settings`` after this choice.
-        style_file: path of the last style file, or None.
+        style_name: name of the preset, or path of the style file, that the user chose last; None for the captured
+            colours. The user may have changed the style in ``settings`` after this choice.
+        style_file: path of the style file that the user chose last, or None.
     """
 
     def __init__(self, settings: DisplaySettings, style_name: str | None = None) -> None:
-        """If ``settings.layers`` is 0, the K of each scene is used. ``style_name`` is the name of the style in
-        ``settings``."""
+        """If ``settings.layers`` is 0, the K of each scene is used. ``style_name`` is the name of the preset, or the
+        path of the style file, from which the style in ``settings`` was loaded."""
         self.settings = settings
         self.style_name = style_name
         self.style_file = None if style_name in PRESETS else style_name

@@ -58,7 +58,8 @@ class ViewerState:
     def defer(self, action: Callable[[], None]) -> None:
         """Run ``action`` after the current image is finished.
 
-        Widgets call :meth:`defer` while the panel is being drawn. ``action`` may draw too, so it must wait.
+        Widgets call :meth:`defer` while the panel is being drawn. ``action`` may draw an image itself, so it must wait
+        until the panel is finished.
         """
         self._deferred.append(action)
 
@@ -94,7 +95,7 @@ class ViewerState:
             self._write(path, lambda: save_config(style, path))
 
     def save_view(self) -> None:
-        """Save the pose, from which the viewer starts when the scene is opened again."""
+        """Save the pose. When the scene is opened again, the viewer starts from this pose."""
         if self.session.scene is not None and self.session.pose is not None:
             self._saved_views.save(self.session.scene.path, self.session.pose)
 

@@ -15,7 +15,7 @@ HISTORY = 120
 
 
 class Timings:
-    """Milliseconds that each part of an image took, for each of the last HISTORY images."""
+    """The times in milliseconds of the parts of each image, for the last HISTORY images."""
 
     def __init__(self) -> None:
         self._history = np.zeros((HISTORY, len(PARTS)))
@@ -51,7 +51,7 @@ class Timings:
         return np.cumsum(self._history, axis=1)
 
     def medians(self) -> dict[str, float]:
-        """Median milliseconds per part.
+        """Median time of each part in milliseconds.
 
         The median of a part ignores images in which that part did not run. For example, the part "draw" does not run
         for an unchanged scene.

@@ -120,7 +120,8 @@ class Window:
     def copy_framebuffer(self, framebuffer: int) -> None:
         """Copy a framebuffer to the window.
 
-        ``framebuffer`` is the OpenGL name of a framebuffer of the window's size. It stays bound for reading.
+        ``framebuffer`` is the OpenGL name of a framebuffer of the window's size. The framebuffer stays bound for
+        reading.
         """
         from OpenGL import GL
 

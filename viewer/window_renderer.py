@@ -88,7 +88,8 @@ class WindowRenderer:
         return self._canvas.read_rgb8()
 
     def present(self, shows_image: bool) -> None:
-        """Copy the canvas to the window's back buffer. If there is no image, clear the back buffer."""
+        """Copy the canvas to the window's back buffer. If ``shows_image`` is False, or if the canvas does not have the
+        window's size, clear the back buffer."""
         size = self.window.framebuffer_size
         if self._screen is None or self._screen.size != size:
             self._screen = self.context.detect_framebuffer(0)

@@ -31,9 +31,9 @@ class Compositor(Protocol):
     def draw(self, request: RenderRequest, target: moderngl.Framebuffer, is_picture: bool = True) -> None:
         """Composite :attr:`discs`, and write the result into ``target``. The image is upright in ``target``.
 
-        A picture is composited over the background colour of the request, filtered with the pixel filter, and limited
-        to [0, 1]. If ``is_picture`` is False, the result is the composited quantity (colour, normal or depth)
-        multiplied by alpha, and alpha. The composited quantity is neither filtered nor limited.
+        If ``is_picture`` is True, the result is composited over the background colour of the request, filtered with the
+        pixel filter, and limited to [0, 1]. If ``is_picture`` is False, the result contains alpha and the composited
+        quantity (colour, normal or depth), premultiplied by alpha. This quantity is neither filtered nor limited.
         """
 
     def release(self) -> None:
@@ -61,7 +61,7 @@ class OverBackground:
         self._pass.run({"image": image}, is_picture=True, **uniforms)
 
     def copy(self, image: moderngl.Texture, target: moderngl.Framebuffer) -> None:
-        """Draw the values of ``image`` into ``target``. The framebuffer ``target`` stays bound."""
+        """Copy ``image`` into ``target`` without a background or a filter. The framebuffer ``target`` stays bound."""
         target.use()
         disable_blending(self._context)
         self._pass.run({"image": image}, is_picture=False, background=(0.0, 0.0, 0.0), pixel_filter=0.0)
@@ -130,7 +130,7 @@ class DepthPeeling:
 
     def _peel_layer(self, ranks: str, previous_ranks: str) -> None:
         targets = self._targets
-        targets.clear(ranks, NONE)  # NONE stays in pixels without a layer, which get no layers in later passes
+        targets.clear(ranks, NONE)  # pixels without a layer keep NONE, so later passes find no layer
         targets.clear_with_depth("layer")
         disable_blending(self._context)
         self._context.enable(moderngl.DEPTH_TEST)
@@ -147,9 +147,9 @@ class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): in each pixel, a pass finds the nearest and the farthest of the
     remaining layers.
 
-    In each pixel, the first K // 2 passes find up to two layers per pass. If a pixel has further layers after these
-    passes, it may have more than K layers, so the layers that were peeled from the back are dropped. Further passes
-    peel this pixel from the front, until K layers are composited or no further layer is visible. The result has the K
+    In each pixel, each of the first K // 2 passes finds up to two layers. A pixel with further layers may have more
+    than K layers in total. In such a pixel, the layers that were peeled from the back are dropped. Further passes then
+    peel layers from the front, until K layers are composited or no further layer is visible. The result has the K
     nearest layers, as in :class:`DepthPeeling`.
     """
 
@@ -225,7 +225,7 @@ class DualDepthPeeling:
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
         """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        If ``clear_back`` is True, the result also counts layers that are hidden by the layers in front. The function
+        If ``clear_back`` is True, the result is True even if the layers in front hide all found layers. The function
         then also clears the layers composited from the back, in each pixel where the pass has found a layer.
         """
         targets = self._targets

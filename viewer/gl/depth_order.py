@@ -90,7 +90,7 @@ class BackgroundOrders:
         self._thread.start()
 
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
-        """Return the newest depth order, or if ``wait`` is True, the depth order of ``request``.
+        """Return the newest depth order. If ``wait`` is True, wait for the depth order of ``request`` and return it.
 
         The first call always waits until a depth order exists. Raises RuntimeError if sorting has failed.
         """

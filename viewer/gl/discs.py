@@ -33,8 +33,8 @@ class Discs:
 
     If discs are drawn nearest first, they are stored in drawing order, and the rank of a disc is its index plus 1. If
     sprites are drawn farthest first, they are stored in the order of the frame's points, and an index buffer contains
-    the drawing order. The vertex shader then reads the textures of the points in sequence, which takes half the time of
-    reading in depth order.
+    the drawing order. The vertex shader then reads the points from their textures one after the other. This takes half
+    as long as reading the points in depth order.
     """
 
     def __init__(
@@ -81,8 +81,8 @@ class Discs:
         """Project and shade points for the camera of ``request``.
 
         ``order`` contains the indices of the points, nearest first. Normals can be drawn only if the frame has normals.
-        Depths are in multiples of ``depth_unit``, which is in world units. Raises UserError if the frame has 2^24
-        points or more.
+        Depths are in multiples of ``depth_unit``, which is in world units. Raises UserError if 2^24 or more points are
+        visible.
         """
         if len(order) >= _MAX_RANKS:
             raise UserError(
@@ -118,7 +118,7 @@ class Discs:
     def uses_sprites(self) -> bool:
         """Whether the discs are drawn as point sprites.
 
-        Other discs are drawn as quads, which need four times as many vertices.
+        Otherwise, the discs are drawn as quads, which need four times as many vertices.
         """
         return self._margin is not None
 

@@ -91,7 +91,8 @@ class FrameTextures:
     """The arrays of one frame in GPU textures. The next frame reuses the textures.
 
     Each texture stores the dynamic points first, then unused texels, then the points of the background. A background
-    that consecutive frames share is uploaded once. Only the colours that a frame's shadow changes are uploaded again.
+    that consecutive frames share is uploaded once. If the new frame or the previous frame has a shadow on the
+    background, only the colours of the background are uploaded again.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:

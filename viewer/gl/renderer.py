@@ -42,7 +42,7 @@ class GLRenderer:
 
     @property
     def stale_images(self) -> int:
-        """Number of images in succession that were drawn with the depth order of an earlier request.
+        """Number of newest images in a row that were drawn with the depth order of an earlier request.
 
         The number is 0 if the depth order is current.
         """
@@ -50,8 +50,8 @@ class GLRenderer:
 
     @property
     def style_seconds(self) -> float:
-        """Time of the stylizer on the GPU in the last image whose time is known, in seconds. Without a style, the time
-        is 0."""
+        """GPU time of the stylizer in seconds, for the newest image whose time is known. Without a style, the time is
+        0."""
         return 0.0 if self._styled is None else self._styled.style_seconds
 
     @property
@@ -101,8 +101,8 @@ class GLRenderer:
         self._styled.draw(self._compositor, project, request, target)
 
     def _release_styled(self) -> None:
-        """Free the objects that only styles need, and the textures that contain estimated normals. Frames that are
-        drawn without a style have no normals, so outdated normals of the background would remain in these textures."""
+        """Free the objects that only styles need, and the textures that contain estimated normals. Without a style,
+        frames are uploaded without normals, so these textures would keep outdated normals of the background."""
         if self._styled is None:
             return
         self._styled.release()

@@ -1,4 +1,5 @@
-"""Draws frames in a style with OpenGL: first the visible surface of the points, then the picture by the stylizer."""
+"""Draws frames in a style with OpenGL. A compositor draws the visible surface of the points, and the stylizer then
+draws the picture of this surface."""
 
 from __future__ import annotations
 
@@ -23,8 +24,8 @@ from fourd.viewer.gl.stylizer import GLStylizer, SurfaceTextures
 from fourd.viewer.gl.timer import GPUTimer
 
 Project = Callable[[Paint], None]
-"""The type of a function that projects the points of a request, and draws their discs with colours, normals or
-depths."""
+"""The type of a function that projects the points of a request. Its argument selects what the discs show: colours,
+normals or depths."""
 
 
 class SurfaceBuffer:
@@ -86,8 +87,8 @@ class SurfaceBuffer:
 
 
 class StyledDrawing:
-    """Draws requests in their style. Lines do not flicker in successive pictures from one camera, as with
-    :class:`fourd.baking.styled.player.StyledPlayer`."""
+    """Draws requests in their style. As with :class:`fourd.baking.styled.player.StyledPlayer`, lines do not flicker in
+    successive pictures from the same camera."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._surface = SurfaceBuffer(context)
@@ -101,8 +102,8 @@ class StyledDrawing:
 
     @property
     def style_seconds(self) -> float:
-        """Time of the stylizer on the GPU in the last picture whose time is known, in seconds. The drawing of the
-        surface is not included."""
+        """GPU time of the stylizer in seconds, for the newest picture whose time is known. The time does not include
+        the drawing of the surface."""
         return self._timer.seconds
 
     @property
@@ -149,6 +150,6 @@ class StyledDrawing:
 
 
 def depth_unit(camera: Camera, manifest: SceneManifest) -> float:
-    """Return the unit of composited depths, which is the distance from the camera to the centre of the scene. Depths
-    are then near 1, so float16 represents them well."""
+    """Return the unit of composited depths in world units. The unit is the distance from the camera to the centre of
+    the scene. Depths in this unit are near 1, so float16 represents them well."""
     return max(float(np.linalg.norm(np.asarray(manifest.focus) - camera.centre)), 1e-6)

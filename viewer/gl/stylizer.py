@@ -64,10 +64,10 @@ class GLStylizer:
         self._has_state = False
 
     def draw(self, surface: SurfaceTextures, parameters: StyleParameters) -> moderngl.Texture:
-        """Draw a surface, whose size must be that of the last call of :meth:`resize`.
+        """Draw a surface. Its size must be the size that the last call of :meth:`resize` has set.
 
-        Returns the picture: RGB over the paper, and alpha. Row 0 of the texture is the top. The next call overwrites
-        the picture.
+        Returns a texture with the picture: the colours composited over the paper, and alpha. Row 0 of the texture is
+        the top. The next call overwrites the picture.
         """
         targets = self._targets
         disable_blending(self._context)
@@ -85,7 +85,7 @@ class GLStylizer:
         return targets.texture("picture")
 
     def _shade_surface(self, surface: SurfaceTextures, parameters: StyleParameters) -> None:
-        """Shade the picture without lines, and find the lines to draw."""
+        """Shade the surface without lines, and find the lines to draw."""
         targets, previous = self._targets, self._last
         self._last = 1 - previous
         targets.framebuffer(["shaded", f"lines {self._last}"]).use()

@@ -23,7 +23,7 @@ Bounds = tuple[Sequence[float], Sequence[float]]
 PathKind = Literal["orbit", "spiral", "cameras"]
 
 _MAX_GAP = np.radians(120)
-"""Largest allowed gap in azimuth between two neighbouring cameras, in radians.
+"""Largest gap in azimuth, in radians, between neighbouring cameras that form a full circle.
 
 If two neighbouring cameras are farther apart, no camera observes the side of the scene between them.
 """
@@ -70,8 +70,8 @@ def orbit(
         elevation: degrees above the horizontal plane through the focus, or None for the cameras' median elevation.
         size: width and height of the images in pixels, or None for the size of the first camera.
         full: whether the path is a full circle. If ``full`` is False, the path swings back and forth over the arc of
-            the cameras. If ``full`` is None, the path is a full circle unless two neighbouring cameras are more than
-            120 degrees of azimuth apart.
+            the cameras. If ``full`` is None, the path is a full circle, unless the azimuths of two neighbouring cameras
+            differ by more than 120 degrees.
     """
     rig = _measure_rig(cameras, steps, focus, up)
     distance = rig.distance if distance is None else distance
@@ -96,9 +96,9 @@ def spiral(
     The arguments that ``Args`` does not list have the same meaning as in :func:`orbit`.
 
     Args:
-        turns: number of full circles, or of swings over the arc, at least 1.
-        swing: amplitude of the elevation around the cameras' median elevation, in degrees. None uses the largest
-            deviation of a camera's elevation from the median, but at least 10 degrees.
+        turns: number of full circles, or number of swings back and forth over the arc. At least 1.
+        swing: amplitude of the elevation around the cameras' median elevation, in degrees. If ``swing`` is None, the
+            amplitude is the largest difference between a camera's elevation and the median, but at least 10 degrees.
     """
     if turns < 1:
         raise ValueError(f"turns: expected at least 1, got {turns}")
@@ -155,9 +155,10 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
     """The least-squares intersection of all optical axes, (3,).
 
     The intersection is not used if the axes are nearly parallel, if there is only one camera, or if the intersection is
-    behind at least half of the cameras. The result is then the centre of ``bounds`` (lower, upper). Without bounds, the
-    result is then a point in front of the cameras. Its distance from the mean camera centre is three times the spread
-    of the camera centres, or 1 world unit for a single camera.
+    behind at least half of the cameras. In these cases, the result is the centre of ``bounds`` (lower, upper). If
+    ``bounds`` is None, the result is a point in front of the cameras. The distance from this point to the mean of the
+    camera centres is three times the largest distance between a camera centre and the mean, or 1 world unit for a
+    single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -254,7 +255,8 @@ def _measure_rig(
 
 
 def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> Array:
-    """Return the azimuths (steps,) in radians of full circles, or of swings over the arc of the cameras."""
+    """Return the azimuths (steps,) of the images in radians. The path consists of full circles, or swings back and
+    forth over the arc of the cameras."""
     phases = 2 * np.pi * turns * np.arange(steps) / steps
     ordered = np.sort(rig.azimuths)
     gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)

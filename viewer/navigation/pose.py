@@ -61,15 +61,16 @@ class Pose:
         return Camera(intrinsics, self.rotation, -self.rotation @ self.eye, width, height)
 
     def orbit(self, right: float, down: float) -> Pose:
-        """Rotate the eye about the pivot, as if the user dragged the scene by ``right`` and ``down`` radians.
+        """Rotate the eye about the pivot, as if the user dragged the scene to the right by ``right`` and down by
+        ``down``, both in radians.
 
         The rotation stops 1 degree before the viewing axis is parallel to ``up``.
         """
         forward = self.rotation[2]
         level = np.cross(forward, self.up)
         length = float(np.linalg.norm(level))
-        # The tilt axis is horizontal. For a rolled camera, a rotation about the x axis of the image could go past the
-        # vertical.
+        # The camera tilts about a horizontal axis. If a rolled camera rotated about the image's x axis instead, its
+        # viewing axis could pass the vertical.
         level = level / length if length > 1e-6 else self.rotation[0]
         if level @ self.rotation[0] < 0:  # if the camera is upside down, keep the drag direction on screen
             right, down = -right, -down

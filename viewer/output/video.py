@@ -25,8 +25,8 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
     Args:
         path: the file, which is written atomically. If ``images`` raises an exception, no file is written.
         images: images (H, W, 3) of one size, with RGB colours as uint8 or as float in [0, 1]. The images are read one
-            by one, so ``images`` can be a generator, and the memory does not grow with the number of images. If a side
-            is odd, the last row or column is repeated, because yuv420p needs even sides.
+            by one, so ``images`` can be a generator, and the use of memory does not grow with the number of images. If
+            a side is odd, the last row or column is repeated, because yuv420p needs even sides.
         fps: images per second, above 0.
         quality: constant rate factor (CRF) of x264, from 0 (lossless) to 51. A smaller CRF gives better quality and a
             larger file.
@@ -36,7 +36,7 @@ def write_video(path: Path | str, images: Iterable[NDArray[Any]], fps: float, *,
 
     Raises:
         UserError: when there is no H.264 encoder, or when ``images`` is empty.
-        ValueError: when an image differs in shape from the first.
+        ValueError: when an image does not have the shape of the first image.
     """
     path = Path(path)
     if not fps > 0:

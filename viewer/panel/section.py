@@ -31,8 +31,8 @@ class Section:
 def text_scale(state: ViewerState) -> float:
     """Return the scale of text and widgets.
 
-    The result is the display's scale factor. If the framebuffer already has more pixels than the window has units, the
-    result is 1.
+    The result is the display's scale factor. If one window coordinate covers more than one pixel of the framebuffer,
+    text is already enlarged, and the result is 1.
     """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

@@ -167,7 +167,8 @@ def edit_style(style: Style, report: Callable[[str], None]) -> Style:
     Without input, the style is returned unchanged, because each widget returns its old value exactly.
 
     Args:
-        report: receives one line if a value is not valid for the style. The values of that group then stay unchanged.
+        report: function that receives a message of one line if the user enters a value that is not valid for the style.
+            All values in the same group then stay unchanged.
     """
     for group in GROUPS:
         if not group.applies(style) or not imgui.tree_node(group.title):
@@ -183,7 +184,7 @@ def edit_style(style: Style, report: Callable[[str], None]) -> Style:
 def _slider(
     label: str, value: float, least: float, most: float, shown: str = "%.2f", is_logarithmic: bool = False
 ) -> float:
-    # Ctrl + click on a slider lets the user type a number, which is clamped like the values of the slider.
+    # After Ctrl + click on a slider, the user can type a number, which is clamped to the range of the slider.
     flags = imgui.SliderFlags_.always_clamp | (imgui.SliderFlags_.logarithmic if is_logarithmic else 0)
     changed, found = imgui.slider_float(label, value, least, most, shown, flags)
     return min(max(float(found), least), most) if changed else value

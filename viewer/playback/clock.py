@@ -13,7 +13,7 @@ class Playback:
     Attributes:
         frame_count: number of frames, at least 1.
         fps: frames per second at speed 1.
-        speed: factor by which ``fps`` is multiplied. If it is negative, the scene plays backwards.
+        speed: factor by which ``fps`` is multiplied. At a negative speed, the scene plays backwards.
         is_playing: whether :meth:`advance` moves the clock.
         is_looping: whether playback wraps around at the first and the last frame. Without looping, playback pauses at
             the first and the last frame.

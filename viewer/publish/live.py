@@ -1,5 +1,5 @@
-"""Writes scenes for browsers again whenever their source changes. The source is a file that is exported again, or a run
-that trains."""
+"""Writes scenes for browsers, and writes a scene again whenever its source changes. The source is a `.4dv` file that
+the user exports again, or a run that is training."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class LiveScene:
         console: prints progress and errors of updates.
 
     Attributes:
-        version: version of the source from which the current scene was written, or an empty text.
-        error: the reason why the last version was not written, or an empty text.
+        version: identifies the version of the source that was written last, or an empty text.
+        error: the reason why the newest version could not be written, or an empty text.
     """
 
     def __init__(self, source: Path, folder: Path, tier: Tier, console: Console) -> None:
@@ -75,7 +75,8 @@ class LiveScene:
         return True
 
     def _read_version(self) -> str:
-        """Return a text that changes with the source, or an empty text if the source is temporarily missing."""
+        """Return a text that identifies the current version of the source, or an empty text if the source is
+        temporarily missing."""
         with suppress(OSError):
             if self._source.is_dir():
                 parts = segment_folders(self._source) or [self._source]
@@ -99,7 +100,7 @@ class LiveScene:
 
 
 class LiveSite:
-    """Writes the site of a scene, and updates its scene when the file changes.
+    """Writes the site of a source, and writes the scene of the site again when the source changes.
 
     Args:
         source: a `.4dv` file or a run.
@@ -109,7 +110,7 @@ class LiveSite:
         styles: the styles that the page offers, by name. If None, the page offers the presets.
 
     Raises:
-        UserError: if the source is not a scene and not a run with a checkpoint.
+        UserError: if the source is neither a scene nor a run with a checkpoint.
     """
 
     def __init__(
@@ -140,7 +141,7 @@ class LiveSite:
 
 
 def _bake(run: Path, scene: Path, console: Console) -> None:
-    """Bake the newest checkpoint of a run. Imports torch, which scenes do not need."""
+    """Bake the newest checkpoint of a run. The imports are inside this function, because only runs need torch."""
     from fourd.baking.bake import bake_run
     from fourd.training.segments.segmented_run import open_trained
 

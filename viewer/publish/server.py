@@ -33,7 +33,7 @@ _SECONDS_PER_CONNECTION = 60
 
 @dataclass(frozen=True)
 class Part:
-    """The bytes of a file that a response sends: ``length`` bytes from ``start``."""
+    """The range of a file that a response sends: ``length`` bytes, starting at byte ``start``."""
 
     start: int
     length: int
@@ -109,8 +109,8 @@ class SiteHandler(BaseHTTPRequestHandler):
         while left > 0:
             content = stream.read(min(left, _CHUNK))
             if not content:
-                # The file has become shorter. The connection ends before the announced length, which the client
-                # detects.
+                # The file has become shorter. The server closes the connection, so that the client detects the missing
+                # bytes.
                 self.close_connection = True
                 return
             try:

@@ -46,7 +46,7 @@ def write_site(
     Zstandard.
 
     Args:
-        source: a `.4dv` of any version.
+        source: a `.4dv` file of any version.
         out: the folder to write. If the folder contains an earlier site, it is replaced.
         tier: tier with which the scene is packed, if it is not packed yet.
         title: title of the page. The default is the name of the file.
@@ -57,7 +57,7 @@ def write_site(
             estimated.
 
     Raises:
-        UserError: if ``source`` is not a valid scene, or if ``out`` has other content.
+        UserError: if ``source`` is not a valid scene, or if ``out`` contains files but no earlier site.
     """
     if not is_unused(out) and not is_site(out):
         raise UserError(f"{out}: expected a new folder or an earlier site, got a folder with other files; change -o")
@@ -89,7 +89,7 @@ def write_scene(
     reader.close()
     if manifest.frame_count == 0 or not manifest.cameras:
         raise UserError(f"{source}: expected a scene with frames and cameras, got none; export the run again")
-    # Views that are blended together are stored one after the other, so that players need fewer requests.
+    # Players blend neighbouring views. These views are stored one after the other, so that players need fewer requests.
     order = order_by_azimuth(manifest.source_cameras, manifest.focus) if manifest.source_cameras else []
     storage = Storage("zlib", tuple(order))
     if is_packed:
@@ -143,8 +143,8 @@ def _copy_modules(web: Path, folder: Path, styles: Mapping[str, Style] | None, l
 
 
 def _write_page(folder: Path, page: str, title: str, modules: Sequence[str]) -> None:
-    """Write a page with preload links for all modules. Without the links, a browser would find each module only after
-    it has fetched the modules that import it."""
+    """Write a page with preload links for all modules. Without the links, a browser would find a module only after
+    fetching another module that imports it."""
     links = (f'<link rel="modulepreload" href="{name}" />' for name in modules)
     page = page.replace("{{title}}", html.escape(title, quote=True)).replace("{{preload}}", "\n    ".join(links))
     (folder / PAGE_NAME).write_text(page, encoding="utf-8")

@@ -32,11 +32,11 @@ _SHADERS = {
     "outlines": "stylize/outlines.frag",
 }
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
-"""Names of the numbers that depend on the camera, which the player therefore computes itself."""
+"""Names of the numbers that depend on the camera. The player therefore computes these numbers itself."""
 
 
 def load_styles(paths: Iterable[Path]) -> dict[str, Style]:
-    """Load the presets and style files. The name of a style file is its file name without suffix.
+    """Load the presets and the style files ``paths``. The name of a style file is its file name without suffix.
 
     Raises:
         UserError: if a file is not a valid style, or if another style has the same name.
@@ -63,7 +63,7 @@ def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
 
 def _describe(name: str, style: Style) -> dict[str, Any]:
     table = make_table(style)
-    # Numbers are computed for a camera with the axes of the world, at the distance 1 from the centre of the scene.
+    # The camera has the axes of the world, and its distance from the centre of the scene is 1.
     camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 1, 1)
     parameters = view_style(style, table, camera, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     numbers = asdict(parameters.numbers)

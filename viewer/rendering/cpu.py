@@ -32,7 +32,8 @@ class CPURenderer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last image in a style. Raises RuntimeError if no image had a style."""
+        """(H, W) strength of the lines in the last image that was drawn in a style. Raises RuntimeError if there is no
+        such image."""
         return (self._styled or StyledPlayer()).line_strength
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:

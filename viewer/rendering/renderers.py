@@ -30,7 +30,7 @@ SOFTWARE_DRIVERS = (
     "gdi generic",
     "microsoft basic render",
 )
-"""Drivers that render on the CPU have one of these substrings in their GL_RENDERER string, converted to lower case."""
+"""A driver renders on the CPU if its GL_RENDERER string, converted to lower case, contains one of these substrings."""
 
 
 class Renderer(Protocol):
@@ -42,7 +42,7 @@ class Renderer(Protocol):
 
     @property
     def stale_images(self) -> int:
-        """Number of images in succession that were drawn with the depth order of an earlier request.
+        """Number of newest images in a row that were drawn with the depth order of an earlier request.
 
         The number is 0 if the depth order is current.
         """
@@ -53,7 +53,7 @@ class Renderer(Protocol):
 
     @property
     def style_seconds(self) -> float:
-        """Time of the stylizer in the last image whose time is known, in seconds. Without a style, the time is 0.
+        """Time of the stylizer in seconds, for the newest image whose time is known. Without a style, the time is 0.
 
         The time does not include the drawing of depths and normals. OpenGL renderers measure the time on the GPU.
         """

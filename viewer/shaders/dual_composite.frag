@@ -2,7 +2,7 @@
 // Composites the two layers that a dual peeling pass has found. The nearer layer is composited behind `front`. The
 // farther layer is composited in front of `back`.
 
-uniform sampler2D bounds;  // The negative rank of the nearer layer, and the rank of the farther layer.
+uniform sampler2D bounds;  // Minus the rank of the nearer layer, and the rank of the farther layer.
 uniform sampler2D discs;   // Two texels per disc, in order of rank.
 uniform sampler2D front;
 uniform sampler2D back;

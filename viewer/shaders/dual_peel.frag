@@ -4,8 +4,8 @@
 // same rank.
 #include "alpha.glsl"
 
-// The previous pass has stored two values in each pixel: the negative nearest rank, and the farthest rank. In pixels
-// without layers, both values are -NONE.
+// The previous pass has stored two values in each pixel: minus the rank of the nearest layer, and the rank of the
+// farthest layer. In pixels without layers, both values are -NONE.
 uniform sampler2D bounds;
 uniform bool front_only;
 

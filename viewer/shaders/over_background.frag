@@ -4,12 +4,12 @@
 
 uniform sampler2D image;
 uniform vec3 background;
-uniform float pixel_filter;  // Weight of a neighbouring pixel along rows and columns, or 0 for no filter.
+uniform float pixel_filter;  // Weight of a neighbour in the 3-tap filter along rows and along columns; 0: no filter.
 uniform bool is_picture;     // Whether the result is limited to [0, 1].
 
 out vec4 colour;
 
-// Returns a pixel, composited over the background. Beyond the border of the image, the nearest pixel is repeated.
+// Returns the colour of a pixel, composited over the background. Outside the image, the nearest pixel is repeated.
 vec4 over_background(ivec2 pixel) {
     vec4 source = texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0);
     vec3 sum = source.rgb + (1.0 - source.a) * background;

@@ -4,7 +4,7 @@
 // stored result. The operations, and their order, are the same as in fourd/ops/points/reference.py and
 // fourd/baking/shade.py.
 
-uniform sampler2D xyz;            // One texel per point, as for radius and density.
+uniform sampler2D xyz;            // One texel per point, as in radius and density.
 uniform sampler2D radius;
 uniform sampler2D density;
 uniform sampler2D sh;             // Twelve texels per point: 16 coefficients of red, then of green, then of blue.
@@ -31,16 +31,16 @@ uniform float sh_base;
 
 uniform sampler2D normals;  // One texel per point: an octahedral normal in world axes. Not used by COLOURS.
 uniform int painted;        // The quantity that the discs show: COLOURS, NORMALS or DEPTHS.
-uniform float depth_unit;   // Length, in world units, of the unit in which depths are written.
+uniform float depth_unit;   // Depths are written as multiples of this length in world units.
 
 const int COLOURS = 0;
-const int NORMALS = 1;  // The normal times the weight of the point.
-const int DEPTHS = 2;   // The depth times the weight, and the weight.
+const int NORMALS = 1;  // The normal times the point's weight.
+const int DEPTHS = 2;   // The depth times the point's weight, and the weight itself.
 
 in uint point;
 
 out vec4 disc;   // Centre (u, v), 1 / rho^2 and the radius rho, with lengths in pixels.
-out vec4 paint;  // Red, green and blue, or the quantity that replaces them, and then the density.
+out vec4 paint;  // Red, green and blue (or the values for NORMALS or DEPTHS), and the density.
 
 int slot;  // Index of the point in the textures.
 

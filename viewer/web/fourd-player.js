@@ -15,7 +15,7 @@ import { VrSession, supportsVr } from "./xr/vr_session.js";
 
 const SPINNER_DELAY_MS = 300;
 const QUIET_MS = 3000;
-/** Time between two requests that ask the server whether the scene has changed. */
+/** Time in milliseconds between two requests that ask the server whether the scene has changed. */
 const LIVE_MS = 2000;
 
 /** State that an element keeps when it opens a changed version of its scene.

@@ -68,7 +68,7 @@ export class FourdScene {
   /**
    * Places the scene upright. The focus of the scene is then at the host's origin, the up direction of its cameras is
    * +y, and the viewing direction of its first camera is -z.
-   * @param {number} distance Distance of the first camera from the origin in the host's units, which determines the
+   * @param {number} distance Distance of the first camera from the origin, in the host's units. It determines the
    *   scale.
    */
   placeUpright(distance) {
@@ -86,7 +86,7 @@ export class FourdScene {
   }
 
   /**
-   * Whether `draw` shows the current frame with all source views, for a view that was passed to `update`.
+   * Whether `draw` shows the current frame with all source views. `view` must have been passed to `update`.
    * @param {View} view
    */
   isSettled(view) {
@@ -114,8 +114,9 @@ export class FourdScene {
    * @param {WebGLTexture | null} [target.depthTexture] Depth of the host's objects, which hide the points behind them.
    *   The texture has one texel per pixel of the framebuffer. It must have the filter NEAREST, must not be
    *   multisampled, and must not be attached to the framebuffer.
-   * @param {boolean} [target.writesDepth] Write the mean depth of the points into the framebuffer's depth buffer, where
-   *   they cover at least half of a pixel. Objects that the host draws later are then hidden by the points.
+   * @param {boolean} [target.writesDepth] Whether the mean depth of the points is written into the framebuffer's depth
+   *   buffer, at pixels where the alpha of the points is at least 0.5. Objects that the host draws later are then
+   *   hidden by the points.
    * @param {View} [target.selectedFor] View for which source views are selected. The default is the drawn view. The
    *   eyes of a headset should share one selection.
    */

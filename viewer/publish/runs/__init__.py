@@ -1,2 +1,2 @@
-"""The page of a run: curves, pictures, state and buttons. The server only reads the files of the run, apart from the
-requests to the training, which it writes to a file."""
+"""The page of a run: curves, pictures, state and buttons. The server reads the files of the run. It writes only one of
+these files, which contains the request to the training."""

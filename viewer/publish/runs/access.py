@@ -1,4 +1,5 @@
-"""Decides who may see and control a run, from tokens, the names of the server, and the origins of requests."""
+"""Decides who may see and control a run. The decision depends on the token, the server name and the origin of a
+request."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ _WRONG_TOKEN = "The token is wrong. Open the address that fourd serve has printe
 def choose_token(option: str | None, host: str) -> str | None:
     """The token that the server requires, or None if only this machine can connect and no token was set.
 
-    The token is the value of the option ``--token``, or else of the environment variable FOURD_TOKEN. If neither is set
-    and other machines can connect, the token is random.
+    The token is the value of the option ``--token``. Without this option, the token is the value of the environment
+    variable FOURD_TOKEN. If neither is set and other machines can connect, the token is random.
 
     Raises UserError if the token is too short or has characters that are not allowed. The message does not contain the
     token.
@@ -92,9 +93,9 @@ class Access:
         """Return why a request that changes the training is refused, as a sentence for the user, or None if it is
         accepted.
 
-        Pages of other sites must not be able to control the training through the user's browser. A browser sends the
-        header X-Fourd-Request to another site only if that site allows the header, and this server never does. A
-        browser also names the origin of the page.
+        A page of another site must not control the training through the user's browser. The request therefore needs the
+        header X-Fourd-Request. A browser sends this header to another site only if that site allows it, and this server
+        never does. If the request also names the origin of its page, the origin must be this server.
         """
         if headers.get(REQUEST_HEADER) != "control":
             return f"Requests to a training need the header {REQUEST_HEADER}: control."
@@ -107,8 +108,8 @@ class Access:
     def _refuse_name(self, host: str) -> str | None:
         """Refuse a request whose Host header does not name this machine.
 
-        The owner of any other domain name can make it resolve to this machine. Pages under that name would then have
-        the same origin as this server (DNS rebinding).
+        The owner of another domain can make its name resolve to this machine (DNS rebinding). A browser would then
+        treat the pages of that domain as pages of this server.
         """
         name = _name_of(host)
         if name == self.host or is_loopback(name):

@@ -37,7 +37,8 @@ class Series:
 
 
 class RunHistory:
-    """The series of a run's log. The log grows during training. When the run is resumed, a shorter log may replace it.
+    """The series of a run's log. The log grows during training. When the run is resumed, a shorter log may replace the
+    old log.
 
     Attributes:
         series: the values by name. Values that are not finite numbers are left out.
@@ -81,12 +82,12 @@ class RunHistory:
                 self._add(line)
             self._is_skipping = False
         if len(rest) > MAX_LINE_BYTES:
-            # A line that is too long to be a record is skipped, so that its start is not read again.
+            # This line is too long to be a record. Its start is skipped, so that the next call does not read it again.
             self._offset += len(rest)
             self._is_skipping = True
 
     def last(self, name: str) -> float | None:
-        """The last value of a series, or None if it has no values."""
+        """The last value of a series, or None if the series has no values."""
         found = self.series.get(name)
         return found.values[-1] if found is not None and found.values else None
 
@@ -98,8 +99,8 @@ class RunHistory:
     def curves(self) -> dict[str, dict[str, list[float]]]:
         """Return each series as the lists ``step`` and ``value``, with at most a few hundred entries.
 
-        Longer series are divided into bins, and the steps and values of each bin are averaged. Half of the bins have
-        equal widths, which gives detail on linear axes. The widths of the other half grow with the step, which gives
+        A longer series is divided into bins, and the steps and the values of each bin are averaged. Half of the bin
+        edges are evenly spaced, for detail on linear axes. The spacing of the other edges grows along the series, for
         detail on logarithmic axes.
         """
         return {name: _binned(found) for name, found in sorted(self.series.items())}

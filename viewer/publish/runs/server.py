@@ -1,5 +1,5 @@
-"""A web server for the page of a run, which serves the site and the data of the run, and sends requests to its
-training."""
+"""A web server for the page of a run. The server sends the site and the data of the run to browsers, and forwards their
+requests to the training."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class RunHandler(SiteHandler):
     server: RunServer
 
     def do_POST(self) -> None:
-        # After a refusal, the connection is closed, because the content of the request may not have been read.
+        # After a refusal, the server closes the connection, because it may not have read the content of the request.
         refusal = self._refusal(None) or self.server.access.refusal_of_control(self.headers)
         if refusal is not None:
             self._send_text(HTTPStatus.FORBIDDEN, refusal)
@@ -152,8 +152,8 @@ class RunServer(SiteServer):
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie with the token. The name contains the port, because browsers send a cookie to all ports of
-        a machine."""
+        """Name of the cookie that stores the token. The name contains the port, because browsers send a cookie to all
+        ports of a machine."""
         return f"fourd-{self.server_address[1]}"
 
     @property
@@ -171,7 +171,7 @@ class RunServer(SiteServer):
 
 
 def _parse_query(query: str) -> dict[str, list[str]]:
-    """Return the query fields of an address. If an address has too many fields, none is returned."""
+    """Return the query fields of an address. If an address has too many fields, the result is empty."""
     try:
         return parse_qs(query, max_num_fields=8)
     except ValueError:

@@ -30,7 +30,8 @@ from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, 
 from fourd.viewer.publish.site import copy_training_page
 
 STATUS_SECONDS = 1.0
-"""Time in seconds during which all pages get the same computed answer."""
+"""Minimum time in seconds between two computations of the answers. In between, all pages get the last computed
+answers."""
 ASKED_SECONDS = 10.0
 """A scene is baked only if a page has requested it within this time, in seconds."""
 BAKING_SHARE = 0.02
@@ -136,8 +137,8 @@ class RunSite:
             raise Refused(f"The request cannot be written into the folder of the run: {error}") from error
 
     def watch(self) -> None:
-        """Bake new checkpoints while pages request the scene, until :meth:`stop`. The calling thread gets the lowest
-        priority, so that baking does not slow down training."""
+        """Bake new checkpoints while pages request the scene. This method returns after a call of :meth:`stop`. The
+        calling thread gets the lowest priority, so that baking does not slow down training."""
         if sys.platform == "linux":
             with suppress(OSError):
                 os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICE)

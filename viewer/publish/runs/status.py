@@ -24,11 +24,11 @@ means that the run has no state."""
 
 @dataclass(frozen=True)
 class ActiveRun:
-    """The part of a run that trains or that trained last, which is the run itself or one of its segments.
+    """The part of a run that is training, or that trained last. The part is the run itself or one of its segments.
 
     Attributes:
         folder: the folder of the run or the segment.
-        segment: number of the segment from 1, or None for a run without segments.
+        segment: number of the segment, counted from 1, or None for a run without segments.
         state: the last state of the training.
         is_alive: whether the training's process is running.
     """
@@ -58,8 +58,8 @@ def find_active(run: Path) -> ActiveRun:
 def picture_steps(run: Path, last: int) -> list[int]:
     """The steps of the newest validation pictures up to the step ``last``, in ascending order.
 
-    Pictures of later steps are left out. They come from a training that continued after its last checkpoint and was
-    then killed.
+    Pictures of later steps are left out. Such pictures come from a training that continued after its last checkpoint
+    and was then killed.
     """
     names = [path.stem for path in (run / VALIDATION).glob("*.png")]
     steps = sorted(int(name) for name in names if name.isdecimal() and len(name) <= _DIGITS)

@@ -7,11 +7,12 @@ uniform sampler2D normal;
 layout(location = 0) out float closed_depth;
 layout(location = 1) out vec4 closed_normal;
 
-const int GAP = 3;  // Pixels are filled if surfaces on both sides are at most GAP pixels away.
+const int GAP = 3;  // A pixel is filled if it has surfaces on both sides within GAP pixels.
 
 ivec2 inside(ivec2 pixel) { return clamp(pixel, ivec2(0), textureSize(inverse_depth, 0) - 1); }
 
-// Finds the nearest surface within GAP pixels in a direction, and returns its inverse depth and its pixel.
+// Within GAP pixels in a direction, finds the surface that is nearest to the camera. Returns the inverse depth of this
+// surface, and stores its pixel in `found`.
 float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     float best = 0.0;
     found = pixel;
@@ -26,8 +27,8 @@ float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     return best;
 }
 
-// If the surfaces on both sides of the pixel along an axis are nearer than `depth`, replaces `depth` and `source` by
-// those of the farther one of the two surfaces.
+// Fills a pixel along an axis if the surfaces on both sides are nearer to the camera than the surface at the pixel. The
+// inverse depth `depth` and the pixel `source` then become those of the farther one of the two surfaces.
 void fill(ivec2 pixel, ivec2 axis, inout float depth, inout ivec2 source) {
     ivec2 first_at, second_at;
     float first = nearest(pixel, -axis, first_at), second = nearest(pixel, axis, second_at);

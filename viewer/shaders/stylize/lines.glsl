@@ -1,6 +1,6 @@
 // Finds lines, as find_lines of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES 3.00.
 
-uniform float ray[6];  // As in the class Numbers of fourd/ops/stylize/parameters.py.
+uniform float ray[6];  // See the class Numbers of fourd/ops/stylize/parameters.py.
 uniform sampler2D closed_depth;
 uniform sampler2D closed_normal;
 uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.
@@ -12,8 +12,8 @@ uniform bool has_state;               // Whether the previous image has the same
 uniform float hysteresis;
 uniform float persistence;
 
-// The surface at a pixel counts as unchanged if the sums of its taps in this image and in the previous image have a
-// relative difference of at most SAME_TAPS, as in csrc/stylize/cpu/lines.inc.
+// The surface at a pixel counts as unchanged if the sum of the inverse depths of its taps differs by at most this
+// fraction from the sum in the previous image. csrc/stylize/cpu/lines.inc has the same rule.
 const float SAME_TAPS = 0.03;
 
 // Let m be the largest dot product of a tap's normal and the pixel's ray. The strength of a line decreases from its
@@ -69,8 +69,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
         ivec2 side = axis == 0 ? ivec2(0, 1) : ivec2(1, 0);
         vec2 first = tap(pixel, -side, normal), second = tap(pixel, side, normal);
         int at = axis == 0 ? pixel.y : pixel.x, count = axis == 0 ? size.y : size.x;
-        // Taps outside the image repeat the border, so a second difference across the border would look like a bend of
-        // the surface.
+        // Taps outside the image repeat the border. There, the second difference would look like a bend of the surface,
+        // so it is left out.
         if (at >= thickness && at < count - thickness) bend += abs(first.x + second.x - 2.0 * depth);
         most = max(most, max(first.x, second.x));
         flatness *= 1.0 - ramp(coverage - first.y, normal_threshold * scale);
@@ -79,8 +79,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
     return 1.0 - flatness * (1.0 - ramp(bend / (2.0 * most), depth_threshold * scale));
 }
 
-// Returns the factor by which a line's strength is multiplied. The factor is 0 where a tap shows the back of a surface,
-// which is visible through a hole between points. If another tap shows no surface, the factor is 1.
+// Returns the factor by which a line's strength is multiplied. The factor decreases to 0 if a tap shows the back of a
+// surface, which is visible through a hole between points. If any tap shows no surface, the factor is 1.
 float kept_line(ivec2 pixel) {
     vec3 towards = ray_of(pixel);
     float away = 0.0, coverage = 1.0;
@@ -96,8 +96,8 @@ float kept_line(ivec2 pixel) {
     return max(1.0 - FRONT_SLOPE * away, 1.0 - coverage);
 }
 
-// Returns the strength, in [0, 1], of the line at a pixel, without regard to the previous image. The thresholds are
-// multiplied by `scale`.
+// Returns the strength, in [0, 1], of the line at a pixel. The strength does not depend on the previous image. The
+// thresholds are multiplied by `scale`.
 float fresh_line(ivec2 pixel, float scale) {
     vec4 own = unpack_normal(texelFetch(closed_normal, pixel, 0));
     vec3 normal = own.xyz * own.w;
@@ -105,7 +105,7 @@ float fresh_line(ivec2 pixel, float scale) {
     return line > 0.0 ? line * kept_line(pixel) : 0.0;
 }
 
-// Returns the upper 16 bits of the sum of the inverse depths of nine taps.
+// Returns the sum of the inverse depths of nine taps as the bits of a float32, with the lower 16 bits set to 0.
 uint summed_taps(ivec2 pixel) {
     float corners = (tap_depth(pixel, -1, -1) + tap_depth(pixel, 1, -1))
                     + (tap_depth(pixel, -1, 1) + tap_depth(pixel, 1, 1));

@@ -9,7 +9,7 @@ uniform vec3 line_colour;
 
 out vec4 picture;
 
-// Minimum strength, from 0 to 255, at which a pixel's line counts as the continuation of other lines.
+// A line continues at a pixel if its strength there, from 0 to 255, is at least this value.
 const uint LEAST_STRENGTH = 32u;
 
 // Returns the strength of a line from 0 to 255. There are no lines outside the picture.
@@ -18,7 +18,8 @@ uint strength_at(ivec2 pixel) {
     return is_outside ? 0u : texelFetch(lines, pixel, 0).r & 255u;
 }
 
-// Returns whether a strong line reaches the sides of a square around a pixel. The sides are 2 `reach` pixels long.
+// Returns whether a line of at least LEAST_STRENGTH crosses the border of a square around a pixel. The border is
+// `reach` pixels away from this pixel.
 bool reaches_square(ivec2 pixel, int reach) {
     for (int along = -reach; along <= reach; ++along) {
         uint rows = max(strength_at(pixel + ivec2(along, -reach)), strength_at(pixel + ivec2(along, reach)));

@@ -17,7 +17,8 @@ uniform vec2 hatch_levels;
 uniform float hatch_width;
 uniform vec3 hatch_colour;
 uniform sampler2D table;  // Columns are tones, rows are details.
-// The quantity that selects the table row: 0 for N.V, 1 for depth, 2 for distance from the focus.
+// The quantity that selects the table row: 0 for the cosine between normal and viewing direction, 1 for the depth, 2
+// for the distance from the focus.
 uniform int detail_axis;
 
 float unit(float value) { return clamp(value, 0.0, 1.0); }

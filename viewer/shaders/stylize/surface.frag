@@ -2,10 +2,10 @@
 // Converts composited colours, normals and depths to the visible surface (class Surface of
 // fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This text is also valid GLSL ES 3.00.
 
-uniform sampler2D colours;  // Premultiplied by alpha. The other inputs are also premultiplied.
+uniform sampler2D colours;  // Premultiplied by alpha, as are the normals and the depths.
 uniform sampler2D normals;    // Normals times front_weight.
 uniform sampler2D depths;     // Four channels: front_weight * depth / depth_unit, front_weight, 0, and alpha.
-uniform float depth_unit;     // Length, in world units, of the unit of `depths`.
+uniform float depth_unit;     // The unit of `depths`, in world units.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
@@ -15,8 +15,9 @@ layout(location = 0) out vec4 albedo;
 layout(location = 1) out float inverse_depth;
 layout(location = 2) out vec4 normal;
 
-// Two successive images show the same surface if the relative difference of the inverse depths is at most SAME_DEPTH
-// and the cosine between the normals is at least SAME_NORMAL, as in csrc/points/cpu/surface.inc.
+// Two successive images show the same surface at a pixel if two conditions are met: the relative difference of the
+// inverse depths is at most SAME_DEPTH, and the cosine between the normals is at least SAME_NORMAL.
+// csrc/points/cpu/surface.inc has the same rule.
 const float SAME_DEPTH = 0.02;
 const float SAME_NORMAL = 0.8;
 

@@ -8,7 +8,8 @@ import { damaged, inflate, inflateExactly } from "./inflate.js";
  * @property {Float32Array<ArrayBuffer>} xyz (N, 3) in world units.
  * @property {Uint32Array<ArrayBuffer>} sizes One number per point: radius code in the low 16 bits, density code in the
  *   next 8 bits.
- * @property {Int16Array<ArrayBuffer>} factors (K, N) factors of the rows of the spherical harmonics' basis.
+ * @property {Int16Array<ArrayBuffer>} factors (K, N): for each point, the factors by which the K rows of the spherical
+ *   harmonics' basis are multiplied.
  * @property {Uint8Array<ArrayBuffer>} mean (N, 4) mean colour over the source views; the fourth byte is 0.
  * @property {number} largestRadius Largest radius of a point in world units.
  */
@@ -16,7 +17,8 @@ import { damaged, inflate, inflateExactly } from "./inflate.js";
 /** Upper limit of radii in world units, so that projected radii are finite floats. */
 const MAX_RADIUS = 1e18;
 
-/** Lookup table for 12 bits of a Morton code. An entry has the 4 bits of x, then those of y, then those of z. */
+/** Lookup table for 12 bits of a Morton code. In an entry, the lowest 4 bits are bits of x, the next 4 of y, and the
+ * highest 4 of z. */
 const GATHERED = gatherTable();
 
 function gatherTable() {
@@ -65,7 +67,7 @@ export async function decodeBase(members, points, encoding, folder) {
  * @param {Uint8Array} mean (N, 4)
  * @param {CloudEncoding} encoding
  * @param {string} name
- * @returns {Promise<Uint8Array<ArrayBuffer>>} (N, 4): colour and code of the blend weight.
+ * @returns {Promise<Uint8Array<ArrayBuffer>>} (N, 4): red, green, blue, and the code of the blend weight.
  */
 export async function decodeView(member, mean, encoding, name) {
   const points = mean.length / 4;
@@ -116,7 +118,7 @@ function countNonzero(codes) {
 
 /**
  * Adds up the differences of Morton codes, and gathers the bits of each coordinate. The codes have up to 63 bits, so a
- * sum is stored in three integers of 24 bits. Each integer has 8 bits of each coordinate.
+ * sum is stored in three integers of 24 bits. Each integer contains 8 bits of each coordinate.
  * @param {Uint8Array} content
  * @param {number} points
  * @param {CloudEncoding} encoding

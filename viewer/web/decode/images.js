@@ -8,7 +8,7 @@ import { damaged, inflate } from "./inflate.js";
 /**
  * The decoded image of a source view. Plane 0 is Y. Planes 1 and 2 are Cb and Cr, with half the width and height.
  * @typedef {object} ViewImage
- * @property {number} left Texel of the camera's grid at which the image starts.
+ * @property {number} left Column of the camera's grid of texels at which the image starts.
  * @property {number} top
  * @property {Plane[]} planes
  */
@@ -17,8 +17,8 @@ import { damaged, inflate } from "./inflate.js";
 
 /** @typedef {{left: number, top: number, width: number, height: number, frame: Uint8Array}} StoredImage */
 
-/** Size of the header in bytes. The header has the left, top, width and height in texels (16 bits each), and the size
- * of the VP9 frame (32 bits). */
+/** Size of the header in bytes. The header contains the left column, top row, width and height of the image in texels
+ * (16 bits each), and the size of the VP9 frame in bytes (32 bits). */
 const HEADER = 12;
 /** The texel value that encodes a colour difference of 0. */
 const ZERO = 128;
@@ -37,9 +37,10 @@ const BLUE_FROM_CB = 1.772;
  * Decodes the source views of a cloud whose colours are sampled from images. docs/formats.md describes the format.
  * @param {{view: number, member: Uint8Array, camera: Camera}[]} views
  * @param {{xyz: Float32Array, mean: Uint8Array}} base Positions (N, 3) and mean colours (N, 4).
- * @param {number} scale Texels per pixel of the cameras.
+ * @param {number} scale Number of texels per camera pixel, along each axis.
  * @param {(view: number) => string} nameOf Names of the members, for error messages.
- * @returns {Promise<[number, Uint8Array<ArrayBuffer>][]>} For each view (N, 4): colour and code of the blend weight.
+ * @returns {Promise<[number, Uint8Array<ArrayBuffer>][]>} For each view, (N, 4): red, green, blue, and the code of the
+ *   blend weight.
  */
 export async function decodeImageViews(views, base, scale, nameOf) {
   const points = base.mean.length / 4;
@@ -205,7 +206,8 @@ function toByte(value) {
 }
 
 /**
- * Returns the columns of the (3, 4) matrix that maps world coordinates to (texel coordinates of the grid) * depth.
+ * Returns the columns of the (3, 4) projection matrix of a camera. The matrix maps a world point to
+ * (u * depth, v * depth, depth), where (u, v) are texel coordinates of the camera's grid.
  * @param {Camera} camera
  * @param {number} scale
  */

@@ -24,8 +24,9 @@ export class SortedCompositor {
    * @param {WebGL2RenderingContext} gl
    * @param {Discs} discs
    * @param {{fragment?: string, depth?: string, outputs?: number, pass?: import("./discs.js").DiscPass}} [options]
-   *   Fragment shader of the discs, GLSL expression of their depth, and number of textures (RGBA16F) that the shader
-   *   draws into. If `pass` is given, its programs are used instead of those of the fragment shader.
+   *   `fragment` is the fragment shader of the discs, `depth` is the GLSL expression of their depth, and `outputs` is
+   *   the number of textures (RGBA16F) that the shader draws into. If `pass` is given, its programs draw the discs, and
+   *   `fragment` and `depth` are not used.
    */
   constructor(gl, discs, { fragment = SORTED_FRAGMENT, depth = NO_DEPTH, outputs = 1, pass } = {}) {
     requireFloatTargets(gl, "EXT_color_buffer_half_float");

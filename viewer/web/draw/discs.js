@@ -58,7 +58,7 @@ export class Discs {
    * Projects and shades the points.
    * @param {FrameTextures} textures
    * @param {{points: Uint32Array, ratio: number}} order Indices of the points, nearest first, and an upper bound of
-   *   radius divided by depth.
+   *   radius / depth over all points.
    * @param {Camera} camera
    * @param {{layers: number[], weights: number[]}} blended Texture layers of the views to blend, and the view weights.
    * @param {boolean} hasShadow

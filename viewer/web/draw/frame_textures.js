@@ -233,7 +233,8 @@ export class FrameTextures {
 }
 
 /**
- * Returns the index of the first background point in the numbering of all points of a frame and the background.
+ * Returns the index of the first background point. The points of a frame and of the background are stored in the same
+ * textures, and the background starts at a new row.
  * @param {Manifest} manifest
  */
 export function backgroundFirst(manifest) {

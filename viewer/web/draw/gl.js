@@ -143,7 +143,7 @@ export function makeFramebuffer(gl, textures, depth) {
 }
 
 /**
- * Sets all WebGL state on which the drawing of the player depends, because another program may have changed it.
+ * Sets all WebGL state that affects how the player draws, because another program may have changed this state.
  * @param {GL} gl
  */
 export function setInitialState(gl) {

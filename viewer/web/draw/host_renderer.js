@@ -12,8 +12,8 @@ import { FULL_SCREEN_VERTEX } from "./shaders.js";
  * @typedef {object} HostTarget
  * @property {WebGLFramebuffer | null} framebuffer Null stands for the canvas.
  * @property {[number, number]} corner Pixel (x, y) of the framebuffer at the image's bottom left corner.
- * @property {[number, number]} depthRange Numbers a and b: a point at depth z has the normalised device coordinate
- *   a + b / z.
+ * @property {[number, number]} depthRange Numbers a and b. A point at depth z has the depth a + b / z in normalised
+ *   device coordinates.
  * @property {WebGLTexture | null} depthTexture Depth of the host's objects, with one texel per pixel of the
  *   framebuffer.
  * @property {boolean} writesDepth

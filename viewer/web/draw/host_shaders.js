@@ -5,13 +5,13 @@ export const HOST_DEPTH = "depth_range.x + depth_range.y / disc.z";
 
 /**
  * Outputs the premultiplied colour of a disc, unless the disc is behind the host's depth.
- * The second output contains depth / unit_depth times alpha, and alpha. The division keeps the depth in the range of
- * float16.
+ * The second output contains `depth / unit_depth * alpha` and alpha. The division by `unit_depth` keeps depths in the
+ * range of float16.
  */
 export const HOST_DISC_FRAGMENT = `${HEADER}${DISC}
 uniform bool tests_depth;
 uniform sampler2D host_depth;
-uniform vec2 host_corner;  // Texel of the host's depth at the image's top left pixel.
+uniform vec2 host_corner;  // Texel of host_depth that belongs to the image's top left pixel.
 uniform float unit_depth;
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 weighted_depth;
@@ -29,7 +29,7 @@ void main() {
 /** Outputs the filtered premultiplied image. Row 0 is the top of the image. */
 export const HOST_COLOUR_FRAGMENT = `${HEADER}
 uniform sampler2D image;
-uniform vec2 corner;  // Pixel of the target at the image's top left pixel.
+uniform vec2 corner;  // Pixel of the target that shows the image's top left pixel.
 out vec4 colour;
 
 vec4 tap(ivec2 pixel) { return texelFetch(image, clamp(pixel, ivec2(0), textureSize(image, 0) - 1), 0); }

@@ -10,7 +10,7 @@ import { FrameTextures } from "./frame_textures.js";
  * @property {(Cloud | null)[]} clouds Dynamic points and background.
  * @property {Uint8Array | null} shadow
  * @property {import("../sort/sorter.js").SortedPoints} order
- * @property {Camera} camera The size of the camera is that of the image.
+ * @property {Camera} camera The image has the size of this camera.
  * @property {{views: number[], weights: number[]}} selection Source views and their view weights.
  * @property {number} layers K, the maximum number of points that are composited per pixel.
  */
@@ -35,7 +35,7 @@ export class ProjectedPoints {
     const layers = this.textures.load(picture.clouds, picture.shadow, views);
     const loaded = views.map((view, index) => ({ layer: layers.get(view), weight: weights[index] }));
     const usable = /** @type {{layer: number, weight: number}[]} */ (loaded.filter(({ layer }) => layer !== undefined));
-    // Until the colours of the first view are loaded, the points have their mean colours, which are in layer 0.
+    // If the colours of no selected view are loaded, the points have their mean colours, which are in layer 0.
     const blended = usable.length ? usable : views.length ? [{ layer: 0, weight: 1 }] : [];
     this.discs.project(
       this.textures,

@@ -36,7 +36,7 @@ export class CanvasRenderer {
   }
 
   /**
-   * Draws a picture into the canvas. If their sizes differ, the picture is scaled.
+   * Draws a picture into the canvas. The picture is scaled to the size of the canvas.
    * @param {Picture} picture
    * @param {Mode} mode
    * @param {[number, number, number]} background Colour in [0, 1].
@@ -58,7 +58,7 @@ export class CanvasRenderer {
   }
 
   /**
-   * The pixels of the canvas, which must have been drawn in the same task.
+   * Returns the pixels of the canvas. The canvas must have been drawn in the same task.
    * @returns {Uint8Array} (height, width, 4), row 0 at the top.
    */
   readPixels() {

@@ -26,7 +26,8 @@ void main() { gl_Position = vec4(vec2(gl_VertexID & 1, gl_VertexID >> 1) * 4.0 -
 
 /**
  * Multiplies the factors of a cloud by the basis of its spherical harmonics. Each fragment computes 8 of the 48
- * coefficients of a point and packs them as float16 values. Block b of the target has the coefficients 8 b to 8 b + 7.
+ * coefficients of a point and packs them as float16 values. Block b of the target contains the coefficients from index
+ * `8 * b` to index `8 * b + 7`.
  */
 export const HARMONICS_FRAGMENT = `${HEADER}
 uniform isampler2D factors;  // Row-major (K, N).
@@ -59,13 +60,15 @@ export const SHADE_VERTEX = `${HEADER}
 uniform sampler2D xyz;
 uniform usampler2D sizes;        // Radius code in the low 16 bits, density code in the next 8 bits.
 uniform usampler2D harmonics;    // Six blocks of rows. Each texel has 8 float16 values.
-uniform sampler2DArray views;    // Colour and code of the blend weight. Layer 0 has the mean colours.
+uniform sampler2DArray views;    // Colour, and code of the blend weight. Layer 0 has the mean colours.
 uniform usampler2D shadow;       // One texel per background point.
 uniform bool has_shadow;
 uniform int block_rows;          // Rows of one block of harmonics.
 uniform int background_first;    // Index of the first background point.
 
-uniform vec4 radius_density[2];  // Of dynamic points and background: radius of code 1, codes per octave, density levels.
+// Element 0 is for the dynamic points, and element 1 is for the background. The components are the radius of code 1,
+// the number of radius codes per octave, and the number of density levels.
+uniform vec4 radius_density[2];
 uniform float weight_steps[2];
 
 uniform vec3 intrinsics_x;
@@ -290,12 +293,12 @@ void main() {
 `;
 
 /**
- * The pixel filter: a weighted mean of 3 x 3 values. A shader must define `vec4 tap(T)` before this text. Adding 1 to a
- * position of type T must move it by one pixel.
+ * The pixel filter: a weighted mean of 3 x 3 values. A shader must define `vec4 tap(T)` before this text. The arguments
+ * `right` and `down` of the functions are steps of one pixel.
  * @param {"vec2" | "ivec2"} type T, the type of positions.
  */
 export const pixelFilter = (type) => `
-uniform float pixel_filter;  // Weight of a neighbouring pixel along rows and columns, or 0 for no filter.
+uniform float pixel_filter;  // Weight of a neighbour in the 3-tap filter along rows and along columns; 0: no filter.
 
 vec4 filter_row(${type} position, ${type} right) {
   return pixel_filter * (tap(position - right) + tap(position + right)) + (1.0 - 2.0 * pixel_filter) * tap(position);
@@ -309,8 +312,8 @@ vec4 filtered(${type} position, ${type} right, ${type} down) {
 `;
 
 /**
- * Composites a premultiplied image over a uniform background, filtered and scaled to the target. Row 0 is the top of
- * the image. Beyond the border of the image, the nearest texel is repeated.
+ * Composites a premultiplied image over a uniform background, applies the pixel filter, and scales the result to the
+ * target. Row 0 is the top of the image. Outside the image, the nearest texel is repeated.
  */
 export const OVER_BACKGROUND_FRAGMENT = `${HEADER}
 uniform sampler2D image;

@@ -13,8 +13,8 @@ const TOLERANCE = 1e-3;
  * @param {ArrayLike<number>} projection (16,) column-major, a perspective projection to the depths -1 to 1.
  * @param {number} width Width of the viewport in pixels.
  * @param {number} height
- * @returns {{camera: Camera, depthRange: [number, number]}} The camera, and numbers a and b: a point at depth z in the
- *   scene's units has the normalised device coordinate a + b / z.
+ * @returns {{camera: Camera, depthRange: [number, number]}} The camera, and numbers a and b. A point at depth z, in the
+ *   scene's units, has the depth a + b / z in normalised device coordinates.
  */
 export function hostCamera(modelView, projection, width, height) {
   const m = modelView;
@@ -34,7 +34,7 @@ export function hostCamera(modelView, projection, width, height) {
     const expected = "expected a rotation, a translation and a uniform scale";
     throw new SceneError(`modelView: ${expected}, got another transformation; change the scene's matrix`);
   }
-  // The y and z axes of an OpenGL camera point in the opposite directions to those of the scene's cameras.
+  // The y and z axes of OpenGL cameras are opposite to the y and z axes of the scene's cameras.
   const rotation = [0, 1, 2].flatMap((row) => columns.map((axis) => ((row ? -1 : 1) * axis[row]) / scale));
   const translation = [m[12] / scale, -m[13] / scale, -m[14] / scale];
   const [halfWidth, halfHeight] = [width / 2, height / 2];

@@ -5,7 +5,7 @@ import { addScaled, apply, cross, dot, length, normalize } from "./math.js";
  * @param {number[]} origin Point of the scene that is mapped to `target`.
  * @param {number[]} up Up direction of the scene, a unit vector. It is mapped to +y.
  * @param {number[]} forward Direction in the scene whose horizontal part is mapped to -z.
- * @param {number} scale Length in the world of one unit of the scene.
+ * @param {number} scale Length of one unit of the scene, in units of the world.
  * @param {number[]} [target] Point (3,) of the world.
  * @returns {number[]} (16,) column-major.
  */

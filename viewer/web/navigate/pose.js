@@ -43,8 +43,8 @@ export function cameraOf(pose, width, height) {
 }
 
 /**
- * Rotates the eye about the pivot, as if the user dragged the scene by angles in radians. The rotation stops 1 degree
- * before the viewing axis is parallel to the up direction.
+ * Rotates the eye about the pivot, as if the user dragged the scene to the right by `right` and down by `down`, both in
+ * radians. The rotation stops 1 degree before the viewing axis is parallel to the up direction.
  * @param {Pose} pose
  * @param {number} right
  * @param {number} down
@@ -64,8 +64,8 @@ export function orbit(pose, right, down) {
 }
 
 /**
- * Translates the eye and the pivot, as if the user dragged the scene at the depth of the pivot. Lengths are fractions
- * of the image height.
+ * Translates the eye and the pivot, as if the user dragged the scene at the depth of the pivot. `right` and `down` are
+ * the lengths of the drag, as fractions of the image height.
  * @param {Pose} pose
  * @param {number} right
  * @param {number} down
@@ -78,7 +78,7 @@ export function pan(pose, right, down) {
 }
 
 /**
- * Multiplies the distance to the pivot.
+ * Multiplies the distance from the eye to the pivot by `factor`.
  * @param {Pose} pose
  * @param {number} factor
  * @returns {Pose}

@@ -15,7 +15,7 @@ export function toFragment(pose, seconds) {
 }
 
 /**
- * Reads what `toFragment` wrote. Invalid parts of the fragment are ignored.
+ * Reads the pose and the time from a fragment that `toFragment` has written. Invalid parts of the fragment are ignored.
  * @param {string} fragment With or without a leading #.
  * @param {number[]} up
  * @returns {{pose?: Pose, seconds?: number}}

@@ -2,12 +2,12 @@ import { addScaled, apply, cross, dot, length, normalize, transpose } from "./ma
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../scene/manifest.js").Manifest} Manifest */
 
-/** If all source views are selected, the limit angle b (see below) is the largest angle times this factor. */
+/** If all source views are selected, the limit angle b of `fadingWeights` is the largest angle times this factor. */
 const FADE_MARGIN = 1.25;
 
 /**
- * Selects the source views with the smallest angles to a camera, measured at the focus, and their view weights.
- * The rules are those of fourd/cameras.py.
+ * Returns the source views whose angles to a camera are smallest, and their view weights. Angles are measured at the
+ * focus. The rules are those of fourd/cameras.py.
  * @param {Camera} camera
  * @param {Manifest} manifest
  * @returns {{views: number[], weights: number[]}}
@@ -25,7 +25,7 @@ export function selectSourceViews(camera, manifest) {
 
 /**
  * A view at the angle a has the weight 1 - a / b. The limit angle b is the smallest angle of the views that are not
- * selected and are at least as far away as every selected view.
+ * selected. Angles below the largest selected angle do not count.
  * @param {number[]} views
  * @param {number[]} angles
  */

@@ -1,9 +1,9 @@
 /** Plans playback over slow connections. With a stride s, playback shows every s-th frame, so a larger stride needs a
  * lower data rate. */
 const STRIDES = [1, 2, 3, 4, 5, 6];
-/** Playback waits at most this time, in seconds, in order to show all frames. */
+/** Maximum time in seconds that playback waits in order to show all frames. */
 export const LONGEST_WAIT = 3;
-/** Playback is planned with this fraction of the measured data rate, because the rate varies. */
+/** The data rate varies, so playback is planned with this fraction of the measured rate. */
 const RATE_MARGIN = 0.9;
 /** A change to a smaller stride is planned with this fraction of the measured data rate. */
 const FINER_MARGIN = 0.8;

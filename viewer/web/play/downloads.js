@@ -1,11 +1,12 @@
 import { BACKGROUND } from "../scene/members.js";
 /** @typedef {import("../scene/scene_file.js").SceneFile} SceneFile */
 
-/** Largest size of the compressed frames in memory. Browsers without `deviceMemory` have the smaller limit. */
+/** Largest size of the compressed frames in memory, in bytes. The limit is lower if the device has less than 8 GB of
+ * memory, or if the browser does not report its memory. */
 const MOST_BYTES = 512 << 20;
 const BYTES_PER_GB = 64 << 20;
 const SUPPOSED_GB = 4;
-/** Enough requests run at the same time that their data together takes this time to arrive. */
+/** New requests start until the data of all running requests takes this time, in seconds, to arrive. */
 const SECONDS_IN_FLIGHT = 0.3;
 /** Minimum number of simultaneous requests. With a single request, the connection is idle between the last byte of a
  * response and the first byte of the next response. */
@@ -31,7 +32,7 @@ export class Downloads {
     this.bytes = 0;
     /** @type {Set<Job>} */
     this.jobs = new Set();
-    /** Numbers whose requests failed. @type {Set<number>} */
+    /** Numbers of the frames, or of the background, whose requests failed. @type {Set<number>} */
     this.failures = new Set();
     /** @type {number[]} */
     this.wanted = [];
@@ -43,7 +44,8 @@ export class Downloads {
   /**
    * Sets what to download.
    * @param {number[]} wanted Frames, and if needed the background, in order of urgency.
-   * @param {(number: number) => string[]} namesOf The members that are needed of a frame or the background.
+   * @param {(number: number) => string[]} namesOf Returns the names of the members to download for a frame or for the
+   *   background.
    * @param {boolean} isUrgent Whether only the first frame and the background are downloaded.
    */
   want(wanted, namesOf, isUrgent) {
@@ -147,8 +149,11 @@ export class Downloads {
     }
   }
 
-  /** Whether members fit into memory without dropping a frame that is due before them. @param {number} number @param
-   * {string[]} names */
+  /**
+   * Whether the members of a frame fit into memory if only frames that are due later are dropped to make room.
+   * @param {number} number
+   * @param {string[]} names
+   */
   #hasRoom(number, names) {
     const excess = this.bytes + this.#bytesInFlight() + this.#sizeOf(names) - this.limit;
     if (number === BACKGROUND || excess <= 0) return true;

@@ -17,7 +17,7 @@ const CONCURRENT = 4;
  * @property {Uint8Array<ArrayBuffer> | null} normals (N, 2) octahedral normals, which are decoded only for styles.
  * @property {boolean} isBusy
  * @property {boolean} hasFailed A failed entry is decoded again only after a call of `retry`.
- * @property {number} used Counter value of the last request for the entry.
+ * @property {number} used Value of the counter `turn` when the entry was last requested.
  */
 
 /**
@@ -158,7 +158,7 @@ export class FrameStore {
     return number === BACKGROUND || !this.manifest.background?.shadow || entry.shadow !== null;
   }
 
-  /** Whether the normals of a part are decoded, if they are needed. @param {number} number */
+  /** Whether the normals of a part are decoded, or are not needed. @param {number} number */
   #hasNormals(number) {
     return !this.needsNormals || (this.entries.get(number)?.normals ?? null) !== null;
   }
@@ -280,7 +280,7 @@ export class FrameStore {
     }
   }
 
-  /** The downloaded normals of a part, if they are needed and not decoded. @param {number} number */
+  /** The downloaded normals of a part that are needed but not decoded yet, or null. @param {number} number */
   #normalsToDecode(number) {
     return this.#hasNormals(number) ? null : this.downloads.get(number, normalsMember(this.manifest, number));
   }

@@ -8,9 +8,9 @@ import { FrameStore } from "./frame_store.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../draw/projected_points.js").Picture} Picture */
 
-/** Playback starts once this number of frames after the current frame are decoded. */
+/** Playback starts when the current frame and this number of following frames are decoded. */
 const BUFFERED_FRAMES = 3;
-/** Memory limits for decoded frames, and for compressed frames, that follow the current frame. */
+/** Memory limits in bytes for the decoded frames and for the compressed frames that follow the current frame. */
 const DECODED_BYTES = 96 << 20;
 const DOWNLOADED_BYTES = 64 << 20;
 const MAX_DECODED = 24;
@@ -42,7 +42,7 @@ export class Playback {
     /** Seconds since playback began to wait. */
     this.waited = 0;
     this.sinceAdapted = 0;
-    /** Whether the frames' normals are loaded, which styles need. */
+    /** Whether normals are loaded with the frames. Styles need normals. */
     this.needsNormals = false;
     /** The newest depth order. @type {(import("../sort/sorter.js").SortedPoints & {frame: number, camera: Camera}) | null} */
     this.order = null;
@@ -145,8 +145,8 @@ export class Playback {
   }
 
   /**
-   * Returns the frames up to the end of the scene, or of one loop. Returns null if the data rate of the connection is
-   * not known.
+   * Returns the frames from the current frame to the end of the scene, or all frames if playback loops. Returns null if
+   * the data rate of the connection is not known.
    * @returns {import("./buffering.js").Buffer | null}
    */
   #buffer() {

@@ -14,7 +14,7 @@ export class Quality {
   }
 
   /**
-   * Reports the time from a drawn image to the next possible image.
+   * Reports the time from a drawn image until the browser could show the next image.
    * @param {number} ms
    */
   report(ms) {

@@ -6,7 +6,7 @@ import { Quality } from "./quality.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 /** @typedef {import("../navigate/pose.js").Pose} Pose */
 
-/** Time without motion after which the image is drawn at full resolution. */
+/** Time in milliseconds without motion after which the image is drawn at full resolution. */
 const REST_MS = 250;
 
 /** Plays a scene in a canvas, and draws only if something has changed. */
@@ -37,8 +37,7 @@ export class Stage {
     this.background = [0, 0, 0];
     /** @type {import("../draw/renderer.js").ReadyStyle | null} */
     this.style = null;
-    /** Number of images that are still to be drawn of a paused frame. The lines of a style fade in over these
-     * images. */
+    /** How many more times a paused frame is drawn. The lines of a style fade in over these images. */
     this.fading = 0;
     this.isDirty = true;
     /** Whether another program draws the scene, so that nothing is drawn into the canvas. */

@@ -1,8 +1,8 @@
-/** Measurements older than this time, in milliseconds, are dropped. The clock for this age runs only while a request is
- * running. */
+/** The data rate is averaged over approximately this time, in milliseconds. Only time in which a request is running
+ * counts. */
 const WINDOW_MS = 2000;
 
-/** Measures the data rate of a connection. Times without a running request are left out. */
+/** Measures the data rate of a connection. Time without a running request is left out. */
 export class LineRate {
   /** @param {() => number} [now] A clock in milliseconds. */
   constructor(now = () => performance.now()) {

@@ -23,14 +23,14 @@ import { largestContent } from "./limits.js";
  * @property {number} radiusLower
  * @property {number} radiusSteps
  * @property {number} densityLevels
- * @property {Float32Array} shBasis (shRows, 48), multiplied by the step.
+ * @property {Float32Array} shBasis (shRows, 48), multiplied by the quantisation step.
  * @property {Float32Array} shMean (48,)
  * @property {number} shRows
  * @property {number} weightSteps
  * @property {number} colourStep
  * @property {boolean} everyPointHasColours
- * @property {number | null} imageScale Resolution of the source views' images in texels per camera pixel, or null if
- *   colours are stored per point.
+ * @property {number | null} imageScale Resolution of the stored images of source views, in texels per camera pixel.
+ *   Null if colours are stored per point.
  */
 
 /**
@@ -47,7 +47,8 @@ import { largestContent } from "./limits.js";
  * @property {number} shRange
  * @property {number} shBase
  * @property {number} near
- * @property {number} pixelFilter Weight of a neighbouring pixel in the pixel filter, from 0 to 0.25.
+ * @property {number} pixelFilter Weight of a neighbour in the 3-tap pixel filter along rows and along columns, from 0
+ *   to 0.25.
  * @property {{points: number, shadow: boolean} | null} background
  * @property {boolean} hasNormals
  * @property {CloudEncoding} dynamicEncoding

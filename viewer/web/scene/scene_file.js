@@ -7,8 +7,8 @@ import { missingDecoder } from "./support.js";
 const FIRST_READ = 1 << 16;
 const LOCAL_HEADER = 30;
 const MAX_MANIFEST = 64 << 20;
-/** Two members are read with one request if at most this number of bytes lies between them, because one request is then
- * faster than two. */
+/** If at most this number of bytes lies between two members, they are read with one request, which is faster than two
+ * requests. */
 const MERGE_GAP = 1 << 15;
 
 /** A packed scene on a server. */

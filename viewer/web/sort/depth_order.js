@@ -8,11 +8,11 @@
  * @property {number} width
  * @property {number} height
  * @property {number} near Smallest depth in world units.
- * @property {number} border Pixels around the image in which points are also kept.
+ * @property {number} border Width in pixels of a border around the image. Points in the border are kept too.
  */
 
-/** Factor by which the bound of radius / depth is multiplied, because the camera can move nearer to the points before
- * the next sort. */
+/** The upper bound of radius / depth is multiplied by this factor, because the camera can move nearer to the points
+ * before the next sort. */
 const RATIO_MARGIN = 1.1;
 const BITS = 11;
 const BUCKETS = 1 << BITS;

@@ -6,7 +6,7 @@ import { SceneError } from "../scene/errors.js";
  * @typedef {{clouds: {cloud: number, first: number, radius: number}[], camera: SortCamera,
  *   uploads: {cloud: number, xyz: Float32Array}[]}} SortRequest
  * @typedef {{points: Uint32Array<ArrayBuffer>, ratio: number}} SortedPoints Indices of the visible points, nearest
- *   first, and an upper bound of radius divided by depth.
+ *   first, and an upper bound of radius / depth over these points.
  * @typedef {SortedPoints & {ms: number}} SortReply
  */
 

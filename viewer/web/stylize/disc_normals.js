@@ -18,7 +18,7 @@ uniform vec3 rotation_y;
 uniform vec3 rotation_z;
 uniform vec3 translation;
 in uint point;
-out vec4 normal;  // The normal times the weight, and the weight.
+out vec4 normal;  // The normal times the weight, and the weight itself.
 
 void main() {
   ivec2 at = ivec2(int(point) & (TEXELS_PER_ROW - 1), int(point) / TEXELS_PER_ROW);
@@ -34,7 +34,7 @@ void main() {
 /** Outputs the colour, the normal, the depth and the weight of a disc, premultiplied by alpha. */
 export const SURFACE_FRAGMENT = `${HEADER}${DISC}
 flat in vec4 disc_normal;
-uniform float depth_unit;  // Unit of depths, in world units, which keeps depths in the range of float16.
+uniform float depth_unit;  // Unit of depths, in world units. Depths in this unit fit into float16.
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 weighted_normal;
 layout(location = 2) out vec4 weighted_depth;

@@ -2,8 +2,8 @@ import { inflateExactly } from "../decode/inflate.js";
 import { SceneError } from "../scene/errors.js";
 
 /**
- * A style without the numbers that depend on the camera (viewer/publish/styles.py). Lengths are in pixels of an image
- * with 1080 rows.
+ * A style, as viewer/publish/styles.py writes it. The player computes the numbers that depend on the camera. Lengths
+ * are in pixels of an image with 1080 rows.
  * @typedef {object} Style
  * @property {string} name
  * @property {number[]} light Unit vector towards the light.
@@ -12,12 +12,13 @@ import { SceneError } from "../scene/errors.js";
  * @property {number} persistence
  * @property {number} thickness
  * @property {number} hatch_spacing
- * @property {number} detail_per_distance Detail per depth, in multiples of the distance from the camera to the focus.
+ * @property {number} detail_per_distance Detail per unit of depth, where the unit is the distance from the camera to
+ *   the focus.
  * @property {number} detail_axis
  * @property {number} line_filter
  * @property {Record<string, number | number[]>} numbers Uniforms that are the same for all cameras.
  * @property {number} rows Rows of the shade table.
- * @property {string} table The shade table (rows, 256, 3) uint8, as zlib in base64.
+ * @property {string} table The shade table, (rows, 256, 3) uint8, compressed with zlib and encoded in base64.
  */
 
 const SHADER_NAMES = /** @type {const} */ (["octahedral", "surface", "close", "picture", "outlines"]);

@@ -109,7 +109,7 @@ export class Chart {
     return { ...curve, step: kept.map((i) => curve.step[i]), value: kept.map((i) => curve.value[i]) };
   }
 
-  /** Shows the values at the pointer, or no values if the pointer is elsewhere. */
+  /** Shows the values at the pointer, or no values if the pointer is outside the plot. */
   #showValues() {
     const { position, pixel } = this;
     this.values.hidden = true;

@@ -2,7 +2,7 @@
  * State of a run, as the server sends it.
  * @typedef {object} Status
  * @property {string} title
- * @property {number | null} segment Number of the segment from 1, in a run with segments.
+ * @property {number | null} segment Number of the segment, counted from 1. Null for a run without segments.
  * @property {string} session
  * @property {"training" | "paused" | "finished" | "stopped" | "failed" | "ended" | "idle"} phase
  * @property {string} reason
@@ -20,7 +20,7 @@
 /** The values of a measurement. @typedef {{step: number[], value: number[]}} Series */
 /** State of the scene. @typedef {{state: "none" | "baking" | "ready" | "failed", step: number, message: string}} SceneState */
 
-/** An error answer of the server, which the page shows to the user. */
+/** Thrown if the server refuses a request or does not answer. The page shows the message to the user. */
 export class Refusal extends Error {}
 
 /** @returns {Promise<Status>} */

@@ -5,7 +5,7 @@ import { loadStyles, readTable } from "../stylize/style_file.js";
 const NONE = "none";
 const URL_OF_STYLES = new URL("../stylize.json", import.meta.url);
 
-/** The list of styles in the player, and the attribute `stylize`. */
+/** Sets the style that the user selects in the list of styles, or that the attribute `stylize` names. */
 export class StyleMenu {
   /** @param {FourdPlayer} player */
   constructor(player) {
@@ -23,13 +23,13 @@ export class StyleMenu {
     return this.player.panel.styles;
   }
 
-  /** Shows the style of the attribute. Called when the attribute changes, and when a scene is opened. */
+  /** Applies the style that the attribute names. Called when the attribute changes, and when a scene is opened. */
   async follow() {
     const name = this.player.getAttribute("stylize") ?? this.name;
     if (name !== NONE || this.file) await this.choose(name);
   }
 
-  /** Offers the styles of the page. A page without styles has no list. */
+  /** Shows the list of the page's styles. If the page has no styles, the list stays hidden. */
   async offer() {
     await this.#load().catch(() => {});
   }

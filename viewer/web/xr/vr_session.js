@@ -36,7 +36,7 @@ export async function supportsVr() {
   try {
     return (await xrSystem()?.isSessionSupported(MODE)) ?? false;
   } catch {
-    return false; // Pages in frames without the permission "xr-spatial-tracking" have no access.
+    return false; // A page in a frame without the permission "xr-spatial-tracking" cannot use WebXR.
   }
 }
 

@@ -39,7 +39,7 @@ function addObjects() {
   transparent.add(glass);
 }
 
-/** The view of the points, which has the unchanged matrices of three.js. */
+/** The view from which the points are drawn. It contains the matrices of three.js without changes. */
 function view() {
   const { width, height } = canvas;
   const viewport = /** @type {[number, number, number, number]} */ ([0, 0, width, height]);
