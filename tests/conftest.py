@@ -19,8 +19,9 @@ from tests.captures import write_ball_capture
 
 
 def pytest_configure() -> None:
-    """Shells start background jobs with SIGINT ignored. Commands that tests start would inherit this, and tests that
-    interrupt the commands would wait until their time limits.
+    """If a shell has started the tests as a background job, this process ignores SIGINT. The commands that tests start
+    would also ignore SIGINT, and tests that interrupt a command would wait until their time limits. This function
+    therefore restores Python's handler of SIGINT.
     """
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -28,8 +29,8 @@ def pytest_configure() -> None:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """A random generator with a new seed. If a test fails, the seed is printed. The environment variable
-    FOURD_TEST_SEED sets the seed.
+    """A random generator with a new seed. If a test fails, pytest prints the seed. To use the same seed again, set the
+    environment variable FOURD_TEST_SEED.
     """
     seed = int(os.environ.get("FOURD_TEST_SEED", secrets.randbits(32)))
     print(f"FOURD_TEST_SEED={seed}")

@@ -91,7 +91,7 @@ def test_no_process_outlives_its_parent(stop: signal.Signals, tracebacks: int, t
         assert time.monotonic() < deadline, "the processes did not start"
         time.sleep(0.01)
     if stop == signal.SIGKILL:
-        parent.kill()  # The system kills only the parent if memory is short.
+        parent.kill()  # If memory is short, the operating system kills only the parent.
     else:
         os.killpg(parent.pid, stop)  # Ctrl-C in a terminal stops the parent and its children.
     # The call returns when the last process has closed its stderr.

@@ -89,7 +89,8 @@ def build(folder: Path) -> tuple[str, Path]:
 
 
 def count(program: Path, words: list[str]) -> int:
-    """Return the number of instructions of one repetition of the workload, without the setup of the workload."""
+    """Return the number of instructions that one repetition of the workload executes. The setup of the workload is not
+    counted."""
     once, thrice = (count_process([str(program), *words, str(repeats), "1", "avx2"]) for repeats in (1, 3))
     return (thrice - once) // 2
 

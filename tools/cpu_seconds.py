@@ -1,4 +1,4 @@
-"""Run a command of fourd on one thread, with time limits in CPU seconds of the process.
+"""Run a command of fourd on one thread. Its time limits are measured in CPU seconds of the process.
 
 With time limits in CPU seconds, other programs on the machine hardly change the results.
 

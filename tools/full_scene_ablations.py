@@ -8,7 +8,7 @@ the variant changes these points. Finished runs are not trained again.
 
 The two variants with a perturbed calibration use the capture OUT/disturbed. In OUT/disturbed, each camera is rotated by
 0.5 degrees and moved by 1 cm. Before these two variants are evaluated, each held-out camera is fitted to its own
-images. The fit alone raises the scores slightly.
+images. This fit raises the scores slightly, with or without camera refinement in training.
 
 The program prints a Markdown table and writes the image OUT/pictures.png. OUT/pictures.png shows the middle frame of
 each held-out view: the ground truth, and the result of every variant.
@@ -39,7 +39,7 @@ class Variant:
     Attributes:
         label: row title in the table.
         changes: the config keys that differ from the defaults.
-        own_seeds: whether the run computes its own hull and background points, instead of reusing those of the first
+        own_seeds: whether the run computes its own hull and background points. If false, it uses those of the first
             variant.
         disturbed: whether the run uses the perturbed calibration.
     """

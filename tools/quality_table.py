@@ -1,5 +1,5 @@
-"""Measure the image quality of trained runs: scores of held-out and training views, location of the error, specks,
-jumps and flicker.
+"""Measure the image quality of trained runs: scores of held-out and training views, shares of the error at the contour
+and elsewhere, specks, jumps and flicker.
 
 python tools/quality_table.py RUN [RUN ...]
 python tools/quality_table.py RUN --orbit 240 --pictures pictures/ --json quality.json
@@ -43,7 +43,7 @@ class Arguments:
     runs: tyro.conf.Positional[list[Path]]
     """Run folders, trained with --test-views."""
     frames: int = 6
-    """Number of frames to measure, spread evenly over the run's frames. 0 measures all frames."""
+    """Number of frames to measure, spread evenly over the run's frames. With 0, all frames are measured."""
     orbit: int = 0
     """Number of images on a full orbit around the subject at the middle frame, or 0 to skip this measurement. The
     column `jump` has the largest difference between neighbouring images, divided by the median difference."""
@@ -72,7 +72,7 @@ class ViewQuality:
 
 @dataclass(frozen=True)
 class RunQuality:
-    """Mean values of a run. :func:`markdown` names the columns.
+    """Mean values of a run. For the meaning of the values, see the column names in :func:`markdown`.
 
     Radii are in multiples of the point spacing, and are measured over all measured frames.
     """
@@ -125,8 +125,8 @@ def measure_run(trained: TrainedRun, arguments: Arguments) -> RunQuality:
 
 
 def render(trained: TrainedRun, frame: int, view: int) -> tuple[RenderedView, Image, NDArray[np.uint8]]:
-    """Return the rendered image, the true image and the matte of a view. A view is not a source view of its own
-    rendered image."""
+    """Return the rendered image, the true image and the matte of a view. The view itself is not used as a source
+    view."""
     capture, layers = trained.run.capture, trained.run.config.train.layers
     points = trained.frames.get(frame)
     picture = trained.renderer.render(points, frame, capture.cameras[view], layers, exclude=view)
@@ -152,8 +152,8 @@ def measure_view(trained: TrainedRun, frame: int, view: int) -> ViewQuality:
 
 
 def measure_flicker(trained: TrainedRun, view: int, frames: int = 8) -> float:
-    """Return the flicker of successive frames from a held-out camera, as a fraction of the true changes. For a single
-    frame, the result is 0."""
+    """Return the flicker of successive frames in a held-out view, divided by the mean change of the true images. For a
+    single frame, the result is 0."""
     first = max(0, (trained.run.capture.frame_count - frames) // 2)
     shown = range(first, min(first + frames, trained.run.capture.frame_count))
     if len(shown) < 2:
@@ -183,7 +183,7 @@ def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float,
 
 
 def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
-    """Mean of each measured value over the images. The mean PSNR is the mean of the values in dB."""
+    """Mean of each measured value over the images. The PSNR values are averaged in dB."""
     fields: dict[str, Any] = {}
     for name in ViewQuality.__dataclass_fields__:
         values = [getattr(view, name) for view in views]
@@ -192,8 +192,8 @@ def mean_of(views: Sequence[ViewQuality]) -> ViewQuality:
 
 
 def markdown(results: dict[str, RunQuality]) -> str:
-    """Return the table. The error columns are fractions of the squared error inside the matte's bounding box, over
-    held-out views."""
+    """Return the table. The error columns are fractions of the squared error inside the matte's bounding box, averaged
+    over the held-out views."""
     heads = ["run", "unseen dB", "SSIM", "FLIP", "seen dB", "contour", "near", "inside", "outside", "excess", "missing"]
     heads += ["specks, per 10,000 pixels", "flicker / true change", "jump", "radii p50 / p90 / p99"]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]

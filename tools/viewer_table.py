@@ -35,7 +35,7 @@ from fourd.viewer.rendering.renderers import RENDERERS, Renderer, RendererName, 
 
 LAYERS = (15, 12, 8)
 TURN = 1e-4
-"""Angle in radians by which the camera turns between two images, so that no result is reused."""
+"""Angle in radians by which the camera turns between two images, so that no renderer can reuse the last image."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,8 @@
 """Fit triangles to a picture through OpenGL, which computes no gradients.
 
-The renderer is a black box for fourd.raster.triangles.estimate_gradient: it draws flat triangles with OpenGL, and
-returns the image and the triangle that each pixel shows. Each step of the optimiser draws two images.
+The renderer is a black box for fourd.raster.triangles.estimate_gradient: it draws triangles of one colour each with
+OpenGL. It returns the image, and for each pixel the index of the triangle that the pixel shows. Each step of the
+optimiser draws two images.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ void main() {
 @dataclass(frozen=True)
 class Arguments:
     picture: Path = Path("black_box.png")
-    """Picture with the target, the first and the last image side by side."""
+    """Output image: the target, the image before the fit and the image after the fit, side by side."""
     steps: int = 600
     """Number of steps of the optimiser."""
     triangles: int = 120
@@ -73,19 +74,20 @@ class TriangleRenderer:
         self._size = size
 
     def draw(self, params: Tensor) -> Tensor:
-        """Return the image (size, size, 3) and keep the ids of its pixels."""
+        """Return the image (size, size, 3), and store the triangle that each pixel shows, for :meth:`ids`."""
         corners = params[:, :6].reshape(-1, 3, 2)
         colours = params[:, None, 6:].clamp(0, 1).expand(-1, 3, -1)
         self._buffer.write(torch.cat((corners, colours), 2).numpy().astype(np.float32).tobytes())
         self._target.use()
-        # clear() sets the ids to 0, but 0 is the id of a triangle, so the ids are then set to -1.
+        # clear() sets all ids to 0, which is the id of the first triangle. The ids are therefore overwritten with -1.
         self._target.clear()
         self._textures[1].write(np.full((self._size, self._size), -1, np.float32).tobytes())
         self._array.render(moderngl.TRIANGLES)
         return self._read(0, 3)
 
     def ids(self, _: Tensor) -> Tensor:
-        """Return the triangle that each pixel of the last image shows, or -1: (size, size)."""
+        """Return the index (size, size) of the triangle that each pixel of the last image shows, or -1 if it shows
+        none."""
         return self._read(1, 1)[..., 0].round().long()
 
     def _read(self, attachment: int, components: int) -> Tensor:

@@ -1,20 +1,21 @@
-"""Estimate the poses of cameras and the spheres that they see, only from the images.
+"""Estimate the poses of cameras, and the positions, radii and textures of the spheres in their images, only from these
+images.
 
     python examples/triangles/bundle_adjustment.py
 
 The poses of all cameras, and the centres, radii and textures of the spheres are unknown. The poses, centres and radii
 start with errors, and the textures start grey. Adam minimises the difference between the rendered and the given images
 at several scales. The first steps compare only coarse scales, because the difference of sharp images has many local
-minima. The rotation of a camera turns the camera around the centre of the scene, so that rotations and translations
-change the images independently.
+minima. When the optimiser changes the rotation of a camera, the camera turns around the centre of the scene, not around
+its own centre. Rotation and translation can then be corrected independently.
 
 The images determine the poses only up to one common rotation, translation and scale. The program removes the common
 rotation before it computes the rotation errors, and the common similarity transformation before it computes the errors
 of the centres.
 
 The spheres have few triangles on purpose: antialiasing finds a silhouette only at pixels that show a triangle with a
-silhouette edge. The triangles at the silhouette of a finely tessellated sphere are thinner than a pixel, so most of the
-gradient is missing.
+silhouette edge. On a finely tessellated sphere, the triangles at the silhouette are thinner than a pixel. Few pixels
+show such a triangle, so most of the gradient would be missing.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class Scene:
 
     Attributes:
         R_camera_world: (C, 3, 3) rotations of the cameras.
-        translation: (C, 3) from world to camera coordinates.
+        translation: (C, 3) translations of the transforms from world to camera coordinates.
         centre: (N, 3) centres of the spheres.
         radius: (N,) radii of the spheres.
         texture: (N, H, W, 3) textures of the spheres.
@@ -81,7 +82,7 @@ class Scene:
 
 
 def main(arguments: Arguments) -> tuple[float, float]:
-    """Adjust the scene. Returns the mean rotation errors of the cameras before and after, in degrees."""
+    """Adjust the scene. Returns the mean rotation error of the cameras before and after the adjustment, in degrees."""
     rng = np.random.default_rng(arguments.seed)
     true = random_scene(arguments.cameras, arguments.spheres, rng)
     first = disturb(true, arguments.error_deg, rng)
@@ -106,8 +107,8 @@ def adjust(targets: Tensor, first: Scene, renderer: Renderer, arguments: Argumen
     optimizer = torch.optim.Adam([{"params": [value], "lr": rate} for value, rate in rates], betas=(0.9, 0.99))
     schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda step: 0.02 ** (step / arguments.steps))
     for step in range(arguments.steps):
-        # In the first two thirds of the steps, the finest scale of the comparison changes from the coarsest scale to
-        # single pixels.
+        # The comparison starts with the coarsest scale only. During the first two thirds of the steps, the finer scales
+        # are added one by one, down to single pixels.
         finest = max(0, round(COARSEST * (1 - 1.5 * step / arguments.steps)))
         scene = Scene(rotation_matrix(turn) @ first.R_camera_world, translation, centre, log_radius.exp(), texels)
         difference = (renderer.render(scene) - targets).permute(0, 3, 1, 2)

@@ -14,7 +14,7 @@ from torch import Tensor
 def cube() -> tuple[Tensor, Tensor]:
     """Return the corners (8, 3) of a cube with edges of length 2 around the origin, and its triangles (12, 3) int32.
 
-    Triangles 2 i and 2 i + 1 form face i. All triangles are counter-clockwise seen from outside.
+    Triangles 2 * i and 2 * i + 1 form face i. All triangles are counter-clockwise seen from outside.
     """
     corners = torch.tensor([[x, y, z] for z in (-1.0, 1.0) for y in (-1.0, 1.0) for x in (-1.0, 1.0)])
     faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
@@ -23,7 +23,8 @@ def cube() -> tuple[Tensor, Tensor]:
 
 
 def face_colours() -> tuple[Tensor, Tensor]:
-    """Return six colours (6, 3) for the faces of :func:`cube`, and triangles (12, 3) int32 that index the colours."""
+    """Return six colours (6, 3) for the faces of :func:`cube`. Also return a colour index for each corner of each
+    triangle, (12, 3) int32."""
     colours = torch.tensor(
         [[0.9, 0.2, 0.2], [0.2, 0.8, 0.3], [0.2, 0.3, 0.9], [0.9, 0.8, 0.2], [0.8, 0.3, 0.8], [0.3, 0.8, 0.8]]
     )
@@ -34,7 +35,7 @@ def uv_sphere(rows: int, columns: int) -> tuple[Tensor, Tensor, Tensor]:
     """Return a unit sphere with texture coordinates: vertices (V, 3), uv (V, 2) and triangles (T, 3) int32.
 
     The sphere is a grid of ``rows`` x ``columns`` quads over latitude and longitude. u is the longitude and v the
-    colatitude, both in [0, 1]. The first and the last column of vertices coincide and have different u.
+    colatitude, both in [0, 1]. The first and the last column of vertices have the same positions but different u.
     """
     v, u = torch.meshgrid(torch.linspace(0, 1, rows + 1), torch.linspace(0, 1, columns + 1), indexing="ij")
     longitude, colatitude = 2 * torch.pi * u, torch.pi * v
@@ -65,7 +66,7 @@ def perspective(half_width: float, near: float = 1.0, far: float = 50.0) -> Tens
 
 
 def rigid(R: Tensor, translation: tuple[float, float, float]) -> Tensor:
-    """Return rotations (..., 3, 3) followed by a translation as matrices (..., 4, 4)."""
+    """Return the matrices (..., 4, 4) that first apply the rotations ``R`` (..., 3, 3) and then the translation."""
     matrix = torch.zeros(*R.shape[:-2], 4, 4, dtype=R.dtype)
     matrix[..., :3, :3] = R
     matrix[..., :3, 3] = torch.tensor(translation, dtype=R.dtype)
@@ -79,7 +80,8 @@ def random_rotations(count: int, rng: np.random.Generator) -> Tensor:
 
 
 def rotation_of_quaternion(quaternion: Tensor) -> Tensor:
-    """Return the rotations (..., 3, 3) of quaternions (..., 4) in the order w, x, y, z, of any length above 0."""
+    """Return the rotations (..., 3, 3) of quaternions (..., 4) in the order w, x, y, z. The quaternions can have any
+    length above 0."""
     w, x, y, z = (quaternion / quaternion.norm(dim=-1, keepdim=True)).unbind(-1)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -2,9 +2,9 @@
 
     python examples/triangles/cube.py --size 4
 
-In every step, a cube in a random pose is rendered twice: the true cube, and a cube whose corners and colours are
-optimised. Antialiasing is the only source of gradients with respect to the positions of silhouettes. The error of the
-corners therefore shows that these gradients are right, even if the whole image has only 4 x 4 pixels.
+Each step renders two cubes in the same random pose: the true cube, and the cube whose corners and colours are
+optimised. Antialiasing is the only source of gradients with respect to the positions of silhouettes. A small final
+error of the corners therefore shows that these gradients are right, even if the whole image has only 4 x 4 pixels.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Arguments:
     """Options of the fit."""
 
     size: int = 8
-    """Width and height of the images that the cube is fitted to, in pixels."""
+    """Width and height, in pixels, of the images that are used for the fit."""
     steps: int = 8000
     """Steps of Adam."""
     batch: int = 4
@@ -38,7 +38,8 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> float:
-    """Fit the cube. Returns the final mean distance of the corners, as a share of the edge."""
+    """Fit the cube. Returns the final mean distance of the corners from the true corners, as a share of the edge
+    length."""
     rng = np.random.default_rng(arguments.seed)
     true_xyz, tri = cube()
     true_colours, colour_tri = face_colours()

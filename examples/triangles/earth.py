@@ -42,7 +42,7 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> tuple[float, float]:
-    """Learn both textures. Returns the PSNR of the textures with mipmaps and without mipmaps, in dB."""
+    """Learn one texture with mipmaps and one without. Returns the PSNR of both textures in dB, in this order."""
     true_texture = continents(arguments.texture_size, np.random.default_rng(arguments.seed))
     learnt = {mode: learn(true_texture, mode, arguments) for mode in ("linear-mipmap-linear", "linear")}
     scores = {mode: psnr(texels, true_texture) for mode, texels in learnt.items()}

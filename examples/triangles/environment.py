@@ -3,7 +3,8 @@
     python examples/triangles/environment.py
 
 The colour of a pixel is the environment map in the direction of the mirrored ray, plus a Phong highlight of an unknown
-colour and exponent. The environment map is a cube map, so its gradient passes through the seamless edges of the cube.
+colour and exponent. The environment map is a cube map with seamless edges: near an edge, the gradient also reaches the
+texels of the neighbouring face.
 """
 
 from __future__ import annotations
@@ -116,7 +117,7 @@ class Torus:
 
 
 def sky(size: int) -> Tensor:
-    """Return a cube map (6, size, size, 3) with stripes of another colour on each face."""
+    """Return a cube map (6, size, size, 3) with stripes. Each face has its own colour."""
     y, x = torch.meshgrid(torch.linspace(0, 1, size), torch.linspace(0, 1, size), indexing="ij")
     colours, _ = face_colours()
     faces = []
@@ -127,7 +128,7 @@ def sky(size: int) -> Tensor:
 
 
 def interpolate_image(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return an image (H, W, 3) in another size (height, width)."""
+    """Return an image (H, W, 3), interpolated to the size ``size`` (height, width)."""
     return resize(image.permute(2, 0, 1)[None], size)[0].permute(1, 2, 0)
 
 

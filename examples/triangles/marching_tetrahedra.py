@@ -4,12 +4,13 @@
     python examples/triangles/marching_tetrahedra.py --capture ../captures/fox_run --frame 9
 
 The parameters are a signed distance and an offset for each vertex of a tetrahedral grid (DMTet, Shen et al. 2021). The
-first surface is an ellipsoid that fills the grid. In contrast to a deformed mesh, the surface can change its topology:
-an ellipsoid becomes a torus.
+first surface is an ellipsoid that fills the grid. Unlike a mesh with fixed triangles, this surface can change its
+topology: an ellipsoid becomes a torus.
 
 At pixels outside the given silhouette, the visible surface is pushed away from the camera, as if the true depth were
-behind the grid. Where the front of the surface meets its back, the surface vanishes. Antialiasing provides the gradient
-at the silhouettes. With ``--capture``, the silhouettes are the mattes of one frame and there are no depth images.
+behind the grid. Where the front of the surface reaches its back, this part of the surface vanishes. Antialiasing
+provides the gradient at the silhouettes. With ``--capture``, the silhouettes are the mattes of one frame and there are
+no depth images.
 """
 
 from __future__ import annotations
@@ -35,14 +36,14 @@ from fourd.mesh.views import MeshView
 from fourd.raster.triangles import Topology, antialias_construct_topology
 
 MAX_OFFSET_CELLS = 0.4
-"""Largest offset of a grid vertex along each axis, in units of a cube's side. With this limit, tetrahedra keep their
-orientation."""
+"""Largest offset of a grid vertex along each axis, as a share of the side of a grid cube. With this limit, no
+tetrahedron is turned inside out."""
 
 FIRST_RATE, LAST_RATE = 0.3, 0.01
 """Learning rate of the distances and the offsets at the start and at the end of the fit."""
 
 HELD_OUT = 5
-"""Every fifth camera of a capture is held out. The intersection over union is measured in these cameras."""
+"""Every fifth camera of a capture is held out. The intersection over union is measured in the held-out cameras."""
 
 
 @dataclass(frozen=True)
@@ -54,9 +55,9 @@ class Arguments:
     capture: Path | None = None
     """Folder of a capture with mattes. Its subject is fitted instead of ``shape``."""
     frame: int = 0
-    """Number of the capture's frame."""
+    """Index of the frame of the capture, from 0."""
     cells: int = 24
-    """Cubes of the grid along its longest side."""
+    """Number of cubes along the longest side of the grid."""
     views: int = 32
     """Number of viewpoints of ``shape``."""
     size: int = 96
@@ -89,8 +90,8 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Input of a fit: the views to fit, the views for the score, a box around the object, and the true mesh if it is
-    known.
+    """Input of a fit: the views to which the surface is fitted, other views for the scores, a box around the object,
+    and the true mesh if it is known.
     """
 
     views: list[View]
@@ -100,7 +101,7 @@ class Problem:
 
 
 def main(arguments: Arguments) -> float:
-    """Fit the surface. Returns the mean intersection over union in other views."""
+    """Fit the surface. Returns the mean intersection over union in the views that the fit does not use."""
     problem = known_shape(arguments) if arguments.capture is None else subject(arguments.capture, arguments.frame)
     centre, half = problem.bounds.centre, problem.bounds.extent / 2
     grid = box_grid(centre - 1.2 * half, centre + 1.2 * half, arguments.cells)
@@ -124,8 +125,8 @@ class Fit:
     def __init__(self, grid: TetrahedralGrid, centre: Array, half: Array) -> None:
         self.grid = grid
         relative = (grid.xyz - torch.from_numpy(centre).float()) / torch.from_numpy(half).float()
-        # The initial surface is an ellipsoid. Lengths are in units of a cube's side. The distances are clamped, so that
-        # few steps suffice to change a sign.
+        # The initial surface is an ellipsoid. Lengths are multiples of the side of a grid cube. The signed distances
+        # are clamped, so that few steps can change their sign.
         self.sdf = ((1 - relative.norm(dim=1)) * float(half.min()) / grid.side).clamp(-1, 1).requires_grad_()
         self.offset = torch.zeros_like(grid.xyz).requires_grad_()
 
@@ -155,16 +156,16 @@ class Fit:
             loss.backward()
             optimizer.step()
             with torch.no_grad():
-                # Small distances change their sign in few steps. The border of the grid stays outside the object, so
-                # the surface is closed.
+                # The distances are kept small, so that few steps can change their sign. The border of the grid is kept
+                # outside the object, so that the surface is closed.
                 self.sdf.clamp_(-1, 1)
                 self.sdf[self.grid.is_border] = -1
             if step % max(arguments.steps // 8, 1) == 0 or step == arguments.steps - 1:
                 print(f"step {step}: loss {float(loss.detach()):.4f}, {len(mesh.tri)} triangles")
 
     def difference(self, mesh: Mesh, topology: Topology, view: View) -> Tensor:
-        """Return the difference between the mesh and a view, per pixel of the object. Depths are in units of a cube's
-        side."""
+        """Return the difference between the mesh and a view, divided by the number of pixels of the object. Depths are
+        multiples of the side of a grid cube."""
         silhouette, depth = draw(mesh, view.camera, topology)
         compared = (depth.detach() > 0) & view.depth.isfinite()
         by_depth = (depth[compared] - view.depth[compared]).abs().sum() / self.grid.side
@@ -215,7 +216,7 @@ def depth_behind(camera: Camera, bounds: Bounds) -> float:
 
 
 def report(when: str, mesh: Mesh, problem: Problem) -> float:
-    """Print the scores of a mesh. Returns the mean intersection over union in other views."""
+    """Print the scores of a mesh. Returns the mean intersection over union in the views that the fit does not use."""
     overlap = mean_iou(mesh, [view.camera for view in problem.others], [view.silhouette for view in problem.others])
     text = f"{when}: intersection over union {overlap:.4f}"
     if problem.true is not None:

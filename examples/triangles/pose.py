@@ -2,9 +2,9 @@
 
     python examples/triangles/pose.py --starts 20
 
-Each start optimises a quaternion. The difference of the images has local minima, so the first half of the steps is a
-series of trials. For each trial, several random rotations are applied to the best pose so far. The trial starts from
-the result with the smallest difference. The random rotations become smaller from trial to trial.
+Each start optimises a quaternion. The difference of the images has local minima, so the first half of the steps is
+divided into trials. Before each trial, several random rotations are applied to the best pose so far. The trial then
+optimises the rotated pose with the smallest difference. The random rotations become smaller from trial to trial.
 """
 
 from __future__ import annotations
@@ -33,10 +33,12 @@ from torch.nn.functional import avg_pool2d
 from fourd.raster.triangles import antialias, interpolate, rasterize
 
 TRIAL_STEPS = 20
-"""Number of steps of a trial in the first half of the search. Each trial optimises a noisy copy of the best pose."""
+"""Number of steps of a trial in the first half of the search. Each trial optimises a randomly rotated copy of the best
+pose."""
 
 CANDIDATES = 64
-"""Number of noisy copies of the best pose. The copies are compared with the target at a quarter of the image size."""
+"""Number of randomly rotated copies of the best pose from which each trial chooses. The copies are compared with the
+target at a quarter of the image size."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Arguments:
     """Options of the search."""
 
     starts: int = 10
-    """Number of random pairs of a true and a first pose."""
+    """Number of searches. Each search has its own random true pose and its own random first pose."""
     steps: int = 500
     """Steps of Adam per start."""
     size: int = 128
@@ -52,7 +54,7 @@ class Arguments:
     seed: int = 0
     """Seed of the poses."""
     picture: Path = Path("pose.png")
-    """Output image of the last start: the true, the first and the found pose."""
+    """Output image: the cube in the true, the first and the found pose of the last search."""
 
 
 def main(arguments: Arguments) -> float:

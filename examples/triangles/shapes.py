@@ -1,5 +1,5 @@
-"""Objects with known geometry, cameras around these objects, and functions that measure the error of a mesh. The
-examples that reconstruct shapes use this module."""
+"""Objects with known geometry, cameras around these objects, and functions that measure the error of a mesh. These are
+used by the examples that reconstruct shapes."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def torus() -> Mesh:
 
 
 def sphere(subdivisions: int, radius: float) -> Mesh:
-    """Return a sphere around the origin: an icosahedron with ``subdivisions`` subdivisions."""
+    """Return a sphere around the origin: an icosahedron that is subdivided ``subdivisions`` times."""
     return of_trimesh(trimesh.creation.icosphere(subdivisions=subdivisions, radius=radius))
 
 
@@ -69,7 +69,7 @@ def of_trimesh(mesh: trimesh.Trimesh) -> Mesh:
 
 
 def cameras_around(count: int, size: int, turn: float = 0.0) -> list[Camera]:
-    """Return cameras that look at the origin from the distance 4, in nearly uniform directions (Fibonacci).
+    """Return cameras that look at the origin from the distance 4, in nearly uniform directions (a Fibonacci lattice).
 
     An object of length 2 covers about 80% of the image. ``turn`` rotates the cameras around z, in radians.
     """
@@ -83,9 +83,10 @@ def cameras_around(count: int, size: int, turn: float = 0.0) -> list[Camera]:
 
 
 def draw(mesh: Mesh, camera: Camera, topology: Topology | None = None) -> tuple[Tensor, Tensor]:
-    """Return the antialiased silhouette (H, W) of a mesh, and the camera depth (H, W), 0 beside the mesh.
+    """Return the antialiased silhouette (H, W) of a mesh, and its camera depth (H, W). Outside the mesh, the depth is
+    0.
 
-    ``topology`` belongs to the triangles of the mesh, and saves time if the mesh is drawn several times.
+    To save time if a mesh is drawn several times, pass the ``topology`` of its triangles.
     """
     pos = clip_positions(mesh.xyz, camera)[None].contiguous()
     rast, _ = rasterize(pos, mesh.tri, (camera.height, camera.width), grad_db=False)
@@ -108,7 +109,8 @@ def shaded(mesh: Mesh, camera: Camera) -> Tensor:
 
 
 def mean_iou(mesh: Mesh, cameras: list[Camera], silhouettes: list[Tensor]) -> float:
-    """Return the mean intersection over union with ``silhouettes``, each (H, W). Values above 0.5 count as covered."""
+    """Return the mean intersection over union of the mesh's silhouettes and ``silhouettes``, each (H, W). A pixel is
+    covered if its value is above 0.5."""
     ratios, topology = [], antialias_construct_topology(mesh.tri)
     for camera, silhouette in zip(cameras, silhouettes, strict=True):
         a, b = draw(mesh, camera, topology)[0] > 0.5, silhouette > 0.5
@@ -119,8 +121,8 @@ def mean_iou(mesh: Mesh, cameras: list[Camera], silhouettes: list[Tensor]) -> fl
 def chamfer_distance(mesh: Mesh, true: Mesh) -> float:
     """Return the mean distance of random points on one mesh from the other mesh, averaged over both directions.
 
-    The other mesh is represented by 300,000 random points. The distance between two equal meshes with an area of 6 is
-    therefore 0.002.
+    The other mesh is represented by 300,000 random points. The result for two equal meshes with an area of 6 is
+    therefore 0.002 instead of 0.
     """
     few = [random_points(m, 2_000, seed=0) for m in (mesh, true)]
     many = [cKDTree(random_points(m, 300_000, seed=1)) for m in (true, mesh)]

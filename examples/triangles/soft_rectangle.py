@@ -4,9 +4,9 @@
 
 The two rectangles do not overlap at first. A hard rasterizer gives no gradient that moves the rectangle towards the
 target, because no pixel of the target is near the rectangle. In the soft rasterizer (SoftRas, Liu et al. 2019), every
-triangle contributes to every pixel with a weight that decreases with the distance of the pixel from the triangle. The
-width of the decrease, sigma, shrinks during the fit, so that the result is sharp. The target is rendered with the same
-sigma. With a sharp target, the rectangle would shrink until it is empty, because its pixels are wrong and no pixel of
+triangle contributes to every pixel. The weight decreases with the distance of the pixel from the triangle, and sigma
+determines how fast. Sigma shrinks during the fit, so that the final edges are sharp. The target is rendered with the
+same sigma. With a sharp target, the rectangle would shrink to nothing, because all its pixels are wrong and no pixel of
 the target is near.
 """
 
@@ -25,7 +25,7 @@ from fourd.cameras import Camera, look_at
 from fourd.raster.triangles import rasterize_soft
 
 FIRST_SIGMA, LAST_SIGMA = 1.0, 1e-6
-"""Width of the edges at the start and at the end of the fit."""
+"""Sigma, the width of the soft edges, at the start and at the end of the fit."""
 
 
 @dataclass(frozen=True)

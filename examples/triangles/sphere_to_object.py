@@ -3,11 +3,10 @@
     python examples/triangles/sphere_to_object.py
 
 The soft rasterizer (SoftRas, Liu et al. 2019) gives each vertex a gradient from the pixels around it. The sphere can
-therefore be deformed into the wings, which its silhouettes do not cover at first. The loss is 1 minus the intersection
+therefore grow wings, although its silhouettes do not cover the wings at first. The loss is 1 minus the intersection
 over union of the soft and the given silhouettes. A Laplacian term and a term for the angles between neighbouring
 triangles keep the surface smooth. The width of the soft edges shrinks during the fit. The program compares the result
-with the true
-aeroplane: by the silhouettes from other viewpoints, and by the Chamfer distance.
+with the true aeroplane in two ways: by the silhouettes from other viewpoints, and by the Chamfer distance.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from fourd.mesh.surface.losses import MeshTopology, laplacian_loss, normal_consi
 from fourd.raster.triangles import rasterize_soft
 
 FIRST_SIGMA, LAST_SIGMA = 3e-3, 1e-5
-"""Width of the edges at the start and at the end of the fit."""
+"""Sigma, the width of the soft edges, at the start and at the end of the fit."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +55,8 @@ class Arguments:
 
 
 def main(arguments: Arguments) -> tuple[float, float]:
-    """Fit the mesh. Returns the mean intersection over union in other views, and the Chamfer distance."""
+    """Fit the mesh. Returns the mean intersection over union in views that the fit does not use, and the Chamfer
+    distance."""
     true, first = aeroplane(), sphere(arguments.subdivisions, 0.5)
     cameras = cameras_around(arguments.views, arguments.size)
     silhouettes = [draw(true, camera)[0] for camera in cameras]
@@ -94,7 +94,7 @@ def fit(first: Mesh, cameras: list[Camera], silhouettes: list[Tensor], arguments
 
 
 def report(when: str, mesh: Mesh, true: Mesh) -> tuple[float, float]:
-    """Print and return the mean intersection over union in 24 other views, and the Chamfer distance."""
+    """Print and return two scores: the mean intersection over union in 24 other views, and the Chamfer distance."""
     others = cameras_around(24, 128, turn=1.0)
     overlap = mean_iou(mesh, others, [draw(true, camera)[0] for camera in others])
     distance = chamfer_distance(mesh, true)

@@ -107,7 +107,7 @@ def test_holes_have_no_points(stage: Stage) -> None:
     """Catches features and extrapolated depths inside holes."""
     found = stage.points
     on_wall = found.xyz[to_walls(found.xyz) < 0.05]
-    # A point slightly off the wall can be seen beside the hole by a camera at a grazing angle.
+    # From a grazing angle, a camera can see a point slightly in front of the wall beside the hole.
     assert all(is_seen(xyz, stage.plates) for xyz in on_wall[in_hole(on_wall, margin=0.05)])
     assert not in_hole(found.xyz[to_walls(found.xyz) < 0.03], margin=0.05).any()
     assert (np.abs(found.rgb.astype(int) - MAGENTA).max(axis=1) > 12).all(), "walls have 20 to 235"

@@ -26,7 +26,7 @@ def folder(ball_capture: Path, tmp_path: Path) -> Path:
 
 
 def stage(rng: np.random.Generator) -> np.ndarray:
-    """A smooth image (H, W, 3), because resampling hardly changes a smooth image."""
+    """A smooth image (H, W, 3), which resampling hardly changes."""
     return cv2.GaussianBlur(rng.integers(0, 256, (SIZE, SIZE, 3), dtype=np.uint8), (0, 0), 4)
 
 
@@ -36,7 +36,7 @@ def make_plate(folder: Path, name: str, rgb: np.ndarray, seen: np.ndarray | None
 
 
 def provide(folder: Path, name: str, picture: np.ndarray) -> Path:
-    """Write a plate like those of users, in RGB or RGBA."""
+    """Write a plate in RGB or RGBA into the folder for plates that the user provides."""
     path = folder / "bgs" / name
     path.parent.mkdir(exist_ok=True)
     code = cv2.COLOR_RGBA2BGRA if picture.shape[2] == 4 else cv2.COLOR_RGB2BGR

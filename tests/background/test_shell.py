@@ -14,7 +14,8 @@ RADIUS = 5.0
 
 
 def _room(gap_deg: float) -> ColouredPoints:
-    """A sphere around CENTRE, red below the horizon and blue above. ``gap_deg`` degrees of azimuth have no points."""
+    """A sphere around CENTRE, red below the horizon and blue above. The sphere has no points in an azimuth range of
+    ``gap_deg`` degrees."""
     directions = sphere(90_000)
     azimuth = np.degrees(np.arctan2(directions[:, 1], directions[:, 0]))
     kept = directions[np.abs(azimuth) > gap_deg / 2]

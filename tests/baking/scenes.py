@@ -62,7 +62,7 @@ def write_scene(path: Path, views: int = 6, frames: int = 3, points: int = 200) 
 
 
 def full_manifest(views: int = 6, frames: int = 3) -> SceneManifest:
-    """Return the manifest of :func:`manifest`, changed to a scene with a background."""
+    """Return the result of :func:`manifest`, changed to a scene with a background."""
     return replace(manifest(views, frames), kind="full")
 
 

@@ -19,12 +19,12 @@ class Filming:
     """Errors of cameras that film a moving board.
 
     Attributes:
-        delays: delays in frames of the middle row of each camera, by the camera's index.
+        delays: for a camera's index, the delay of the middle row of its images, in frames.
         readout: time in frames from the first to the last row of an image (rolling shutter).
-        across: whether columns are read one after another instead of rows, as in a video that was turned by 90
-        degrees.
+        across: whether the columns of an image are read one after another, instead of the rows. This is so in videos
+            that were turned by 90 degrees.
         jitter: standard deviation of a random delay of each image, in frames.
-        thickness_m: thickness of the board.
+        thickness_m: thickness of the board in metres.
         backs: indices of the cameras that see the back of the board.
     """
 
@@ -53,9 +53,9 @@ def seen_views(
     noise_px: float = 0.05,
     filming: Filming = AT_ONCE,
 ) -> tuple[list[Camera], list[BoardView]]:
-    """Cameras, and for each image, all corners of the board that are visible in the image.
+    """The cameras, and one view for each image in which at least 8 corners of the board are visible.
 
-    ``seen_by`` limits the frames of some cameras, by the camera's index.
+    If ``seen_by`` has a camera's index, this camera sees the board only in the given frames.
     """
     generator = np.random.default_rng(settings.seed)
     cameras, views = rig_cameras(settings), []
@@ -98,8 +98,8 @@ def rig_input(settings: BoardSettings, views: list[BoardView], lenses: list[Came
 
 
 def largest_differences(found: Iterable[Camera], true: Iterable[Camera]) -> tuple[float, float, float]:
-    """The largest errors of a calibration: focal lengths in %, relative rotations of camera pairs in degrees, and
-    relative positions of camera pairs in % of the baseline.
+    """The three largest errors of a calibration: of the focal lengths in %, of the relative rotations of camera pairs
+    in degrees, and of the relative positions of camera pairs in % of their distance.
     """
     first, second = list(found), list(true)
     focal = max(
@@ -125,7 +125,7 @@ def _relative(camera: Camera, reference: Camera) -> tuple[np.ndarray, np.ndarray
 
 
 def turned(camera: Camera, by: float) -> Camera:
-    """A camera that is turned about its own x axis by an angle in radians."""
+    """The camera, turned about its own x axis by ``by`` radians."""
     c, s = np.cos(by), np.sin(by)
     matrix = np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
     return replace(camera, rotation=matrix @ camera.rotation, translation=matrix @ camera.translation)

@@ -24,7 +24,8 @@ pytestmark = [
 
 
 def compare_pairs(found: dict[str, Calibration]) -> tuple[float, float]:
-    """Largest angle of a pair in degrees, and largest distance as a share of the limit, against Caliscope's poses.
+    """Compare the relative poses of camera pairs with Caliscope's. Returns the largest angle in degrees, and the
+    largest distance as a fraction of the limit.
 
     The limit is 2.5% of the baseline, and at least 18 mm.
     """

@@ -19,7 +19,8 @@ MM_PER_POINT = 25.4 / 72
 
 
 def pages(path: Path) -> tuple[tuple[float, float], list[list[tuple[str, np.ndarray]]]]:
-    """The page's size, and for each page the filled rectangles x, y, width, height with their grey, in millimetres."""
+    """The size of a page, and for each page the grey level and (x, y, width, height) of each rectangle, in
+    millimetres."""
     text = path.read_bytes().decode("ascii")
     assert text.startswith("%PDF-1.")
     width, height = (float(side) for side in re.findall(r"/MediaBox \[0 0 (\S+) (\S+)\]", text)[0])

@@ -29,7 +29,7 @@ def _true_cameras(count: int) -> list[Camera]:
 
 
 def _project(cameras: list[Camera], rng: np.random.Generator, wrong: float = 0.0) -> dict[tuple[int, int], Matches]:
-    """Matches of 60 points in each pair of cameras. A share ``wrong`` of the matches is random."""
+    """Matches of 60 points in each pair of cameras. A fraction ``wrong`` of the matches is random."""
     xyz = rng.uniform(-0.6, 0.6, (150, 3))
     pixels = []
     for camera in cameras:

@@ -67,7 +67,7 @@ def room_depth(camera: Camera) -> Array:
 
 
 def _texture(rng: np.random.Generator) -> Picture:
-    """Texture of ellipses of many sizes in random colours."""
+    """A texture of ellipses with many sizes and random colours."""
     side = round(2 * HALF_WIDTH * TEXELS_PER_M)
     texture = np.full((side, side, 3), 128, np.uint8)
     for size, count in ((60, 150), (25, 700), (10, 3000)):

@@ -29,7 +29,8 @@ OPTIONS = {
 
 
 def numbered_picture(number: int) -> Picture:
-    """(48, 32, 3) RGB: six blocks, one per bit of the number, with a different level in each channel."""
+    """A picture, (48, 32, 3) RGB, that shows a number. Each of the six blocks is bright or dark and stands for one bit.
+    The three channels have different levels."""
     bits = (number >> np.arange(BITS)) & 1
     blocks = np.where(bits, 210, 40).reshape(HEIGHT // BLOCK, WIDTH // BLOCK)
     grey = np.kron(blocks, np.ones((BLOCK, BLOCK)))
@@ -70,7 +71,7 @@ def write_numbered_video(
 
 
 def write_slow_video(path: Path, interval: Fraction) -> None:
-    """Write a video of 4 frames with a constant interval in seconds."""
+    """Write a video of 4 frames with ``interval`` seconds between two frames."""
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=30)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"

@@ -1,4 +1,4 @@
-"""Small videos like those of phones, with rotation metadata, uneven frame times, and HDR in 10 bits."""
+"""Small videos that resemble videos of phones. They have rotation metadata, uneven frame times, and HDR in 10 bits."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Picture = NDArray[np.uint8]
 MATRIX_OFFSET = 40
 """Number of bytes from the end of the tag tkhd to the rotation matrix (ISO 14496-12, version 0)."""
 CLOCKWISE = {90: (0, 1, -1, 0), 180: (-1, 0, 0, -1), 270: (0, -1, 1, 0)}
-"""The values a, b, c, d of display matrices, by clockwise angle. A display matrix maps (x, y) to (a x + c y, b x + d
-y)."""
+"""The values a, b, c, d of display matrices, by clockwise angle in degrees. A display matrix maps (x, y) to
+``(a * x + c * y, b * x + d * y)``."""
 TICKS = 90_000
 
 
@@ -41,11 +41,11 @@ def write_phone_video(
     transfer: str = "",
     size: tuple[int, int] = (64, 48),
 ) -> Path:
-    """Write :func:`moving_picture` at ``times`` in seconds.
+    """Write a video of :func:`moving_picture` with one frame at each of the ``times`` in seconds.
 
-    The frames are stored in a turned orientation. The display matrix in the metadata turns the frames by ``clockwise``
-    degrees, so that the frames are upright again. With the transfer "HLG" or "PQ", the video is HDR in 10 bits. The
-    white of an HDR picture has 203 cd/m2.
+    The stored frames are turned. The display matrix in the metadata turns them by ``clockwise`` degrees, so that
+    players show them upright. With the transfer "HLG" or "PQ", the video is HDR in 10 bits. The white of an HDR picture
+    has 203 cd/m2.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w", options={"video_track_timescale": str(TICKS)}) as container:
@@ -79,8 +79,8 @@ def write_display_matrix(path: Path, matrix: Iterable[float]) -> Path:
 
 
 def make_frame(picture: NDArray[Any], transfer: str) -> av.VideoFrame:
-    """A frame before encoding: RGB, or YCbCr with 10 bits if a transfer function is given. Values above 255 are
-    brighter than white."""
+    """Convert a picture to a frame for the encoder: RGB, or YCbCr with 10 bits if a transfer function is given. Values
+    above 255 are brighter than white."""
     if not transfer:
         return av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
     signal = encode_hdr(picture, transfer)
@@ -95,7 +95,8 @@ def make_frame(picture: NDArray[Any], transfer: str) -> av.VideoFrame:
 
 
 def encode_hdr(picture: NDArray[Any], transfer: str) -> NDArray[np.float64]:
-    """HDR signal (H, W, 3) in [0, 1] with BT.2020 primaries of an sRGB picture whose white has 203 cd/m2."""
+    """Convert an sRGB picture, whose white has 203 cd/m2, to an HDR signal (H, W, 3) in [0, 1] with BT.2020
+    primaries."""
     value = picture / 255
     linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
     to_2020 = np.array([[0.6274, 0.3293, 0.0433], [0.0691, 0.9195, 0.0114], [0.0164, 0.0880, 0.8956]])

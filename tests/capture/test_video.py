@@ -150,7 +150,7 @@ def test_matroska_without_a_length_is_accepted(tmp_path: Path) -> None:
     for length in range(60):
         path.write_bytes(content[:length])
         assert missing_bytes(path) == 0
-    path.write_bytes(HEADER + b"\x01" + b"\xfe" * 7)  # a header of 2^56 bytes, to whose end no system can seek
+    path.write_bytes(HEADER + b"\x01" + b"\xfe" * 7)  # no system can seek past the 2^56 bytes of this header
     assert missing_bytes(path) == 0
 
 

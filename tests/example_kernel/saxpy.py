@@ -12,7 +12,7 @@ from fourd.ops.loading import as_array, simd_name
 
 
 def saxpy(a: float, x: Tensor, y: Tensor) -> Tensor:
-    """Return ``a x + y`` for two float32 CPU tensors (N,). Differentiable in both.
+    """Return ``a * x + y`` for two float32 CPU tensors (N,). The result is differentiable with respect to both tensors.
 
     Raises:
         ValueError: if a tensor has another shape, device or dtype.
@@ -26,7 +26,7 @@ def saxpy(a: float, x: Tensor, y: Tensor) -> Tensor:
 
 
 def saxpy_reference(a: float, x: Tensor, y: Tensor) -> Tensor:
-    """Compute ``a x + y`` in plain torch, on any device and in any dtype."""
+    """Compute ``a * x + y`` in plain torch, on any device and in any dtype."""
     return a * x + y
 
 

@@ -1,4 +1,4 @@
-"""The commands from images to a scene on a tiny capture, and the comparison of their results."""
+"""The commands that turn a tiny capture into a scene, and functions that compare their results."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from tests.captures import write_ball_capture
 from tests.faults.operations import Mode
 
 TIMES = ("metrics.jsonl", "events.out.tfevents")
-"""Prefixes of the names of files that contain times."""
+"""Files whose names start with these texts contain times."""
 STATE_TIMES = ("session", "seconds", "updated")
-"""Fields of a training's state that are times, or names of one call."""
+"""Fields of a training's state that contain times or the name of one session."""
 EXPORTED = ".export"
 REPOSITORY = Path(__file__).parents[2]
 SMALL = (
@@ -78,7 +78,7 @@ class Outcome:
 
 
 class Zygote:
-    """Runs commands in processes that are forked from one process, which has imported all modules."""
+    """Runs each command in a new process. All processes are forked from one process that has imported all modules."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -106,7 +106,8 @@ class Zygote:
     def run(
         self, command: Command, root: Path, mode: Mode = "count", at: int = -1, signal: int = 0, seconds: float = 0.0
     ) -> Outcome:
-        """Run a command in the folder ``root``, with a fault or with a signal after ``seconds``."""
+        """Run a command in the folder ``root``. The operation with the index ``at`` gets a fault of the kind ``mode``,
+        or the process gets a signal after ``seconds``."""
         words = list(command.words)
         if command.name == "train" and (root / "run" / "config.yaml").exists():
             words.append("--resume")
@@ -160,11 +161,11 @@ def leftovers(root: Path) -> list[str]:
 
 
 def partial_files(root: Path, before: dict[str, bytes], after: dict[str, bytes]) -> Iterator[str]:
-    """The files whose content differs both from the content before the command and from the content after the complete
+    """The names of files that have neither the content from before the command nor the content after a complete
     command.
 
-    Records of progress may have other contents, but must be complete JSON. Files that the complete command removes,
-    such as older checkpoints, are not examined.
+    A JSON file may have any other content that is complete JSON. Temporary files, and files that are missing both
+    before and after the command, are not examined.
     """
     for name, content in contents(root).items():
         is_known = content in (before.get(name), after.get(name)) or (name.endswith(".json") and _is_json(content))

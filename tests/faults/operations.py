@@ -33,8 +33,8 @@ WRITING_FLAGS = os.O_WRONLY | os.O_RDWR | os.O_CREAT
 
 @dataclass
 class Faults:
-    """Counts operations on paths inside ``root``. The operation with the index ``at``, counted from 0, gets a fault of
-    the kind ``mode``.
+    """Counts operations on paths inside ``root``. The operation number ``at``, counted from 0, gets a fault of the kind
+    ``mode``.
     """
 
     root: Path
@@ -129,7 +129,7 @@ class Faults:
 
 
 class _TornFile(io.FileIO):
-    """A file whose writes are operations."""
+    """A file that counts each write as an operation."""
 
     def __init__(self, file: Any, mode: str, faults: Faults) -> None:
         super().__init__(file, mode)

@@ -31,9 +31,9 @@ from tests.faults.operations import MODES, Mode
 QUICK_FAULTS = 2
 """Number of faults of each kind in the quick test."""
 PAIRS = 4
-"""Number of times that each command runs twice at once."""
+"""Number of times that two calls of each command run at the same time."""
 MAX_DELAY = 1.5
-"""Maximum time in seconds between the starts of two commands."""
+"""Maximum time in seconds between the starts of the two calls."""
 READERS = (
     Command(("eval", "run", "--views", "00"), "run"),
     Command(("render", "run", "--path", "orbit", "--steps", "2", "-o", "out/images"), "out"),

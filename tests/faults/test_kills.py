@@ -19,7 +19,8 @@ CODES = {signal.SIGKILL: (-9, 0), signal.SIGINT: (130, 0)}
 
 
 def run_kills(tmp_path: Path, rng: np.random.Generator, count: int) -> None:
-    """Kill and interrupt ``count`` calls of fourd make each, and finish every one with another call."""
+    """Kill ``count`` calls of fourd make, and interrupt ``count`` other calls. After each of them, another call must
+    finish the scene."""
     root, before = tmp_path / "work", tmp_path / "before"
     write_ball_capture(root / "source", cameras=3, frames=1, size=48)
     restore(root, before)

@@ -26,9 +26,9 @@ from fourd.synth.board_videos import BoardSettings, make_board_videos
 from tests.faults.chain import COMMANDS, Zygote, contents, leftovers, write_source
 
 PAIRS = 4
-"""Number of times that each command runs twice at once."""
+"""Number of times that two calls of each command run at the same time."""
 MAX_DELAY = 1.5
-"""Maximum time in seconds between the starts of two commands."""
+"""Maximum time in seconds between the starts of the two calls."""
 DEADLINE = 900
 """Time in seconds after which a test counts as hanging."""
 HEADLESS = ("--renderer", "cpu", "--size", "64", "48")
@@ -155,7 +155,7 @@ def test_two_benchmarks_at_once(root: Path, scratch: Path, rng: np.random.Genera
 
 
 def check_report(folder: Path) -> None:
-    """Check that the files of fourd bench are whole."""
+    """Check that the files of fourd bench are complete."""
     rows = json.loads((folder / "bench.json").read_text())["rows"]
     lines = (folder / "bench.md").read_text().splitlines()
     assert len(rows) > 10
@@ -182,7 +182,7 @@ def serving(source: str, root: Path) -> Iterator[str]:
 
 
 def fetch(url: str) -> bytes:
-    """The content of a file that the server will have soon."""
+    """Wait until the server has the file at ``url``, and return its content."""
     deadline = time.monotonic() + DEADLINE
     while True:
         try:

@@ -40,8 +40,8 @@ MODULES = (
 
 
 def run_job(job: dict[str, Any]) -> dict[str, Any]:
-    """Run a command in a forked process. If the job contains a signal, the process gets this signal. The result
-    contains the wait status of the process.
+    """Run a command in a forked process. If the job contains a signal, the process gets this signal after
+    ``job["seconds"]``. The result contains the wait status of the process.
     """
     child = os.fork()
     if child == 0:
@@ -72,7 +72,7 @@ def _run_command(job: dict[str, Any]) -> int:
         code = cli.main(job["words"])
     except BaseException as error:
         print(f"Traceback: {type(error).__name__}: {error}", file=sys.stderr)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # as fourd.cli.main does for the words of the command line
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # fourd.cli.main also ignores SIGINT at its end
     done, faults.at = list(faults.operations), -1
     atexit._run_exitfuncs()  # removes scratch folders, as fourd does when it exits
     sys.stdout.flush()

@@ -30,8 +30,8 @@ def test_content_that_opencv_writes(rng: np.random.Generator) -> None:
     """Catches numbers, strings and matrices that are read with other values than OpenCV wrote."""
     letters = list(string.ascii_letters + string.digits + " \t\n\"\\'#:,[]{}-+.&*!|>%@?é")
     for _ in range(200):
-        # OpenCV writes a string without quotes even if the string ends with a space or a quote, and reads back another
-        # string.
+        # OpenCV writes a string without quotes even if the string ends with a space or a quote, and then reads back
+        # another string. Each name therefore ends with an underscore.
         names = ["".join(rng.choice(letters, rng.integers(30))) + "_" for _ in range(rng.integers(1, 40))]
         matrix = rng.choice([0.0, -1e-300, np.inf, -np.inf, 12345.0], rng.integers(1, 9, 2)) + rng.normal()
         wide = rng.normal(size=(2, 3, 4)).astype(np.float32)

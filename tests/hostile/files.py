@@ -215,8 +215,8 @@ class HostileFiles:
         source.mkdir()
         for name in ("00.mp4", "01.mp4"):
             (source / name).write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n")
-        # An import of videos first writes a record into the output folder, and a later import into this folder would
-        # resume.
+        # An import of videos writes a record into its output folder, and a later import into this folder would continue
+        # the first one. This case therefore has its own output folder.
         yield Case("import of a playlist", ("import", str(source), self._out() + " of a playlist"))
         yield Case("info of a playlist", ("info", str(source / "00.mp4")))
 

@@ -1,8 +1,8 @@
 """Fuzz the readers of files with coverage feedback (atheris): python -m tests.hostile.fuzz [--seconds N] [READER ...]
 
-Each reader runs in its own process for its share of the time. The corpora, which grow, are in build/fuzz/. An input on
-which a reader raises an exception other than UserError, hangs for 60 seconds or needs 2 GB is written to
-build/fuzz/READER-crash-HASH. Fix the reader, and add a case with an input of this kind to tests/hostile/.
+Each reader runs in its own process for an equal share of the time. Its corpus of inputs grows in build/fuzz/. A reader
+fails on an input if it raises an exception other than UserError, hangs for 60 seconds or needs 2 GB. The input is then
+written to build/fuzz/READER-crash-HASH. Fix the reader, and add a case with an input of this kind to tests/hostile/.
 """
 
 from __future__ import annotations
@@ -132,7 +132,7 @@ def main() -> int:
         options = [f"-max_total_time={share}", f"-max_len={MAX_BYTES}", f"-timeout={MAX_SECONDS}"]
         options += ["-rss_limit_mb=2048", "-print_final_stats=0", "-verbosity=0", f"-artifact_prefix={FOLDER / name}-"]
         command = [sys.executable, "-m", "tests.hostile.fuzz", "--child", name, str(FOLDER / name), *options]
-        # libFuzzer can lock up in its own signal handler, where it does not end by itself.
+        # libFuzzer can hang in its own signal handler, and does not end then.
         try:
             code = subprocess.run(command, check=False, timeout=share + GRACE_SECONDS).returncode
         except subprocess.TimeoutExpired:

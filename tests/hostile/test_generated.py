@@ -25,8 +25,8 @@ QUICK = ("info", "verify", "check")
 
 
 def snapshot(folder: Path, left_out: tuple[str, ...]) -> dict[str, int]:
-    """Modification times of all files below a folder, by path. ``left_out`` are names of files and folders directly
-    inside the folder that are skipped.
+    """Modification times of all files below a folder, by path. Files and folders directly inside the folder are skipped
+    if their names start with a text in ``left_out``.
     """
     found = {}
     for parent, folders, files in os.walk(folder):
@@ -89,7 +89,7 @@ def run_commands(tmp_path: Path, rng: np.random.Generator, count: int) -> None:
     samples = Samples(tmp_path / "samples").all
     scene = next(sample.folder / sample.file for sample in samples if sample.name == "object scene")
     words = HostileWords(scene, tmp_path / "samples" / "ball", tmp_path / "out", rng)
-    # A hostile word can be the name of the output, which is then in the working folder.
+    # A hostile word can replace the path of the output. The output is then in the working folder.
     names = ("out", "log", "absent", "here")
     before, faults, done = snapshot(tmp_path, names), {}, 0
     while done < count:

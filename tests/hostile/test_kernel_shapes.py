@@ -1,4 +1,4 @@
-"""The rules of the kernels' fuzzer (csrc/fuzz/shapes.h) fit the bound functions."""
+"""The rules of the kernels' fuzzer (csrc/fuzz/shapes.h) match the functions of the native module."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHAPES = ROOT / "csrc" / "fuzz" / "shapes.h"
 
 
 def bound_functions(owner: object, prefix: str = "") -> dict[str, str]:
-    """The signatures of the functions and methods with parameters that are arrays, by name."""
+    """The signatures of all functions and methods that have array parameters, by name."""
     found = {}
     for name, value in vars(owner).items():
         if isinstance(value, type):
@@ -23,7 +23,7 @@ def bound_functions(owner: object, prefix: str = "") -> dict[str, str]:
 
 
 def read_rules() -> list[tuple[str, str]]:
-    """The name of the function and the rules of each entry."""
+    """For each entry, the name of the function and its rules."""
     entries = re.findall(r"\{\s*((?:\"[^\"]*\"[\s,]*)+)\}", SHAPES.read_text())
     assert entries
     texts = [re.findall(r"\"([^\"]*)\"", entry) for entry in entries]

@@ -84,7 +84,7 @@ BASES = {
     "info": ("SCENE",),
     "verify": ("SCENE",),
 }
-"""Arguments of each command. Commands that would run for a long time get no source."""
+"""Arguments of each command. For commands that would run for a long time, the source is missing."""
 
 
 class HostileWords:
@@ -107,7 +107,7 @@ class HostileWords:
             if choice < 0.75 and self._options[name]:
                 option = self._options[name][rng.integers(len(self._options[name]))]
                 words += [option, value] if rng.random() < 0.9 else [f"{option}={value}"]
-            elif choice < 0.9 and name != "synth":  # this command would make a capture at any path
+            elif choice < 0.9 and name != "synth":  # synth would write a capture to the changed path
                 words[rng.integers(len(words))] = value
             else:
                 words.insert(int(rng.integers(len(words) + 1)), value)
@@ -131,9 +131,7 @@ def _options(kind: Any) -> list[str]:
 
 
 def is_safe(words: tuple[str, ...]) -> bool:
-    """Whether the command line can run in a test: it writes no folder outside the test, and starts no server or
-    benchmark.
-    """
+    """Whether a test can run the command line: the command line writes no folder outside the folder of the test."""
     outside = any(words[index] in ("-o", "--out") and _is_outside(words[index + 1]) for index in range(len(words) - 1))
     return not outside and not any(word.startswith("--out=") for word in words)
 

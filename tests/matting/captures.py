@@ -38,7 +38,8 @@ def write_video(path: Path, pictures: Sequence[Path]) -> None:
 
 
 def matte_iou(made: Capture, truth: Path) -> np.ndarray:
-    """Intersection over union of a capture's mattes with the true masks, (C, F) for C cameras and F frames."""
+    """Intersection over union (IoU) between the mattes of a capture and the true masks, (C, F) for C cameras and F
+    frames."""
     shutil.copytree(made.path / "images", truth / "images", dirs_exist_ok=True)
     for name in ("intri.yml", "extri.yml"):
         shutil.copy(made.path / name, truth / name)

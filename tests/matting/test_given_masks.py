@@ -225,8 +225,9 @@ def test_a_painted_mask_changes_its_frame(capture: Path, tmp_path: Path) -> None
     after = matte_iou(open_capture(own), tmp_path / "truth")
     assert after[4, 3] > 0.95
     assert after.mean() > before.mean() - 0.002
-    # The mattes are nearly perfect without strokes, so that only a wrong painted mask shows that strokes decide. The
-    # intersection over union of the painted and the true mask is 0.59. Edge refinement moves edges back a little.
+    # The mattes are nearly perfect without strokes, so only a wrong painted mask can show that strokes have an effect.
+    # The intersection over union of the painted and the true mask is 0.59. Edge refinement moves the painted edges back
+    # a little.
     moved = np.roll(cv2.imread(str(mask), cv2.IMREAD_GRAYSCALE), 6, axis=1)
     assert cv2.imwrite(str(tmp_path / "moved.png"), moved)
     make_mattes(Selection(own), MatteSettings(paint=(Paint("04", 3, tmp_path / "moved.png"),)), 1, untracked)

@@ -49,7 +49,7 @@ def scene(rng: np.random.Generator) -> Scene:
 
 
 def run_learner(scene: Scene, off_hull: np.ndarray, rng: np.random.Generator, *, toes_known: bool = False) -> Learner:
-    """A learner after two updates. With ``toes_known``, the subject colours include the colour of the toes."""
+    """A learner after two updates. If ``toes_known`` is True, the subject colours include the colour of the toes."""
     learner = Learner.from_motion(scene.sample, MotionExtent.from_sample(scene.sample), scene.region, rng)
     toes = ColourHistogram.from_colours(np.clip(rng.normal(TOES, 2, (500, 3)), 0, 255).astype(np.uint8))
     for _ in range(2):

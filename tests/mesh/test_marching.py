@@ -70,7 +70,7 @@ def test_gradients_match_finite_differences(rng: np.random.Generator) -> None:
     grid = box_grid(np.full(3, -1.0), np.full(3, 1.0), 2)
     xyz = grid.xyz.double() + 0.02 * torch.from_numpy(rng.standard_normal(grid.xyz.shape))
     sdf = sphere_distance(xyz)
-    # No distance is near 0, where a finite step would change the set of triangles.
+    # Distances near 0 are moved away from 0, because finite steps across 0 would change the set of triangles.
     sdf = torch.where(sdf.abs() < 0.02, 0.02 * torch.sign(sdf) + 0.001, sdf)
     weights = torch.from_numpy(rng.standard_normal(marching_tetrahedra(xyz, sdf, grid.tetrahedra).xyz.shape))
 

@@ -12,8 +12,8 @@ from fourd.model.kplanes import KPlanes
 
 
 def bilinear(plane: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Bilinear samples of a plane (C, rows, columns) at the coordinates x along columns and y along rows, which are in
-    [-1, 1].
+    """Bilinear sample (C,) of a plane (C, rows, columns). The coordinates ``x`` along columns and ``y`` along rows are
+    in [-1, 1].
     """
     _, rows, columns = plane.shape
     column, row = (x + 1) / 2 * (columns - 1), (y + 1) / 2 * (rows - 1)

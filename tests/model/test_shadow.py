@@ -12,8 +12,8 @@ LOWER, UPPER = np.array([-0.5, -0.5, 0.0]), np.array([0.5, 0.5, 2.0])
 
 
 def field(strength: float) -> ShadowField:
-    """A shadow field with random planes of the given standard deviation. With 0, the field equals an untrained
-    field."""
+    """A shadow field with random planes of the given standard deviation. With a standard deviation of 0, the field
+    equals an untrained field."""
     shadows = ShadowField(LOWER, UPPER, 4)
     with torch.no_grad():
         for plane in shadows.planes.parameters():

@@ -91,7 +91,8 @@ def test_too_few_entries_give_the_same_picture(entries: int, gpu: torch.device, 
     gradients = (torch.ones(34, 50, 3, device=gpu), torch.ones(34, 50, device=gpu), torch.ones(34, 50, device=gpu))
     pictures, sums = [], []
     for capacity in (entries, 200_000):
-        # The workspace has more bytes than needed, so that writes past the memory for pairs overwrite its other arrays.
+        # The workspace is larger than needed. Writes past the end of its memory for pairs therefore overwrite its other
+        # arrays.
         workspace = torch.zeros(64 << 20, dtype=torch.uint8, device=gpu)
         memory = (found.estimator, capacity, workspace, found.stream)
         out = [torch.empty(34, 50, 3, device=gpu), torch.empty(34, 50, device=gpu), torch.empty(34, 50, device=gpu)]

@@ -94,7 +94,8 @@ def test_a_stopped_training_is_no_lost_worker(tmp_path: Path, monkeypatch: pytes
 
 @dataclass(frozen=True)
 class FakeRay:
-    """The module ray of a cluster whose nodes have the given numbers of cores. None is a node that was lost."""
+    """A replacement for the module ray. Its cluster has nodes with the given numbers of cores, and None stands for a
+    lost node."""
 
     cores: tuple[int | None, ...]
 

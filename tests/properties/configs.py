@@ -1,4 +1,4 @@
-"""Generated configs: dataclasses with random valid fields, their YAML, and YAML that is changed."""
+"""Generated configs: dataclasses with random valid fields, their YAML text, and changed copies of this text."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Numbers of examples that the property tests draw. The setting QUICK is for the normal suite, and LONG for tests
-marked slow.
+"""Numbers of examples that the property tests draw. The normal test suite uses QUICK, and tests with the mark slow use
+LONG.
 
 A failing test prints the smallest example that fails. The examples are new in every run, and nothing is stored.
 """
@@ -21,4 +21,4 @@ LONG = settings(QUICK, max_examples=5_000)
 EFFORTS = pytest.mark.parametrize(
     "effort", [pytest.param(QUICK, id="quick"), pytest.param(LONG, id="long", marks=pytest.mark.slow)]
 )
-"""Runs a test with both settings. The test passes the settings to the property that it defines."""
+"""Runs a test once with each of the two settings. The test applies the setting to the property that it checks."""

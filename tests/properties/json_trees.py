@@ -25,7 +25,8 @@ def trees() -> st.SearchStrategy[Tree]:
 
 @st.composite
 def changed_trees(draw: st.DrawFn, valid: Tree) -> Tree:
-    """Copies of ``valid`` with one to three changed values, missing keys, or repeated elements."""
+    """Copies of ``valid`` with one to three changes. A change replaces a value, removes a key, or repeats an
+    element."""
     tree = copy.deepcopy(valid)
     for _ in range(draw(st.integers(1, 3))):
         places = list(_places(tree))

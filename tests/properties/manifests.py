@@ -28,7 +28,8 @@ OPTIONAL = tuple(attribute.name for attribute in ATTRIBUTES if attribute.is_opti
 
 @st.composite
 def arrays(draw: st.DrawFn, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Arrays from a seeded random generator, with a random scale. Drawing each number by hypothesis would be slow."""
+    """Arrays with a random scale. NumPy draws the numbers from a random seed, because hypothesis would need a long time
+    to draw each number."""
     rng = np.random.default_rng(draw(st.integers(0, 1 << 32)))
     scale = draw(st.sampled_from((0.0, 1e-40, 1e-3, 1.0, 1e10, 1e29)))
     return (rng.uniform(-1, 1, shape) * scale).astype(np.float32)

@@ -31,7 +31,7 @@ class Cloud:
 
 
 def turned_camera(width: int, height: int) -> Camera:
-    """Return a camera near (0.1, -0.2, -3) that views along z and is slightly rotated about z. K has no skew."""
+    """Return a camera near z = -3 that looks along +z and is rotated by 0.2 radians about z. K has no skew."""
     angle = 0.2
     rotation = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
     focal = 1.1 * max(width, height)
@@ -63,8 +63,8 @@ def random_cloud(rng: np.random.Generator, count: int, channels: int) -> Cloud:
 
 
 def cloud_with_invalid_points(rng: np.random.Generator, count: int) -> tuple[Cloud, Tensor]:
-    """Return a cloud and a mask (N,) of its valid points. About a third of the points have NaN, infinity or huge
-    numbers."""
+    """Return a cloud and a mask (N,) of its valid points. About a third of the points are not valid: they contain NaN,
+    infinity or a huge number."""
     cloud = random_cloud(rng, count, 3)
     bad = torch.from_numpy(rng.random(count) < 0.33)
     values = torch.tensor([float("nan"), float("inf"), -float("inf"), 3e38])

@@ -15,7 +15,7 @@ TARGET = torch.tensor([[0.2, 0.8], [0.1, 0.4], [0.7, 0.5]], dtype=torch.float64)
 
 
 def render(params: Tensor) -> Tensor:
-    """An image in which each pixel is a (b + 1), where a and b are the first and second parameter of its primitive."""
+    """An image in which each pixel is a * (b + 1), where a and b are the two parameters of the pixel's primitive."""
     values = params[:, 0] * (params[:, 1] + 1)
     return torch.where(IDS >= 0, values[IDS.clamp(min=0)], 0)
 

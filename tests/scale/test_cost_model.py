@@ -19,7 +19,7 @@ def test_workers_share_the_cores_that_exist() -> None:
     works = [10.0] * 6
     assert makespan(works, slots=1, cores=2) == pytest.approx(60)
     assert makespan(works, slots=2, cores=2) == pytest.approx(30)
-    # Four works at half speed take 20 s, and the last two take 10 s.
+    # The first four jobs run at half speed for 20 s, and the last two jobs then take 10 s.
     assert makespan(works, slots=4, cores=2) == pytest.approx(30)
     assert makespan(works, slots=4, cores=4) == pytest.approx(20)
     assert makespan(works, slots=16, cores=16) == pytest.approx(10)
@@ -33,7 +33,7 @@ def test_more_nodes_shorten_only_the_training() -> None:
     many = {stage.name: stage for stage in predict(COSTS, STUDIO, Machines(16, 16))}
     for name in ("import", "mattes", "carving", "baking"):
         assert many[name].wall_s == pytest.approx(one[name].wall_s)
-    # 156 segments are fewer than the 256 cores.
+    # There are 156 segments and 256 cores, so all segments are trained at the same time.
     assert many["training"].wall_s == pytest.approx(segment_core_s(COSTS, STUDIO))
     assert one["training"].wall_s == pytest.approx(10 * segment_core_s(COSTS, STUDIO))
     assert all(many[name].core_s == pytest.approx(one[name].core_s) for name in one)

@@ -28,7 +28,8 @@ def test_a_simulation_resumes_after_the_last_unit(tmp_path: Path) -> None:
     assert names[:7] == ["import", "check", "repair", "mattes", "plates", "carve", "segments"]
     assert names[7:] == ["train 000", "train 001", "train 002", "train 003", "bake"]
     simulation.run(Runner(Context(), simulation.folder / "stages.json"))
-    # One unit of each stage that runs alone, but three of mattes, plates and carving.
+    # Five stages have one unit each. Mattes, plates, carving and the training of each of the four segments have three
+    # units each.
     assert simulation.started_units() == 5 + 3 * 3 + 4 * 3
     counts = simulation.counts()
     assert counts["mattes"] == UnitCounts(3, 0, 0, 0)

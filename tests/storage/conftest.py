@@ -24,7 +24,7 @@ def s3_server() -> Iterator[S3Server]:
 
 @pytest.fixture
 def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Bucket:
-    """An empty bucket. The environment variables contain the server's address and credentials, as in a user's shell."""
+    """An empty bucket. The server's address and credentials are in environment variables, as in a user's shell."""
     for name, value in ENVIRONMENT.items():
         monkeypatch.setenv(name, value)
     monkeypatch.setenv("AWS_ENDPOINT_URL", s3_server.endpoint)
@@ -35,8 +35,8 @@ def bucket(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> Bucket:
 
 @pytest.fixture
 def new_connections() -> Iterator[None]:
-    """Let the test make new connections, which read the environment variables again. Without this fixture, tests share
-    connections."""
+    """Let the test make new connections, which read the environment variables again. Without this fixture, a test
+    reuses the connections of earlier tests."""
     clear = pytest.importorskip("s3fs").S3FileSystem.clear_instance_cache
     clear()
     yield

@@ -17,7 +17,7 @@ ENVIRONMENT = {
     "AWS_CONFIG_FILE": "/nonexistent",
     "AWS_SHARED_CREDENTIALS_FILE": "/nonexistent",
 }
-"""Credentials for the server. The user's credential files are not read."""
+"""Credentials for the server. With these variables, the credential files of the user are not read."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,8 @@ class S3Server:
 
     @contextmanager
     def refusing(self) -> Iterator[None]:
-        """Check the permissions of all requests in the block. The credentials of the tests have no permissions."""
+        """Let the server refuse all requests in the block. It then checks permissions, and the credentials of the tests
+        have none."""
         self._count_open_requests("0")
         try:
             yield

@@ -1,5 +1,5 @@
-"""Tests of gs:// URLs on a local emulator of Google Cloud Storage. The tests need gcsfs and gcp-storage-emulator. Both
-packages are missing in the extra dev, because the releases of gcsfs and of s3fs need different versions of fsspec.
+"""Tests of gs:// URLs on a local emulator of Google Cloud Storage. The tests need gcsfs and gcp-storage-emulator. The
+extra dev does not contain these packages, because the releases of gcsfs and s3fs need different versions of fsspec.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ MEGABYTE = 1 << 20
 
 @pytest.fixture(scope="module")
 def store() -> Iterator[Any]:
-    """A running emulator with the bucket "bucket", and the environment with which gcsfs uses it. Its storage is
-    yielded.
+    """Start an emulator with the bucket "bucket", and set the environment variables with which gcsfs uses this
+    emulator. Yields the storage of the emulator.
     """
-    # With this variable, gcsfs does not ask for the kind of the bucket by gRPC, which the emulator does not answer.
+    # With this variable, gcsfs does not request the kind of the bucket by gRPC. The emulator does not answer gRPC
+    # requests.
     patch = pytest.MonkeyPatch()
     patch.setenv("GCSFS_EXPERIMENTAL_ZB_HNS_SUPPORT", "false")
     gcsfs = pytest.importorskip("gcsfs", reason="needs gcsfs")

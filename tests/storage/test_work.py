@@ -106,7 +106,7 @@ def videos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def states(printed: str) -> dict[str, str]:
-    """Name of each stage -> "running" or "up to date"."""
+    """The state of each stage by name: "running" or "up to date"."""
     lines = [line.partition(": ") for line in printed.splitlines()]
     return {name: state for name, _, state in lines if state in ("running", "up to date")}
 

@@ -11,7 +11,7 @@ FOCAL = 200.0
 
 
 def rays(size: int) -> NDArray[np.float64]:
-    """Rays of depth 1 of a square picture, (size, size, 3)."""
+    """The rays of the pixels of a square picture, (size, size, 3), scaled to depth 1."""
     y, x = (np.mgrid[:size, :size] + 0.5 - size / 2) / FOCAL
     return np.stack([x, y, np.ones_like(x)], 2)
 

@@ -17,7 +17,8 @@ RATE = 48_000
 
 
 def room_sound(seconds: float, rng: np.random.Generator) -> Samples:
-    """(N,) synthetic sound at 48 kHz: decaying bursts of noise at random times, like claps, over quiet noise."""
+    """Synthetic sound (N,) at 48 kHz: quiet noise, and bursts of noise that start at random times and decay, like
+    claps."""
     count = round(seconds * RATE)
     sound = 0.02 * np.cumsum(rng.normal(0, 0.1, count))
     sound -= np.convolve(sound, np.ones(401) / 401, "same")
@@ -42,7 +43,8 @@ def recorded(sound: Samples, start: float, seconds: float, level: float, rng: np
 def write_video_with_sound(
     path: Path, frames: int, sound: Samples | None, *, fps: int = 10, first: int = 0, codec: str = "aac"
 ) -> Path:
-    """Write numbered images from the number ``first``, and a mono soundtrack at 48 kHz unless ``sound`` is None."""
+    """Write a video of numbered images that start with the number ``first``. The video has a mono soundtrack at 48 kHz,
+    unless ``sound`` is None."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with av.open(str(path), "w") as container:
         video = container.add_stream("libx264", rate=fps, options={"crf": "12"})

@@ -81,7 +81,7 @@ def test_travel_times() -> None:
 
 
 def write_source(folder: Path, sounds: dict[str, Samples | None], first: dict[str, int] | None = None) -> Path:
-    """Three calibrated videos of 20 frames at 10 frames per second with these soundtracks."""
+    """Write three calibrated videos with the given soundtracks. Each video has 20 frames at 10 frames per second."""
     write_calibration(folder, NAMES, calibrations(32, 48))
     for name in NAMES:
         path = folder / "videos" / f"{name}.mp4"

@@ -1,4 +1,4 @@
-"""A virtual screen (Xvfb) with simulated input (xdotool) and files dropped by the XDND protocol."""
+"""A virtual screen (Xvfb). xdotool simulates input, and the XDND protocol drops files on windows."""
 
 from __future__ import annotations
 
@@ -135,8 +135,8 @@ class Viewer:
         return picture
 
     def until(self, found: Callable[[], object], what: str) -> str:
-        """Wait until ``found()`` is true, and return its value. After the time limit, the test fails with the viewer's
-        log."""
+        """Wait until ``found()`` is true, and return its value. If the time limit passes or the viewer ends, the test
+        fails and prints the viewer's log."""
         end = time.monotonic() + TIMEOUT_SECONDS
         while time.monotonic() < end:
             result = found()

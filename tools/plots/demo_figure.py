@@ -25,7 +25,7 @@ BACKGROUND = 244
 TEXT_COLOUR = (60, 60, 60)
 FRAMES = (2, 6, 10)
 AZIMUTHS = (0.09, 0.41, 0.72)
-"""Azimuths of the new views, as fractions of a full circle that starts at the first camera."""
+"""Azimuths of the novel views, as fractions of a full circle. The azimuth of the first camera is 0."""
 
 Picture = NDArray[np.uint8]
 

@@ -25,7 +25,8 @@ Picture = NDArray[np.uint8]
 
 FRAMES, CAMERAS, SIZE = 12, 12, 320
 SHOWN, BROKEN, OTHER = 0, 4, 9
-"""Indices of the camera that the figure shows, of the camera with an error, and of a second camera with an error."""
+"""Index of the camera whose image the figure shows, index of the camera with an error, and index of a second camera
+with an error."""
 LATE_FRAMES = 3
 POINT_BGR = (60, 160, 255)
 

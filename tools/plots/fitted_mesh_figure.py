@@ -1,5 +1,5 @@
-"""Draw meshes of `fourd fit-triangles` in a held-out view: the photo, separate triangles, the connected mesh, and its
-shape.
+"""Draw meshes of `fourd fit-triangles` in a held-out view: the photo, separate triangles, the connected mesh, and the
+connected mesh in grey.
 
 python tools/plots/fitted_mesh_figure.py CAPTURE VIEW SEPARATE.ply MESH.ply [CAPTURE VIEW ...] -o fitted_mesh.jpg
 """
@@ -30,7 +30,7 @@ def load_mesh(path: Path) -> ColouredMesh:
 
 
 def shaded(mesh: ColouredMesh, camera: Camera) -> NDArray[np.float32]:
-    """Image (H, W, 3) of the mesh as a matte grey surface, lit from above the camera."""
+    """Image (H, W, 3) of the mesh as a diffuse grey surface, lit from above the camera."""
     normals = trimesh.Trimesh(mesh.xyz, mesh.triangles, process=False).vertex_normals
     light = -camera.forward + 0.5 * camera.rotation[0] - 0.6 * camera.rotation[1]
     light /= np.linalg.norm(light)

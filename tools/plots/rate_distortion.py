@@ -1,4 +1,5 @@
-"""Measure sizes and image quality of packed scenes, and of the same frames in the file formats of other programs.
+"""Measure the size and the image quality of packed scenes, and of the same frames in the file formats of other
+programs.
 
     python tools/plots/rate_distortion.py scene.4dv CAPTURE --views 03,09,14 -o rates/ --transform splat-transform
 
@@ -46,7 +47,7 @@ class Arguments:
     views: str
     """Names of the cameras to compare with, separated by commas."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
-    """Folder for rows.json and for the files. Existing rows are not measured again."""
+    """Folder for rows.json and for the exported files. Rows that rows.json already contains are not measured again."""
     every: int = 8
     """Every n-th frame is exported to other formats, because the conversion to SOG is slow."""
     levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
@@ -62,8 +63,8 @@ class Row:
     """One point of a rate-distortion curve.
 
     ``size`` is in bytes per frame. ``fetched`` is the part of ``size`` that a player downloads for one viewer. ``psnr``
-    has the mean over the cameras in dB, by frame. ``background`` is the size of the background in bytes. A scene stores
-    the background once.
+    maps each frame to the mean PSNR over the cameras, in dB. ``background`` is the size in bytes of the background,
+    which a scene stores only once.
     """
 
     curve: str
@@ -84,7 +85,8 @@ class Truth:
         self._is_whole = scene.manifest.kind == "full"
 
     def score(self, scene: Scene, index: int, frame: int) -> float:
-        """Return the mean PSNR in dB of frame ``index`` of ``scene``, compared with frame ``frame`` of the capture."""
+        """Compare frame ``index`` of ``scene`` with frame ``frame`` of the capture. Return the mean PSNR in dB over the
+        cameras."""
         scores = []
         for view, camera in self._cameras.items():
             source, number = self._capture.names.index(view), self._numbers[frame]

@@ -30,8 +30,8 @@ KINDS = ("forward", "forward + backward", "play")
 class Arguments:
     """Options of the measurement.
 
-    Each series varies one of three quantities: the number of points, of pixels or of layers K. The other two quantities
-    keep their base values: 262,144 points, 1920 x 1080 pixels and K = 15.
+    Each series varies one of three quantities: the number of points, the number of pixels or the number of layers K.
+    The other two quantities keep their base values: 262,144 points, 1920 x 1080 pixels and K = 15.
     """
 
     out: Path = Path("docs")

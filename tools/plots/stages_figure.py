@@ -45,7 +45,7 @@ class Arguments:
     frame: int = 4
     """Index of the shown frame in the scene."""
     stride: int = 10
-    """Step between successive frames of the scene, counted in frames of the capture."""
+    """Every ``stride``-th frame of the capture is a frame of the scene."""
     height: int = 360
     """Height of a panel in pixels."""
 
@@ -89,8 +89,8 @@ def _render(scene: Scene, camera: Camera, frame: int) -> Picture:
 
 
 def _write(path: Path, pictures: Sequence[Picture], height: int) -> None:
-    """Write pictures (H, W, 3) RGB side by side, cropped to the rows that show the subject."""
-    # The first picture of stages.jpg shows the whole room.
+    """Write pictures (H, W, 3) RGB side by side, cropped to the pixel rows that show the subject."""
+    # The first picture is skipped: in stages.jpg, it shows the whole room.
     rows = np.flatnonzero(np.any([(each != GREY).any(axis=(1, 2)) for each in pictures[1:]], axis=0))
     top, bottom = max(rows[0] - MARGIN_PX, 0), rows[-1] + MARGIN_PX
     pictures = [each[top:bottom] for each in pictures]

@@ -1,4 +1,5 @@
-"""Draw a turntable of meshes: a row with textures and a row with shaded surfaces for each GLB file of fourd mesh.
+"""Draw a turntable of meshes. For each GLB file that fourd mesh has written, one row shows the textured mesh, and one
+row shows the grey shaded surface.
 
 python tools/plots/turntable_figure.py FRAME.glb [FRAME.glb ...] -o turntable.jpg
 """
@@ -47,7 +48,7 @@ def turntable(mesh: TexturedMesh, up: NDArray[np.float64]) -> NDArray[np.float32
 
 
 def shade(mesh: TexturedMesh, camera: Camera, light: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Image (H, W, 3) of the surface with the brightness of a matte material, on black."""
+    """Image (H, W, 3) of the surface with diffuse grey shading, on black."""
     fine = camera.resize(camera.width * SAMPLES, camera.height * SAMPLES)
     clip, triangles = clip_positions(torch.from_numpy(mesh.xyz), fine)[None], torch.from_numpy(mesh.triangles)
     rast, _ = rasterize(clip.contiguous(), triangles, (fine.height, fine.width), grad_db=False)

@@ -2,7 +2,7 @@
 
     python tools/rays/scaling.py -o docs/figures/rays_scaling.png
 
-Times are medians of five calls in CPU seconds of one thread, so other programs hardly change them.
+Times are CPU seconds of one thread, so other programs hardly change them. Each time is the median of five calls.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""Compare methods that decide which views see a texel: rays, rasterized depths, and no test.
+"""Compare three methods that decide which views see a texel: tracing rays, comparing rasterized depths, and no test at
+all.
 
     fourd mesh CAPTURE -o meshes/ --frames 0:1 --test-views 03,09,14
     python tools/rays/texture_visibility.py CAPTURE meshes/000000.glb --test-views 03,09,14
@@ -37,7 +38,7 @@ TOLERANCE_PX = 2.0
 
 @dataclass(frozen=True, eq=False)
 class Rays(Occluder):
-    """Visibility by rays, as in fourd mesh, with the CPU time of its calls."""
+    """Visibility by ray tracing, as in fourd mesh. The CPU time of the calls is measured."""
 
     seconds: list[float] = field(default_factory=list)
 
@@ -53,7 +54,7 @@ class Rays(Occluder):
 
 @dataclass(frozen=True, eq=False)
 class Untested(Rays):
-    """All points are visible."""
+    """No visibility test: all points count as visible."""
 
     def test(self, xyz: Floats, normals: Floats, camera: Camera) -> NDArray[np.bool_]:
         return np.zeros(len(xyz), np.bool_)
@@ -61,8 +62,9 @@ class Untested(Rays):
 
 @dataclass(frozen=True, eq=False)
 class Rasterized(Rays):
-    """A point is visible if it is behind the smallest depth of the 3 x 3 pixels around it by at most
-    TOLERANCE_PX / cosine."""
+    """Visibility by a rasterized depth map. A point is visible if it lies at most TOLERANCE_PX / cosine pixels behind
+    the smallest depth of the 3 x 3 pixels around it. The cosine is that of the angle between the viewing ray and the
+    normal."""
 
     nearest: dict[Camera, Floats] = field(default_factory=dict)
 
@@ -79,7 +81,8 @@ class Rasterized(Rays):
 
 
 def weld(mesh: TexturedMesh) -> tuple[Floats, NDArray[np.int64]]:
-    """Return distinct vertices (V, 3), and the index (N,) of each vertex of the mesh among them."""
+    """Merge vertices at the same position. Return the distinct positions (V, 3), and for each vertex of the mesh the
+    index (N,) of its position."""
     xyz, index = np.unique(mesh.xyz, axis=0, return_inverse=True)
     return xyz, index.reshape(-1)
 

@@ -1,10 +1,10 @@
-"""Train soft triangles on one frame by rasterization, by rays, or by rays from fisheye images.
+"""Train soft triangles on one frame by rasterization, by ray tracing, or by ray tracing with fisheye images.
 
     python tools/rays/train_triangles.py CAPTURE --test-views 03,09,14 --method raster|rays|fisheye
 
 The program scores held-out views. All methods start with the same triangles and take the same number of steps.
-Triangles are neither removed nor split. The fisheye images are resampled from the images of the capture, with a known
-equidistant lens.
+Triangles are neither removed nor split. The fisheye images are resampled from the images of the capture. Their lens
+model is equidistant and known.
 """
 
 from __future__ import annotations

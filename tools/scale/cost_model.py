@@ -3,8 +3,8 @@
     python tools/scale/cost_model.py --cameras 60 --frames 18000 --size 3840 2160 --nodes 16 --cores 16
 
 The coefficients in tools/scale/costs.json were measured with tools/scale/measure_costs.py. The coefficients are CPU
-seconds of one core of the machine on which they were measured. The coefficients of import and mattes are the constants
-of fourd.pipeline.plan. For other machines, use --speed: if a core is twice as fast, pass --speed 2. Pass the
+seconds of one core of the machine on which they were measured. For the stages import and mattes, the coefficients are
+constants in fourd.pipeline.plan. For other machines, use --speed: if a core is twice as fast, pass --speed 2. Pass the
 price of one hour of a node with --price.
 """
 
@@ -31,13 +31,13 @@ COSTS = Path(__file__).with_name("costs.json")
 
 @dataclass(frozen=True)
 class Costs:
-    """Coefficients of the cost model. Times are CPU seconds of one core. Each point of each frame counts as one point.
-    Each point of each frame counts as one colour per training camera.
+    """Coefficients of the cost model. Times are CPU seconds of one core. The points of different frames are counted
+    separately. Each point has one colour for each training camera, and these colours are also counted separately.
 
     Attributes:
         stage_start_s: start of the process of a stage.
-        decode_s_per_mp: decoding the frames of a video in order.
-        seek_s_per_mp: decoding random frames of a video with a key frame every 60 frames.
+        decode_s_per_mp: decoding the frames of a video in order, per megapixel.
+        seek_s_per_mp: decoding random frames of a video with a key frame every 60 frames, per megapixel.
         train_start_s: start of a training, and its first checkpoint.
     """
 
@@ -76,7 +76,7 @@ class Capture:
         video_mbits: megabits per second of each video.
         fps: frames per second.
         has_mattes: whether the capture has mattes.
-        has_videos: whether the capture is imported from videos. If not, it has image files.
+        has_videos: whether the capture is imported from videos. If false, it has image files.
         scale: scale of the images in training.
         points: number of points per frame.
         segment: maximum number of frames of a segment.
@@ -121,8 +121,9 @@ class Machines:
     Attributes:
         nodes: number of nodes.
         cores: number of cores per node, as Ray counts them.
-        real_cores: number of physical cores if one machine simulates all nodes, or None if each node has its own cores.
-        speed: speed of a core, relative to the measured one.
+        real_cores: number of physical cores of the machine if one machine simulates all nodes. None if each node is a
+            machine of its own.
+        speed: speed of a core, relative to a core of the machine on which the coefficients were measured.
     """
 
     nodes: int
@@ -279,21 +280,21 @@ def _parse_arguments() -> argparse.Namespace:
         "--video-mbits",
         type=float,
         default=Capture.video_mbits,
-        help="megabits a second of a video (default %(default)s)",
+        help="megabits per second of a video (default %(default)s)",
     )
     parser.add_argument("--mattes", action="store_true", help="the capture has mattes")
     parser.add_argument(
         "--scale", type=float, default=Capture.scale, help="scale of the images in training (default %(default)s)"
     )
-    parser.add_argument("--points", type=int, default=Capture.points, help="points of a frame (default %(default)s)")
+    parser.add_argument("--points", type=int, default=Capture.points, help="points per frame (default %(default)s)")
     parser.add_argument(
-        "--segment", type=int, default=Capture.segment, help="maximum frames of a segment (default %(default)s)"
+        "--segment", type=int, default=Capture.segment, help="maximum frames per segment (default %(default)s)"
     )
     parser.add_argument(
-        "--steps", type=int, default=Capture.steps, help="training steps of a segment (default %(default)s)"
+        "--steps", type=int, default=Capture.steps, help="training steps per segment (default %(default)s)"
     )
     parser.add_argument("--nodes", type=int, default=1, help="number of nodes (default 1)")
-    parser.add_argument("--cores", type=int, default=2, help="cores of a node (default 2)")
+    parser.add_argument("--cores", type=int, default=2, help="cores per node (default 2)")
     parser.add_argument("--speed", type=float, default=1.0, help="speed of a core relative to the measured one")
     parser.add_argument("--price", type=float, help="price of one hour of a node, in any currency")
     return parser.parse_args()

@@ -3,11 +3,11 @@
     python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
 
 The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. Time is divided into
-windows. In every second window, the program sends requests to the server at the rate of the page. In the other windows,
-the server's process is stopped (SIGSTOP). The program prints the ratios of the training speeds in neighbouring windows,
-in two units: steps per second of training time, and steps per second of the training's CPU time. The second unit
-depends less on other programs. With --browser, Chromium shows the page on the same machine in every second window, and
-an empty page in the other windows. With --scene, the tab with the scene is also open.
+windows. In every second window, the program sends requests to the server as often as the page would. In the other
+windows, the server's process is stopped (SIGSTOP). The program prints the ratios of the training speeds in neighbouring
+windows, in two units: steps per second of training time, and steps per second of the training's CPU time. The second
+unit depends less on other programs. With --browser, Chromium shows the page on the same machine in every second window,
+and an empty page in the other windows. With --scene, the tab with the scene is also open.
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None]
 
     Args:
         run: the run's folder.
-        processes: the processes of the training and of the server.
-        watch: starts and stops watching.
+        processes: the process ids of the training and of the server.
+        watch: function that starts watching (True) or stops watching (False).
         windows: number of pairs of windows.
         seconds: length of a window.
     """
@@ -100,7 +100,7 @@ def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None]
 
 @contextmanager
 def training(capture: Path, run: Path, options: list[str]) -> Iterator[int]:
-    """Train until the ``with`` block ends. The block starts after 50 steps. Yields the process."""
+    """Train until the ``with`` block ends. The block starts after 50 steps. Yields the process id."""
     command = [sys.executable, "-m", "fourd.cli.main", "train", str(capture), "-o", str(run)]
     process = subprocess.Popen([*command, "--max-steps", "10000000", *options], stdout=sys.stderr)
     try:
@@ -116,7 +116,7 @@ def training(capture: Path, run: Path, options: list[str]) -> Iterator[int]:
 
 @contextmanager
 def serving(run: Path) -> Iterator[tuple[int, str]]:
-    """Serve a run. Yields the process and the address of the page."""
+    """Serve a run. Yields the process id and the address of the page."""
     words = [sys.executable, "-m", "fourd.cli.main", "serve", str(run), "--port", "0", "--no-browser"]
     process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     assert process.stderr is not None
@@ -157,7 +157,7 @@ def ask(url: str, with_scene: bool, is_asking: threading.Event, ended: threading
 
 @contextmanager
 def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
-    """Show the page in Chromium. The yielded function opens the page of the run, or an empty page instead."""
+    """Start Chromium. The yielded function opens either the page of the run or an empty page."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

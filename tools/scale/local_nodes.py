@@ -15,7 +15,7 @@ STORE_BYTES = 80 << 20
 TRAINED = "train "
 """Prefix of the names of the stages that train segments."""
 PATIENT = 200
-"""The argument ``patience`` for clusters from which no node is removed."""
+"""Value of ``patience`` in :func:`local_nodes` for clusters from which no node is removed."""
 TITLE = "ray::"
 """Prefix of the titles of the processes of a node."""
 OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
@@ -39,8 +39,8 @@ class LocalNodes:
         return str(self._cluster.address)
 
     def add(self) -> None:
-        """Start one more node. On a busy machine, the processes of the node may not answer in time, and are then
-        started again."""
+        """Start one more node. On a busy machine, the processes of the node may not answer in time. The start is then
+        repeated."""
         for attempt in range(ATTEMPTS):
             try:
                 self._cluster.add_node(num_cpus=self._cores, object_store_memory=STORE_BYTES, include_dashboard=False)
@@ -54,23 +54,22 @@ class LocalNodes:
         self._cluster.remove_node(sorted(self._cluster.worker_nodes, key=id)[index], allow_graceful=False)
 
     def busy(self) -> list[int]:
-        """Indices of the nodes that run a stage, see :meth:`remove`. Needs Linux."""
+        """Indices of the nodes that run a stage, for :meth:`remove`. Needs Linux."""
         raylets = [self._raylet(node) for node in sorted(self._cluster.worker_nodes, key=id)]
         running = {parent for _, parent in self._running().values()}
         return [index for index, raylet in enumerate(raylets) if raylet in running]
 
     def stages(self) -> dict[int, str]:
-        """Return a mapping from the process identifiers of the running stages to the names of the stages. Needs
-        Linux."""
+        """Return a mapping from the process id of each running stage to the stage's name. Needs Linux."""
         return {process: name for process, (name, _) in self._running().items()}
 
     @staticmethod
     def _raylet(node: Any) -> int:
-        """Identifier of the main process of a node."""
+        """Process id of the main process of a node."""
         return int(node.all_processes["raylet"][0].process.pid)
 
     def _running(self) -> dict[int, tuple[str, int]]:
-        """Process identifiers of the running stages -> name of the stage, and main process of its node."""
+        """Process id of each running stage -> the stage's name, and the id of the main process of its node."""
         raylets = {self._raylet(node) for node in self._cluster.worker_nodes}
         found = {}
         for folder in Path("/proc").glob("[0-9]*"):
@@ -94,11 +93,11 @@ class LocalNodes:
 def local_nodes(count: int, cores: int, *, patience: int = 5) -> Iterator[LocalNodes]:
     """Start a cluster of ``count`` nodes with ``cores`` cores each for the duration of the ``with`` block.
 
-    Ray asks each node every three seconds whether it is alive. A node that does not answer ``patience`` times counts as
-    lost. On a busy machine, a running node may not answer for half a minute.
+    Ray asks each node every three seconds whether it is alive. A node that gives no answer ``patience`` times in
+    succession counts as lost. On a busy machine, a running node may not answer for half a minute.
 
-    The nodes may have more cores than the machine. Ray then runs one task per core of the nodes, and the tasks share
-    the machine's cores.
+    The nodes may have more cores than the machine. Ray then runs as many tasks as the nodes have cores, and the tasks
+    share the machine's cores.
     """
     from ray._private.utils import get_ray_address_file
     from ray.cluster_utils import Cluster

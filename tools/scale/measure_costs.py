@@ -45,12 +45,12 @@ VIDEO_FRAMES = 60
 STEPS = (20, 140)
 """Numbers of steps of a short and a long training. The difference of their times gives the time of one step."""
 START = "import fourd.pipeline.graph"
-"""The imports of a stage's process before the stage starts its work."""
+"""The code that the process of a stage runs before the stage starts its work: its imports."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """Frames, number of cameras, scale of the images, and number of points of a run."""
+    """Number of frames, number of cameras, scale of the images, and number of points of a run."""
 
     frames: int
     cameras: int
@@ -100,8 +100,8 @@ def main() -> None:
 
 
 def measure_decoding(capture: Path, copy: Path) -> tuple[float, float]:
-    """Return the CPU seconds to decode a megapixel of a video, in the order of the frames and in random order. The
-    video shows resized images of the capture."""
+    """Return the CPU seconds to decode a megapixel of a video, once for frames in order and once for frames in random
+    order. The video shows resized images of the capture."""
     cv2.setNumThreads(1)
     paths = sorted((capture / "images").glob("*/*"))[:8]
     pictures = [cv2.cvtColor(cv2.resize(cv2.imread(str(path)), VIDEO_SIZE), cv2.COLOR_BGR2RGB) for path in paths]
@@ -206,10 +206,10 @@ def fit(measured: Sequence[Measured], start_s: float) -> dict[str, float]:
 
 
 def _fit(what: str, features: Sequence[Sequence[float]], values: Sequence[float]) -> list[float]:
-    """Return the non-negative coefficients with which a linear combination of the features has the smallest relative
-    errors."""
+    """Approximate the values by a linear combination of the features with non-negative coefficients. Return the
+    coefficients with the smallest sum of squared relative errors."""
     matrix, target = np.array(features, float), np.array(values, float)
-    scaled = matrix / target[:, None]  # after this division, the residuals are relative errors
+    scaled = matrix / target[:, None]  # After this division, the residuals are relative errors.
     # The features differ by orders of magnitude, so each column is divided by its largest value.
     sizes = np.abs(scaled).max(axis=0)
     found = nnls(scaled / sizes, np.ones(len(target)))[0] / sizes

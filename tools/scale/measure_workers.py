@@ -4,13 +4,13 @@
     python tools/scale/measure_workers.py CAPTURE --workers 1 2 4 --rounds 3 \\
         --segment 48 --points 2000 --steps 100
 
-Each worker is a core of a Ray node on this machine. There may be more workers than the machine has cores. The stages
-before training run once. Then, in each round, a new run trains all segments with ``fourd make --ray``, once for each
-number of workers.
+A worker is one core of a Ray node on this machine. The number of workers can exceed the number of the machine's cores.
+The stages before training run once. Then, in each round, a new run trains all segments with ``fourd make --ray``, once
+for each number of workers.
 
-Times are measured from the start of the first segment to the end of the last segment, and depend on other programs on
-the machine. CPU seconds hardly depend on other programs. The column "on whole cores" is computed from the CPU seconds
-of the segments: it is the duration on a machine without other programs. Needs Linux.
+Times are measured from the start of the first segment to the end of the last segment. They depend on other programs on
+the machine, but CPU seconds hardly do. The column "on whole cores" is computed from the CPU seconds of the segments. It
+shows the duration on a machine that runs no other programs. Needs Linux.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def prepare(command: Sequence[str], folder: Path) -> None:
 
 
 def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) -> Timing:
-    """Train all segments of a copy of the prepared folder on a cluster with some workers."""
+    """Copy the prepared folder, and train all segments of the copy on a cluster with ``workers`` workers."""
     shutil.rmtree(folder, ignore_errors=True)
     # The copy keeps the modification times of the files, because stages compare them.
     shutil.copytree(prepared, folder, copy_function=shutil.copy2)
@@ -137,7 +137,7 @@ def report(timings: Sequence[Timing], capture: Capture) -> None:
 
 
 def _segment_seconds(nodes: LocalNodes) -> dict[str, float]:
-    """Return the CPU seconds that the processes that train segments have used so far."""
+    """For each segment in training, return the CPU seconds that its process has used so far."""
     found = {}
     for pid, name in nodes.stages().items():
         if name.startswith(TRAINED):
@@ -170,9 +170,9 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("capture", type=Path, help="a capture with masks")
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2, 4], help="numbers of workers (default 1 2 4)")
     parser.add_argument("--rounds", type=int, default=3, help="number of alternating rounds (default 3)")
-    parser.add_argument("--segment", type=int, default=48, help="maximum frames of a segment (default 48)")
-    parser.add_argument("--points", type=int, default=2000, help="points of a frame (default 2000)")
-    parser.add_argument("--steps", type=int, default=100, help="training steps of a segment (default 100)")
+    parser.add_argument("--segment", type=int, default=48, help="maximum frames per segment (default 48)")
+    parser.add_argument("--points", type=int, default=2000, help="points per frame (default 2000)")
+    parser.add_argument("--steps", type=int, default=100, help="training steps per segment (default 100)")
     return parser.parse_args()
 
 

@@ -3,10 +3,11 @@
     fourd synth CAPTURE --frames 84 --cameras 4 --size 48
     python tools/scale/random_kills.py CAPTURE --workers 20 --drivers 20 -- --segment 12 --points 500 --max-steps 20
 
-The command is repeated until all kills are done, and all kills are kill -9. If a worker (the process of a running
-stage) is killed, Ray starts the stage again. If the driver (the process of the command) is killed, the program starts
-the same command again at once. The cluster is one node with two cores on this machine. The exit code is 1 if a scene
-differs from the scene of the uninterrupted command, or if a segment that was finished before a kill was trained again.
+The command is repeated until all kills are done. Each kill sends the signal SIGKILL. If a worker (the process of a
+running stage) is killed, Ray starts the stage again. If the driver (the process of the command) is killed, the program
+starts the same command again at once. The cluster is one node with two cores on this machine. The exit code is 1 if a
+scene differs from the scene of the uninterrupted command, or if a segment that was finished before a kill was trained
+again.
 """
 
 from __future__ import annotations
@@ -112,10 +113,11 @@ def main() -> None:
 def run_with_kills(
     command: Command, nodes: LocalNodes, kinds: Sequence[str], killed: list[str], interval: Callable[[], float]
 ) -> list[str]:
-    """Run the command until it has succeeded, and kill a process after each interval in seconds.
+    """Run the command until it has succeeded. ``interval`` returns the number of seconds until the next process is
+    killed.
 
-    ``kinds`` has the kind of each kill. A description of each kill is added to ``killed``. Returns the names of the
-    finished segments that were trained again.
+    ``kinds`` contains "worker" or "driver" for each kill. A description of each kill is added to ``killed``. Returns
+    the names of the finished segments that were trained again.
     """
     process, deadline = command.start(), time.monotonic() + interval()
     kept: dict[str, dict[str, int]] = {}
@@ -127,7 +129,8 @@ def run_with_kills(
         running = {pid: name for pid, name in nodes.stages().items() if victims.count(name) < RETRIES}
         if not running:
             continue
-        # If a segment finishes at the moment at which its process is killed, a repetition of the segment is no error.
+        # A segment may finish at the moment at which its process is killed. It is then no error if the segment is
+        # trained again.
         kept = {**command.finished_segments(), **kept}
         pid, name = min(running.items(), key=lambda item: (victims.count(item[1]), item))
         if kinds[len(killed)] == "worker":
@@ -151,7 +154,7 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--workers", type=int, default=20, help="number of killed workers (default 20)")
     parser.add_argument("--drivers", type=int, default=20, help="number of killed drivers (default 20)")
     parser.add_argument("--kills", type=float, default=12.0, help=KILLS_HELP)
-    parser.add_argument("--seed", type=int, default=0, help="seed of the moments (default 0)")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the random moments of the kills (default 0)")
     parser.epilog = "The words after -- are options of fourd make."
     words = sys.argv[1:]
     own = words[: words.index("--")] if "--" in words else words

@@ -2,10 +2,10 @@
 
     python tools/scale/segment_jumps.py RUN SCENE.4dv
 
-A frame step is the mean absolute difference between the images of two successive frames, averaged over the held-out
-cameras of the run. A frame step counts as a step between segments if it starts or ends at a frame that two segments
-share. The same steps are also measured in the captured images, because the subject does not move by the same amount in
-every frame.
+A frame step is a number: the mean absolute difference between the images of two successive frames, averaged over the
+held-out cameras of the run. A frame step counts as a step between segments if it starts or ends at a frame that two
+segments share. The same steps are also measured in the captured images, because the subject does not move by the same
+amount in every frame.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def main(run_path: Path, scene_path: Path) -> None:
 
 
 def _steps(frame_images: Callable[[int], list[NDArray[np.float32]]], count: int) -> NDArray[np.float64]:
-    """Return the frame steps, (F - 1,), of the images that ``frame_images`` returns for each frame."""
+    """Return the F - 1 frame steps between ``count`` frames. ``frame_images`` returns the images of a frame."""
     steps, before = [], frame_images(0)
     for frame in range(1, count):
         after = frame_images(frame)
@@ -65,7 +65,7 @@ def _on_black(run: Run, index: int, frame: int) -> NDArray[np.float32]:
 
 
 def _steps_between_segments(run: Run) -> NDArray[np.bool_]:
-    """For each of the F - 1 steps, whether a frame of the step is shared by two segments."""
+    """(F - 1,) bool, true for each frame step of which at least one frame is shared by two segments."""
     count = run.capture.frame_count
     plan = SegmentPlan.divide(count, run.config.train.segments)
     owners = [plan.shares(frame) for frame in range(count)]

@@ -1,12 +1,13 @@
-"""Simulate ``fourd make --ray`` on a cluster of several nodes, some of which fail during the run.
+"""Simulate ``fourd make --ray`` on a cluster of several nodes. Some nodes fail during the run.
 
     python tools/scale/simulate_cluster.py --nodes 16 --failures 8
     python tools/scale/simulate_cluster.py --nodes 2 --frames 18000 --seconds 0.2
 
 The simulated stages only wait (:mod:`tools.scale.simulated_stages`). The stage graph, the runner, the tasks and the
-retries are those of ``fourd make``, and each node has the processes of a Ray node. A failure kills all processes of a
-random node and adds a new node. The program compares the scene with that of an uninterrupted run without a cluster,
-counts the units that were lost and repeated, and watches the memory and the progress bar.
+retries are the same as in ``fourd make``. Each simulated node consists of the processes of a real Ray node. A failure
+kills all processes of a random node and adds a new node. The program compares the scene with the scene of an
+uninterrupted run without a cluster. It also counts the units that were lost and repeated, and watches the memory and
+the progress bar.
 """
 
 from __future__ import annotations
@@ -38,12 +39,12 @@ from tools.scale.simulated_stages import Simulation, UnitCounts
 
 MEGABYTE = 1 << 20
 BAR = re.compile(r"stages on the cluster[^\n]*?(\d+)/(\d+)")
-"""The state of the progress bar: the number of finished stages, and the number of all stages."""
+"""Pattern of the progress bar's text, with the number of finished stages and the number of all stages as groups."""
 
 
 @dataclass
 class Watched:
-    """What was measured during a run.
+    """Measurements that were made during a run.
 
     Attributes:
         seconds: duration of the run.
@@ -131,7 +132,7 @@ def report_bar(text: str) -> None:
 
 
 def _expected_scene(simulation: Simulation) -> str:
-    """Return the scene of a run in this process, in which units do not wait."""
+    """Run the simulation in this process, without waiting in units, and return its scene."""
     here = replace(simulation, folder=simulation.folder.with_name("here"), seconds=0.0)
     shutil.copytree(simulation.folder, here.folder)
     here.run(Runner(Context(), here.folder / "stages.json"))
@@ -139,8 +140,8 @@ def _expected_scene(simulation: Simulation) -> str:
 
 
 def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.Namespace) -> Watched:
-    """Call ``run`` in a thread. While ``run`` works, the main thread replaces nodes and measures, because Ray starts
-    nodes only in the main thread."""
+    """Call ``run`` in a thread. Meanwhile, the main thread measures and replaces nodes, because Ray can start nodes
+    only in the main thread."""
     import grpc
     import ray
 
@@ -150,7 +151,7 @@ def run_watched(run: Callable[[], None], nodes: LocalNodes, arguments: argparse.
         running = pool.submit(run)
         failure = start + rng.uniform(0.5, 1.5) * arguments.interval
         while not wait([running], timeout=1.0).done:
-            # Ray may ask a node that was just killed. There is no sample then.
+            # If Ray asks a node that was just killed, an error is raised and this sample is skipped.
             with suppress(grpc.RpcError):
                 watched.samples.append((resident_bytes(), store_bytes(ray)))
             if watched.failures < arguments.failures and time.monotonic() > failure:
@@ -169,13 +170,13 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--nodes", type=int, default=16, help="number of nodes with one core each (default 16)")
     parser.add_argument("--cameras", type=int, default=8, help="number of cameras (default 8)")
     parser.add_argument("--frames", type=int, default=7200, help="number of frames of each camera (default 7200)")
-    parser.add_argument("--segment", type=int, default=120, help="maximum frames of a segment (default 120)")
-    parser.add_argument("--units", type=int, default=8, help="units of work of a segment (default 8)")
+    parser.add_argument("--segment", type=int, default=120, help="maximum frames per segment (default 120)")
+    parser.add_argument("--units", type=int, default=8, help="units of work per segment (default 8)")
     parser.add_argument("--seconds", type=float, default=2.0, help="seconds that a unit waits (default 2)")
     parser.add_argument("--failures", type=int, default=0, help="number of nodes that fail (default 0)")
-    parser.add_argument("--busy", action="store_true", help="only nodes that run a stage fail, if there are any")
+    parser.add_argument("--busy", action="store_true", help="if any nodes run a stage, only one of these fails")
     parser.add_argument("--interval", type=float, default=10.0, help="mean seconds between failures (default 10)")
-    parser.add_argument("--patience", type=int, default=5, help="missing answers until a node is lost (default 5)")
+    parser.add_argument("--patience", type=int, default=5, help="unanswered checks until a node is lost (default 5)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the failures (default 0)")
     return parser.parse_args()
 

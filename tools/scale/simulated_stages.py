@@ -4,8 +4,8 @@ than the machine.
 The stage graph, the runner, its record and the tasks of the cluster are those of ``fourd make``. The work of a stage is
 a number of units. A unit stands for the work between two checkpoints: the stage waits, and then records the unit in a
 file. A repeated stage continues after the last recorded unit. The output of a stage is a hash of its name, its units
-and the outputs of the earlier stages. The scene therefore has the expected bytes only if each stage ran on complete
-results.
+and the outputs of the earlier stages. The bytes of the scene are therefore as expected only if each stage read complete
+outputs of the earlier stages.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ SIZE = 32
 
 @dataclass(frozen=True)
 class UnitCounts:
-    """What happened to the units of some stages.
+    """Counts of what happened to the units of one or more stages.
 
     Attributes:
         units: number of units of the stages.
-        lost: number of executions of units that did not end, because their process was killed.
-        repeated: number of executions of units beyond the first.
-        redone: number of executions of units that an earlier execution had finished. Such work was not lost.
+        lost: number of executions of units that were cut off because the process was killed.
+        repeated: number of executions of units, not counting the first execution of each unit.
+        redone: number of executions of units that were unnecessary, because an earlier execution had finished the unit.
     """
 
     units: int
@@ -93,7 +93,8 @@ class Simulation:
         write_calibration(self._capture, names, ring_cameras(self.cameras, SIZE))
 
     def groups(self) -> list[list[AnyStage]]:
-        """The stages of ``fourd make`` with simulated work, in the groups in which ``fourd make`` runs them."""
+        """The stages of ``fourd make`` with simulated work, in the same groups in which ``fourd make`` runs its
+        stages."""
         train = TrainConfig(segments=SegmentConfig(frames=self.segment))
         request = RunRequest(self._capture, self.folder / "run", train)
         imported = stages_to_capture(self.folder / "videos", self._capture, ImportOptions())
@@ -123,8 +124,8 @@ class Simulation:
         return self.folder / "capture"
 
     def _simulated(self, stages: Sequence[AnyStage], before: list[str]) -> list[AnyStage]:
-        """Replace the work of stages. A stage that runs alone reads all earlier outputs. A segment reads only the
-        outputs of the stages on which it depends."""
+        """Replace the work of stages. A stage that runs alone reads the outputs of all earlier stages. The training of
+        a segment reads only the outputs of the stages on which it depends."""
         simulated = []
         for stage in stages:
             inputs = stage.after if stage.is_parallel else tuple(before)

@@ -1,4 +1,5 @@
-"""The work of a simulated stage: units that wait. Workers of a cluster import this module, so its imports are few."""
+"""The work of a simulated stage: units that wait. Workers of a cluster import this module, so it imports only few
+modules."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ class SimulatedFiles:
 
     @property
     def log(self) -> Path:
-        """File with one line for each start and each end of a unit, and its process. A lost unit is started again."""
+        """File with one line for each start and each end of a unit. Each line also contains the process id. A lost unit
+        has several lines for its start."""
         return self.folder / f"{self.name}.log"
 
     @property

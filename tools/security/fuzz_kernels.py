@@ -1,4 +1,4 @@
-"""Fuzz the kernels' bound functions with libFuzzer, under AddressSanitizer and UndefinedBehaviorSanitizer. With
+"""Fuzz the kernel functions that Python can call, with libFuzzer, AddressSanitizer and UndefinedBehaviorSanitizer. With
 --threads, three Python threads call the functions at the same time with the stored inputs, under ThreadSanitizer.
 
     python tools/security/fuzz_kernels.py --seconds 60
@@ -8,8 +8,9 @@
     python tools/security/fuzz_kernels.py --threads
 
 libFuzzer is a part of Clang (apt-get install clang). The first call builds csrc/fuzz, which takes some minutes. The
-corpus, which grows, is in build/fuzz/kernels/. An input that crashes, hangs or needs 2 GB is written to
-build/fuzz/kernels-KIND-HASH. To repeat the failure, call build/fuzz-native/bindings with this file.
+corpus is in build/fuzz/kernels/ and grows with each run. If an input makes a function crash, hang or use 2 GB of
+memory, the input is written to the file build/fuzz/kernels-KIND-HASH. To repeat the failure, call
+build/fuzz-native/bindings with this file.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ from fourd.files import write_text_atomically
 
 ROOT = Path(__file__).resolve().parents[2]
 STORED = ROOT / "csrc" / "fuzz" / "corpus.txt"
-"""The smallest known set of inputs that reaches all code that was ever reached. Each line is one input in hexadecimal
-digits."""
+"""A small set of inputs that together reach all code that any earlier input has reached. Each line is one input in
+hexadecimal digits."""
 FOLDER = ROOT / "build" / "fuzz"
 COMPILERS = ("clang++", *(f"clang++-{version}" for version in range(24, 13, -1)))
 MAX_BYTES = 512
@@ -45,8 +46,8 @@ class Arguments:
     seconds: int = 60
     """Fuzzing time in seconds. The time of the build is not included."""
     keep: bool = False
-    """After fuzzing, replace csrc/fuzz/corpus.txt by the smallest inputs that reach all code that this run has
-    reached."""
+    """After fuzzing, replace csrc/fuzz/corpus.txt by a small set of inputs that together reach all code that this run
+    has reached."""
     threads: bool = False
     """Call the functions in three threads at the same time, with the stored inputs only. New inputs would need coverage
     counters, and ThreadSanitizer would report these counters as data races."""

@@ -4,8 +4,8 @@
 
 Run this program after the dependencies in pyproject.toml or constraints.txt have changed. UV is the path of the program
 uv (https://docs.astral.sh/uv). By default, uv is searched on PATH. torch is left out, because its builds for CPU and
-CUDA are different files of the same version. The CUDA packages are left out, because only the CUDA builds of torch need
-them.
+for CUDA are different files with the same version number. The CUDA packages are left out, because only the CUDA builds
+of torch need them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ PYTHON = "3.11"
 """The oldest Python version that pyproject.toml allows."""
 EXTRAS = ("train", "dev", "docs")
 BUILD = ("cmake", "ninja", "scikit-build-core", "nanobind")
-"""Packages that build the kernels, which `make` installs in the same environment."""
+"""Packages that are needed to build the kernels. `make` installs these packages in the same environment."""
 OF_TORCH = ("torch", "triton", "cuda-", "nvidia-")
-"""Names, or prefixes of names, of packages that are left out."""
+"""Packages that are left out. A text with a hyphen at the end is the beginning of several names; any other text is a
+whole name."""
 HEADER = """\
 # All packages that `make` installs, except torch and the packages of CUDA, for all platforms and versions of Python.
 # tools/security/lock.py writes this file. pip installs only files with one of these hashes (--require-hashes).

@@ -59,7 +59,8 @@ def cli_reference() -> str:
 
 
 def command_help(command: str | None = None) -> str:
-    """Return the output of ``fourd COMMAND --help``, or of ``fourd --help``, without colours and at a fixed width."""
+    """Return the output of ``fourd COMMAND --help``, or of ``fourd --help`` if ``command`` is None, without colours and
+    at a fixed width."""
     from fourd.cli.main import main
 
     printed = io.StringIO()

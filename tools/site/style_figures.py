@@ -1,4 +1,5 @@
-"""Make the figures of docs/guides/stylize.md that show the window, the web page and a mesh in styles.
+"""Make the figures of docs/guides/stylize.md that show different styles in the viewer's window, on the web page and on
+a mesh.
 
     python tools/site/style_figures.py SCENE.4dv MESH.glb
 
@@ -35,9 +36,9 @@ FIGURES = ROOT / "docs" / "figures"
 STYLES = ("toon", "gooch", "ink")
 WINDOW = (1120, 960)
 LINES_HEADING = (60, 514)
-"""Position of the heading "Lines" of the panel's section "Style" in pixels."""
+"""Position, in pixels, of the heading "Lines" in the section "Style" of the panel."""
 ZOOM_WHEEL_PX = -300
-"""Scroll distance of the mouse wheel on the web page, which moves the view towards the subject."""
+"""Scroll distance of the mouse wheel on the web page. Scrolling moves the camera towards the subject."""
 WARM_UP_SECONDS = 8.0
 """Seconds to wait before the screenshot, so that lines have their full strength."""
 
@@ -108,7 +109,8 @@ def _mesh(mesh: Path, folder: Path) -> NDArray[np.uint8]:
 
 
 def _content(picture: NDArray[np.uint8], margin_px: int = 24) -> tuple[int, int, int, int]:
-    """The bounds (top, bottom, left, right) of the pixels that differ from the corner, with a margin."""
+    """The bounds (top, bottom, left, right) of the pixels whose colour differs from that of the top left pixel, with a
+    margin."""
     differs = (picture != picture[0, 0]).any(axis=2)
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
     top, left = max(rows[0] - margin_px, 0), max(columns[0] - margin_px, 0)

@@ -30,8 +30,8 @@ from fourd.viewer.output.video import write_video
 
 BACKGROUND = (0.93, 0.93, 0.93)
 STEADY_PICTURES = 12
-"""Number of pictures that are drawn from the same camera before the picture in the sheet, so that lines have their full
-strength.
+"""Before the picture for the sheet, this number of pictures is drawn from the same camera, so that lines reach their
+full strength.
 """
 
 

@@ -4,12 +4,13 @@
     python tools/styles/cost.py scene.4dv --frame 3
 
 Each round draws one image without a style and one image in the style, from a static camera. All rounds of one style are
-run before those of the next style. During playback, the style does not change either, so its data stay in the caches.
-The program prints the median time of an image without a style. For each style, the program also prints
+run before the rounds of the next style, so the data of the style stay in the caches. The same is true for playback,
+during which the style does not change. The program prints the median time of an image without a style. For each style,
+the program also prints
 
 - the median of the time that the style adds, over the rounds,
 - the median of the ratio of the times with and without the style, over the rounds,
-- the time of the stylizer (the rest of the added time is for the depths and normals of the points),
+- the time of the stylizer; the rest of the added time is spent on the depths and normals of the points,
 - the median of the CPU time that the style adds, summed over all threads. This time depends less on other programs.
 """
 
@@ -80,7 +81,7 @@ def main(arguments: Arguments) -> int:
     for name in arguments.styles:
         style, player = load_style(name), StyledPlayer()
         for index in range(arguments.rounds + 1):
-            if index < 2:  # the first round fills the caches, so its times are dropped
+            if index < 2:  # the first round fills the caches, so its times are not used
                 plain[name], styled[name] = Times(), Times()
             plain[name].measure(lambda: plain_player.draw(frame, camera, manifest, threads=threads, out=picture))
             styled[name].measure(

@@ -1,4 +1,4 @@
-"""Measure how many line pixels of styles flicker while neither the camera nor the true surface moves.
+"""Measure how many line pixels of each style flicker although neither the camera nor the true surface moves.
 
     fourd mesh captures/fox_run -o meshes
     python tools/styles/steadiness.py fox.4dv meshes
@@ -8,8 +8,8 @@ The meshes give the true depth and normal of each pixel. A pixel is unchanged ov
 and the normal change little at every pixel within ``--reach`` pixels of it. The limits are 2% of the true depth and 15
 degrees for the true normal.
 An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. An edge pixel flickers if its
-line is on, off and on, or off, on and off. Without meshes, the depth and normals that fourd draws without averaging
-over time are used as the true depth and normals.
+line is present only in the middle frame, or is missing only in the middle frame. Without meshes, fourd draws depth and
+normals without averaging over time, and the program uses them as the true depth and normals.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Arguments:
     size: tuple[int, int] = (960, 540)
     """Width and height of the pictures in pixels."""
     reach: int = 2
-    """Distance in pixels up to which the true surface must not change."""
+    """A pixel is unchanged only if the true surface stays the same up to this distance in pixels from it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,14 +88,15 @@ class Count:
         return 100 * self.flickering / max(self.edges, 1)
 
     def add(self, lines: list[NDArray[np.bool_]], is_still: NDArray[np.bool_]) -> None:
-        """Count the pixels of three successive frames."""
+        """Add the counts of three successive frames. ``lines`` are the line pixels of the frames, and ``is_still``
+        marks the unchanged pixels."""
         before, now, after = lines
         self.edges += int((is_still & (before | now | after)).sum())
         self.flickering += int((is_still & (now != before) & (now != after)).sum())
 
 
 def main(arguments: Arguments) -> None:
-    """Print the share of flickering edge pixels, with and without the averaging over time that each style specifies."""
+    """Print the share of flickering edge pixels of each style, with and without the style's averaging over time."""
     scene = open_scene(arguments.scene)
     manifest = scene.manifest
     views = dict(zip(manifest.names, manifest.cameras, strict=True))
@@ -187,7 +188,8 @@ def _normals_of_depth(depth: NDArray[np.float32], camera: Camera) -> NDArray[np.
 
 
 def _is_same(first: Truth, second: Truth, reach: int) -> NDArray[np.bool_]:
-    """Whether the true surface is the same at all pixels within ``reach`` pixels."""
+    """(H, W) bool, true for the pixels around which the true surface is the same in both frames, up to a distance of
+    ``reach`` pixels."""
     a, b = first.inverse_depth, second.inverse_depth
     has_depth = np.abs(a - b) <= SAME_DEPTH * np.maximum(a, b)
     cosine = (first.normal * second.normal).sum(2)

@@ -5,8 +5,8 @@
 The program exports the frame as Gaussian splats (3DGS PLY). The program shows the exported file in Spark and in
 supersplat-viewer (npm packages @sparkjsdev/spark and @playcanvas/supersplat-viewer), and the scene in <fourd-player>.
 All viewers show the frame from the last camera of the scene. The program writes the pictures of the viewers and the
-images of `fourd.baking.player.Player` as PNG files, and prints a Markdown table. The table has the PSNR of the pictures
-and the images per second while the camera moves.
+images of `fourd.baking.player.Player` as PNG files, and prints a Markdown table. The table shows how well the pictures
+agree with the images of `Player` (PSNR), and the images per second while the camera moves.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ PAGES = {
         ("playcanvas/build", "playcanvas/scripts", "@playcanvas/supersplat-viewer/dist"),
     ),
 }
-"""For each viewer of the exported file: the name of its page in this folder, and the folders of the packages that the
-page loads."""
+"""Name of each viewer of the exported file -> name of its page in this folder, and package folders that the page
+loads."""
 NEAR, FAR = 0.05, 50.0
 PATH_STEPS, STEP_DEGREES = 90, 0.5
 PLAYER = """
@@ -84,7 +84,7 @@ class Arguments:
     size: int = 512
     """Width and height of the pictures in pixels."""
     rounds: int = 5
-    """Number of measurements of each viewer. The viewers are measured alternately."""
+    """Number of measurements of each viewer. The viewers take turns."""
     seconds: float = 5.0
     """Duration of one measurement in seconds."""
 
@@ -148,7 +148,8 @@ def path_of(camera: Camera, focus: NDArray[np.float64]) -> list[Camera]:
 
 
 def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
-    """Return the camera that shows the same image after the scene was rotated around the focus."""
+    """Return ``camera``, rotated around the focus about its own up direction. Its image is the same as if the scene
+    were rotated by ``angle`` in front of ``camera``."""
     x, y, z = camera.rotation[1]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -157,7 +158,7 @@ def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
 
 
 def describe(camera: Camera) -> dict[str, Any]:
-    """The camera for <fourd-player>, and as matrices of OpenGL for other viewers."""
+    """The parameters of the camera for <fourd-player>, and its OpenGL matrices for the other viewers."""
     k, width, height = camera.intrinsics, camera.width, camera.height
     view, projection = np.eye(4), np.zeros((4, 4))
     view[:3, :3], view[:3, 3] = camera.rotation, camera.translation

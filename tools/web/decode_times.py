@@ -2,9 +2,9 @@
 
     python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
 
-The worker and native code decode the same members, which are compressed with zlib. The members are the points, the
-spherical harmonics, and the source views that are blended for the last camera of the scene. The browser uses one
-worker, and native code uses one core. The worker and native code are measured alternately.
+The worker and the native code decode the same members of the .4dv archive. The members are compressed with zlib. They
+contain the points, the spherical harmonics, and the source views that are blended for the last camera of the scene. The
+browser uses one worker, and the native code uses one core. The two are measured in turn.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def measure(name: str, site: Path, rounds: int) -> str:
 
 
 def decode_natively(archive: zipfile.ZipFile, manifest: Any, frame: int, views: list[int]) -> float:
-    """Return the time in milliseconds to decode the members that the worker decodes."""
+    """Decode the same members as the worker. Return the time in milliseconds."""
     folder = f"frames/{frame:06d}"
     names = [POINTS, SH, *([COLOUR] if views else [])]
     members = {name: archive.read(f"{folder}/{name}") for name in names}

@@ -15,7 +15,8 @@ from fourd.viewer.publish.server import SiteServer
 
 FLAGS = ("--headless", "--no-sandbox", "--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl")
 DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
-"""Default flags of Playwright that are left out, because they would select another graphics driver."""
+"""Flags that Playwright passes to Chromium by default. They are left out, because they would select another graphics
+driver."""
 
 
 @contextmanager
@@ -43,7 +44,8 @@ def serving(server: SiteServer) -> Iterator[SiteServer]:
 
 @contextmanager
 def open_pages(addresses: dict[str, tuple[Path, str]], size: int) -> Iterator[dict[str, Any]]:
-    """Yield one Playwright page for each name. Each address is a folder, and a path with a query inside the folder."""
+    """Yield one Playwright page for each name. Each address consists of a folder to serve, and the path and query of a
+    page in this folder."""
     with ExitStack() as stack:
         browser = stack.enter_context(open_browser())
         pages = {}

@@ -6,8 +6,8 @@
 The program opens the page of the scene with an empty browser cache. The server limits the data rate to --mbps. The
 program prints the time from the opening of the page to the start of playback. For playback, the program prints the
 pauses, the images per second and the amount of received data. Without --tier, the program chooses a level as `fourd web
---max-mbps` does. With --repeat, the frames are repeated under other numbers, so that the scene is longer. The program
-needs Chromium and the package playwright.
+--max-mbps` does. With --repeat, the frames are repeated with new frame numbers, so that the scene is longer. The
+program needs Chromium and the package playwright.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ CHUNK = 1 << 14
 LOCAL_HEADER, SIZES_AT, NAME_LENGTH_AT = 30, 18, 26
 """Size of a local file header in a ZIP archive, and the offsets of two of its fields (ZIP appnote 4.3.7)."""
 CREDIT_SECONDS = 0.05
-"""If the operating system wakes the server late, the server sends faster to make up for the delay, but only for delays
-up to this time."""
+"""If the operating system wakes the server too late, the server then sends faster to make up for the delay. It makes up
+for at most this time."""
 PLAY = """
 async (milliseconds) => {
   const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));
@@ -89,14 +89,14 @@ class Arguments:
     mbps: float = 50.0
     """Rate of the connection in megabits per second."""
     served_mbps: float | None = None
-    """Rate at which the page is served, in megabits per second. The default is the rate of the connection. With a high
-    rate, the program shows whether this machine decodes and draws fast enough."""
+    """Actual data rate of the server, in megabits per second. The default is --mbps. With a high rate, the measurement
+    shows whether this machine decodes and draws fast enough."""
     latency: float = 0.02
     """Delay of each response in seconds."""
     seconds: float = 10.0
     """Duration of measured playback in seconds."""
     tier: Tier | None = None
-    """Tier whose default level is used. Without a tier, the program uses the level that fits the connection."""
+    """The program plays the default level of this tier. Without a tier, it plays the level that fits the connection."""
     repeat: int = 1
     """Number of times that the frames are repeated."""
     rounds: int = 5
@@ -174,7 +174,8 @@ def play(url: str, arguments: Arguments) -> dict[str, float]:
 
 
 def repeat_frames(scene: Path, times: int) -> None:
-    """Repeat the frames of a packed scene. The new frames have their own numbers, but share the bytes of the file.
+    """Repeat the frames of a packed scene. The new frames have their own frame numbers, but the manifest assigns them
+    the same bytes of the file.
 
     The web player can read the resulting file, but the ZIP directory at the end of the file is not correct.
     """

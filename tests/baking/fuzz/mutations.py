@@ -43,12 +43,13 @@ POISON: tuple[Any, ...] = (
     [[]],
     [0] * 50,
 )
-"""Values that replace values of a manifest."""
+"""Invalid or extreme values that are put into a manifest."""
 _LARGEST_BOMB = 1 << 22
 
 
 class SceneMutator:
-    """Makes damaged copies of a scene. Most copies are intact ZIP archives, so that the damage reaches the decoders."""
+    """Makes damaged copies of a scene. Most copies are valid ZIP archives, so that the decoders read the damaged
+    content."""
 
     def __init__(self, content: bytes, rng: np.random.Generator) -> None:
         self._content = content

@@ -25,7 +25,7 @@ from tests.baking.scenes import read_frames, write_full_scene, write_scene
 
 CASES, SLOW_CASES = 300, 10_000
 BUDGET = 64 << 20
-"""Bytes that reading a damaged scene of a few hundred points may allocate."""
+"""Maximum number of bytes that may be allocated to read a damaged scene of a few hundred points."""
 HANG_SECONDS = 60
 
 
@@ -118,7 +118,8 @@ def fuzz_splats(folder: Path, rng: np.random.Generator, cases: int) -> None:
 
 
 def _damage_splats(content: bytes, header: int, rng: np.random.Generator) -> bytes:
-    """Return damaged content. Half of the cases have damage only in the header, the others anywhere in the file."""
+    """Return damaged content. In half of the cases, only the header is damaged. In the other cases, the damage can be
+    anywhere in the file."""
     if header > 11 and rng.random() < 0.5:
         return damage(content[:header], rng, 4) + content[header:]
     return damage(content, rng, 20)

@@ -55,7 +55,7 @@ def test_the_inner_ring_has_the_radius_of_the_threshold(threshold: float) -> Non
     surface = draw_mesh(sphere(), front_camera(SIZE), samples=1).surface()
     changes = {"angle_threshold": threshold, "angle_softness": 1e-4, "angle_strength": 1.0}
     picture = stylize_surface(surface, line_parameters(SIZE, lines="none", **changes))
-    # N.V = c at the angle a from the axis of the view with sin(a) = r sqrt(1 - c^2) / d.
+    # On the ring, N.V = c. The angle a between the viewing axis and the ring has sin(a) = r * sqrt(1 - c^2) / d.
     angle = np.arcsin(np.sqrt(1 - threshold**2) / DISTANCE)
     ring = FOCAL * np.tan(angle)
     y, x = np.mgrid[:SIZE, :SIZE] + 0.5 - SIZE / 2

@@ -1,4 +1,4 @@
-// out = a x + y. Callers check the sizes of the arrays. All arrays are dense.
+// out = a * x + y. Callers check the sizes of the arrays. All arrays are dense.
 #pragma once
 
 #include <cstddef>

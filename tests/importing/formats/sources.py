@@ -70,7 +70,7 @@ def write_video(path: Path, frames: int = 2) -> None:
 
 
 def file_names(frames: object) -> list[str]:
-    """Names of the files that store a camera's frames or mattes, in order."""
+    """Names of the files that store a camera's frames or mattes, in the order of the frames."""
     if isinstance(frames, VideoFile):
         return [frames.path.name]
     assert isinstance(frames, PictureFiles)

@@ -41,7 +41,7 @@ MODELS: dict[str, tuple[int, list[float], list[float]]] = {
         [K1, K2, P1, P2, 0.01, 0.02, 0.03, 0.04],
     ),
 }
-"""COLMAP's number of each lens model, the parameters in COLMAP's order, and the distortion coefficients of OpenCV."""
+"""For each lens model, COLMAP's number, the parameters in COLMAP's order, and OpenCV's distortion coefficients."""
 
 
 def expected_camera(camera: Camera, kind: str) -> Camera:

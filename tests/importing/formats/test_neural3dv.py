@@ -35,7 +35,8 @@ def originals() -> list[Camera]:
 
 
 def rows() -> np.ndarray:
-    """Rows of poses_bounds.npy. The axes down, right and backwards come from a point on each axis of the camera."""
+    """Rows of poses_bounds.npy. The directions down, right and backwards are computed from one point on each camera
+    axis."""
     made = []
     for camera in originals():
         to_world = np.linalg.inv(np.vstack([np.c_[camera.rotation, camera.translation], [0, 0, 0, 1]]))
@@ -68,7 +69,7 @@ def _save(array: object) -> object:
 
 
 def _save_header(shape: str) -> object:
-    """Write a file whose header, a Python literal, has the given shape."""
+    """Return a function that writes a file with the given shape in its header. The header is a Python literal."""
     text = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({shape})}}\n".encode()
     return lambda path: path.write_bytes(b"\x93NUMPY\2\0" + struct.pack("<I", len(text)) + text)
 

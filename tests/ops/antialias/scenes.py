@@ -23,7 +23,8 @@ class Scene:
 
 
 def rasterize_brute_force(pos: Tensor, tri: Tensor, height: int, width: int) -> Tensor:
-    """Rasterize (B, V, 4) vertices in float64 without clipping: u, v, z/w and id, (B, H, W, 4) with the dtype of pos.
+    """Rasterize the vertices ``pos`` (B, V, 4) in float64 without clipping. Returns u, v, z/w and the triangle id of
+    each pixel, (B, H, W, 4) with the dtype of ``pos``.
 
     A pixel on an edge counts as inside. At equal depths, the pixel shows the triangle with the smaller id.
     """
@@ -40,7 +41,7 @@ def rasterize_brute_force(pos: Tensor, tri: Tensor, height: int, width: int) -> 
             total = weights.sum(-1)
             weights = weights / total[..., None]
             depth = (weights * corner[:, 2]).sum(-1) / (weights * corner[:, 3]).sum(-1)
-            # pinv rounds differently on different processors.
+            # The tolerance 1e-12 is needed, because pinv rounds differently on different processors.
             inside = (weights >= -1e-12).all(-1) & (total > 0) & (depth.abs() <= 1) & (depth < nearest)
             nearest[inside], best[inside] = depth[inside], triangle
             image[inside] = torch.stack((weights[..., 0], weights[..., 1], depth, depth), -1)[inside]
@@ -57,8 +58,8 @@ def random_scene(
     size: tuple[int, int] = (29, 34),
     intersecting: bool = True,
 ) -> Scene:
-    """A sphere, a box and four single triangles, in perspective and with random colours. The surfaces intersect. If
-    ``intersecting`` is False, the scene has only the sphere."""
+    """A sphere, a box and four single triangles, in perspective and with random colours. The surfaces intersect each
+    other. If ``intersecting`` is False, the scene contains only the sphere."""
     sphere, box = trimesh.creation.icosphere(subdivisions=1, radius=0.7), trimesh.creation.box((0.8, 0.9, 1.0))
     points = np.concatenate((sphere.vertices - 0.3, box.vertices + 0.4, rng.uniform(-1.3, 1.3, (12, 3))))
     faces = np.concatenate((sphere.faces, box.faces + 42, np.arange(12).reshape(4, 3) + 50))

@@ -16,7 +16,7 @@ BACKENDS = ("cpu", "reference")
 
 
 def covered(low: float, high: float, pixels: int) -> Tensor:
-    """The share of each pixel that the interval covers."""
+    """The fraction of each pixel that the interval from ``low`` to ``high`` covers."""
     edges = torch.arange(pixels + 1, dtype=torch.float64)
     return (edges[1:].clamp(max=high) - edges[:-1].clamp(min=low)).clamp(min=0)
 
@@ -38,7 +38,8 @@ def test_rectangle_equals_its_exact_coverage(backend: str, rng: np.random.Genera
         (x0, y0), (x1, y1) = rng.uniform((1.0, 1.0), (3.0, 2.5)), rng.uniform((9.0, 6.5), (11.0, 8.0))
         image = paint(rectangle(x0, y0, x1, y1, HEIGHT, WIDTH), RECTANGLE, HEIGHT, WIDTH, backend, rng.uniform(0.2, 5))
         expected = covered(y0, y1, HEIGHT)[:, None] * covered(x0, x1, WIDTH)
-        # At two corners, pixels show the triangle that does not contain the nearest edge.
+        # At two corners, pixels show the triangle that does not contain the nearest edge. These pixels are not
+        # compared.
         near_x = torch.minimum((column - x0).abs(), (column - x1).abs()) < 3
         near_y = torch.minimum((row - y0).abs(), (row - y1).abs()) < 1.5
         found = torch.where(near_y[:, None] & near_x, expected, image.double())
@@ -61,7 +62,7 @@ def test_half_plane_at_any_angle_is_close_to_its_coverage(backend: str, rng: np.
         clip = torch.cat((corners * 2 / side - 1, torch.tensor([[0.0, 1]]).expand(3, 2)), 1)
         image = paint(clip, torch.tensor([[0, 1, 2]], dtype=torch.int32), side, side, backend)
         error = (image.double() - exact)[1:-1, 1:-1].abs()
-        assert float(error.max()) < 0.14  # At 45 degrees, an edge through the corners of pixels covers 1/8 too much.
+        assert float(error.max()) < 0.14  # An edge at 45 degrees through pixel corners has a coverage error of 1/8.
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

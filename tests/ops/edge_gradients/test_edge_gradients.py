@@ -89,7 +89,8 @@ def test_moving_square_has_the_slope_of_its_exact_image(power: float) -> None:
     rows, columns = torch.meshgrid(*(torch.arange(SIDE, dtype=torch.float64) + 0.5,) * 2, indexing="ij")
     weights = 0.3 * columns - 0.2 * rows + 0.05 * columns * rows
     x, y, size, step = 3.0, 4.0, 5.0, 1e-4
-    # Pixels at two corners show the triangle that does not contain the left edge or the lower edge.
+    # Pixels at two corners show the triangle that does not contain the left edge or the lower edge. These pixels have
+    # the weight 0.
     weights[4, 2:4] = weights[8:10, 7] = 0
 
     def loss(dx: float, dy: float) -> float:
@@ -127,9 +128,9 @@ def test_gradient_agrees_with_antialias_where_the_upstream_gradient_is_constant(
 
 
 def intersecting_walls(rng: np.random.Generator) -> Tensor:
-    """Two triangles (1, 6, 4) float64, each of which covers the image. They intersect in the line x = d + k y, in
-    normalised device coordinates, with |d| < 0.3 and |k| < 0.5. Left of this line, the second triangle is nearer to
-    the camera than the first triangle."""
+    """Two triangles (1, 6, 4) float64, each of which covers the image. They intersect in the line x = d + k * y, in
+    normalised device coordinates, with |d| < 0.3 and |k| < 0.5. Left of this line, the second triangle is nearer to the
+    camera than the first triangle."""
     d, k = rng.uniform(-0.3, 0.3), rng.uniform(-0.5, 0.5)
     walls = []
     for sign in (-1, 1):

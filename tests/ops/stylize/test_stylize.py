@@ -56,7 +56,8 @@ def summed_taps(state: NDArray[np.uint32]) -> NDArray[np.float32]:
 
 
 def random_state(rng: np.random.Generator, surface: Surface, parameters: StyleParameters) -> NDArray[np.uint32]:
-    """Random lines of a previous picture. At about two thirds of the pixels, the surface has not changed since then."""
+    """Random lines of a previous picture. At about 70% of the pixels, the surface has not changed since that
+    picture."""
     seen = summed_taps(stylize_reference(surface, parameters).line_state) * rng.choice(
         [1, 1.5], surface.size, p=[0.7, 0.3]
     )
@@ -124,7 +125,8 @@ def test_the_dark_ring_of_a_sphere_has_the_radius_of_the_threshold(threshold: fl
     numbers = numbers_of(size, angle_threshold=threshold, angle_softness=1e-4, angle_strength=1.0)
     picture = stylize_surface(make_sphere(size, 1.0, distance), StyleParameters(numbers, white_table()))
     bright = picture[..., 0] > 100
-    # At N.V = c, the angle at the camera is acos(c) - asin(d sin(acos(c)) / ...) by the law of sines.
+    # On the ring, N.V = c. By the law of sines, the angle a at the camera has sin(a) = sin(acos(c)) / distance, because
+    # the radius is 1.
     sine = np.sqrt(1 - threshold**2) / distance
     expected = 200.0 * sine / np.sqrt(1 - sine**2)
     found = np.sqrt(bright.sum() / np.pi)

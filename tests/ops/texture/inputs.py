@@ -37,8 +37,8 @@ def random_lookup(
     picture: tuple[int, int] = (30, 40),
     size: tuple[int, int] = (8, 16),
 ) -> Lookup:
-    """Make two pictures of random positions inside and outside the texture. The mip levels of the positions range from
-    below 0 to above the last level.
+    """Make the inputs of lookups for two pictures. The positions are random, inside and outside the texture, and their
+    mip levels range from below 0 to above the last level.
     """
     is_cube = boundary_mode == "cube"
     coordinates = 3 if is_cube else 2
@@ -52,8 +52,8 @@ def random_lookup(
 
 
 def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str, pixels: int = 40) -> Lookup:
-    """Make a lookup in one row of pixels. Small changes of the inputs do not change which texels and levels are
-    read.
+    """Make the inputs of lookups for one row of pixels. Small changes of these inputs do not change which texels and
+    levels a lookup reads.
     """
     is_cube = boundary_mode == "cube"
     coordinates = 3 if is_cube else 2
@@ -61,8 +61,8 @@ def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str
     shape = (1, 6, 8, 8, 2) if is_cube else (1, 8, 16, 2)
     tex = rng.standard_normal(shape)
     cells = rng.integers(-3 * size, 3 * size, (pixels, 2)) if not is_cube else rng.integers(0, size, (pixels, 2))
-    # Along an axis, a texel of level 2 covers four texels of level 0. The fraction is far from the texel centres of all
-    # three levels.
+    # Along an axis, a texel of level 2 covers four texels of level 0. The random offsets in this block are far from the
+    # texel centres of levels 0, 1 and 2.
     st = (cells // 4 * 4 + rng.uniform(0.6, 1.4, (pixels, 2))) / size
     uv = _directions(rng, 2 * st - 1) if is_cube else st
     level = rng.uniform(0.1, 0.4, pixels) + (rng.integers(0, 2, pixels) if "linear-mipmap" in filter_mode else 0)
@@ -101,7 +101,8 @@ def _lift(direction: np.ndarray, footprint: np.ndarray) -> np.ndarray:
 def values_and_gradients(
     lookup: Lookup, upstream: Tensor, filter_mode: str, boundary_mode: str, **settings: object
 ) -> list[Tensor]:
-    """Return the picture and the gradients of all inputs. Gradients that do not exist are zeros."""
+    """Return the picture and the gradients of all inputs. If an input has no gradient, its gradient is filled with
+    zeros."""
     leaves = [one.clone().requires_grad_() for one in lookup.tensors]
     out = texture(*leaves, None, filter_mode, boundary_mode, **settings)  # type: ignore[arg-type]
     found = torch.autograd.grad(out, leaves, upstream.to(out), allow_unused=True)

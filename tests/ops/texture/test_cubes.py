@@ -107,8 +107,8 @@ def test_padding_takes_the_nearest_texel_of_another_face() -> None:
 def test_the_level_of_a_cube_follows_from_the_angle(backend: str) -> None:
     """Catches derivatives of directions that are not projected onto the face."""
     levels = [torch.full((1, 6, 32 >> k, 32 >> k, 1), float(k)) for k in range(6)]
-    # A step of 2 / 32 on the face is one texel. A direction of length 3 moves by three times the step, and its
-    # derivative along itself changes nothing.
+    # A step of 2 / 32 on the face is one texel. A direction of length 3 moves by three times the step. Changes along
+    # the direction itself have no effect.
     direction = 3 * torch.tensor([0.2, -1.0, 0.4])
     by_x = 3 * torch.tensor([4 * 2 / 32, 0.0, 0.0]) + 0.3 * direction
     by_y = 3 * torch.tensor([0.0, 0.0, 2 / 32]) - 0.1 * direction

@@ -39,7 +39,8 @@ def test_every_gradient_equals_finite_differences(
 
 
 def slopes_of(total: object, tensors: list[Tensor], index: int, rng: np.random.Generator) -> list[tuple[Tensor, float]]:
-    """Return directions in the space of one tensor, and the central differences of the sum along them."""
+    """Return random directions in the space of one tensor, and for each direction, the central difference of the sum of
+    ``total``."""
     found = []
     for _ in range(6):
         # Random signs for a random quarter of the elements.

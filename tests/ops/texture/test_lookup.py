@@ -19,7 +19,7 @@ def at(*positions: tuple[float, ...]) -> Tensor:
 
 
 def level_picture(size: int, levels: int) -> list[Tensor]:
-    """Return mip levels whose texels all have the number of their level as their value."""
+    """Return mip levels. The value of each texel is the number of its level."""
     return [torch.full((1, max(size >> k, 1), max(size >> k, 1), 1), float(k)) for k in range(levels)]
 
 
@@ -30,7 +30,7 @@ def test_a_footprint_of_two_to_the_k_texels_reads_level_k(level: float, angle: f
     """Catches a level that is off by one, that uses the shorter axis, or that ignores the size of the texture."""
     base, *mips = level_picture(64, 7)
     long, short = 2**level / 64, 0.3 * 2**level / 64
-    # The long axis is along Y, turned by an angle in the texture.
+    # In the image, the long axis of the footprint is along Y. In the texture, it is rotated by ``angle``.
     da = [short * math.cos(angle), -long * math.sin(angle), short * math.sin(angle), long * math.cos(angle)]
     found = texture(base, at((0.3, 0.6)), torch.tensor(da)[None, None, None], mip=mips, backend=backend)
     assert found.item() == pytest.approx(level, abs=1e-5)

@@ -36,7 +36,8 @@ def hard_soup(rng: np.random.Generator) -> tuple[Tensor, Tensor]:
 
 
 def sphere(rows: int = 24) -> tuple[Tensor, Tensor]:
-    """A closed sphere of radius 1 with 2 rows^2 triangles, some of them with two equal corners at the poles."""
+    """A closed sphere of radius 1 with ``2 * rows**2`` triangles. At the poles, some triangles have two equal
+    corners."""
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, rows + 1), indexing="ij")
     xyz = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
     xyz[rows :: rows + 1] = xyz[0 :: rows + 1]  # The seam is closed exactly.
@@ -46,8 +47,8 @@ def sphere(rows: int = 24) -> tuple[Tensor, Tensor]:
 
 
 def random_rays(rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor]:
-    """Rays from the cube [-2, 2]^3 with directions of all lengths. Some are parallel to an axis or a plane, and some
-    start and move on a grid of half units."""
+    """Rays from the cube [-2, 2]^3 with directions of all lengths. Some are parallel to an axis or a plane. Some have
+    origins and directions whose coordinates are multiples of 0.5."""
     origins, directions = rng.uniform(-2, 2, (count, 3)), rng.normal(0, 1, (count, 3))
     directions *= 10.0 ** rng.uniform(-6, 6, (count, 1))
     for k in range(0, count, 5):

@@ -46,7 +46,7 @@ def test_colours_equal_the_reference(
     tensors = [torch.from_numpy(array).double() for array in (xyz, radius, density, colours, *rays)]
     plane = None if facing is None else torch.from_numpy(facing).double()
     expected = composite_discs_reference(*tensors, plane, 0.0, layers).numpy()
-    # Rounding decides whether a ray grazes a disc, and the order of discs at nearly the same t.
+    # Rounding decides whether a ray hits the rim of a disc, and in which order it hits discs at nearly the same t.
     difference = np.abs(found - expected).max(1)
     assert np.mean(difference > 1e-4) <= 0.01
     assert count < 100 or expected[:, 3].max() > 0.3

@@ -17,7 +17,8 @@ Soup = tuple[Tensor, Tensor, Tensor, Tensor, Tensor]
 
 
 def stacked_soup(rng: np.random.Generator, camera: Camera, count: int) -> Soup:
-    """Triangles at increasing depths of a camera, so that both orders agree: xyz, tri, features, opacity, sigma."""
+    """Return xyz, tri, features, opacity and sigma of triangles at increasing depths. Their depth ranges do not
+    overlap, so that both methods composite the triangles in the same order."""
     depth = np.linspace(1.5, 5.0, count)[:, None, None] + rng.uniform(-0.4, 0.4, (count, 3, 1)) * 3.5 / count
     # There are no slivers, because rounding of hits on slivers would change their large gradients.
     angles = np.radians([0, 120, 240]) + rng.uniform(0, 2 * np.pi, (count, 1)) + rng.uniform(-0.5, 0.5, (count, 3))
@@ -59,8 +60,7 @@ def test_picture_and_gradients_equal_the_rasterized_ones(layers: int | None, rng
     (expected, gradients), (found_picture, found_gradients) = results
     assert float((found_picture - expected).abs().mean()) <= 1e-5
     assert float(expected[:, 3].max()) > 0.7
-    # Rounding decides whether a ray near an edge hits the triangle. These decisions change the gradient of positions
-    # most.
+    # Rounding decides whether a ray near an edge hits the triangle. This affects the gradient of positions most.
     for one, other, bound in zip(found_gradients, gradients, (0.05, 1e-3, 1e-3, 2e-3), strict=True):
         assert float((one - other).norm() / other.norm()) <= bound
 

@@ -12,8 +12,8 @@ def soup(
 ) -> tuple[Tensor, Tensor]:
     """Return random triangles: pos (images, vertices, 4) and tri (triangles, 3).
 
-    With ``behind``, half of the vertices have w < 0, so most triangles reach behind the camera. No two triangles have
-    the same three vertices, because their depths would differ only by rounding.
+    If ``behind`` is True, half of the vertices have w < 0, so most triangles reach behind the camera. The depths of two
+    triangles with the same three vertices would differ only by rounding, so there are no such triangles.
     """
     pos = rng.standard_normal((images, vertices, 4)).astype(np.float32)
     if not behind:
@@ -26,10 +26,10 @@ def soup(
 
 
 def grid(rng: np.random.Generator, cells: int, jitter: float = 0.24) -> tuple[Tensor, Tensor]:
-    """Return a triangulated square with corners at +-1.2 and with shifted vertices: xy (V, 2) and tri (T, 3).
+    """Return a triangulated square with corners at +-1.2: xy (V, 2) and tri (T, 3).
 
-    The triangles have a random order, a random first vertex and a random orientation. With a ``jitter`` below 0.25
-    cells, no triangles overlap.
+    The inner vertices are shifted by up to ``jitter`` cells. The triangles and the vertices of each triangle have a
+    random order. If ``jitter`` is below 0.25, no triangles overlap.
     """
     steps = np.arange(cells + 1)
     xy = np.stack(np.meshgrid(steps, steps), -1).astype(np.float64)
@@ -46,11 +46,11 @@ def grid(rng: np.random.Generator, cells: int, jitter: float = 0.24) -> tuple[Te
 
 
 def each_alone(tri: Tensor) -> Tensor:
-    """Return ranges (T, 2) that draw every triangle in a separate image."""
+    """Return the argument ``ranges`` (T, 2) that draws each of the T triangles in a separate image."""
     return torch.stack([torch.arange(len(tri)), torch.ones(len(tri), dtype=torch.int64)], 1).int()
 
 
 def with_w(xy: Tensor, z: float = 0.0) -> Tensor:
-    """Return clip coordinates (V, 4) with the given z and w = 1."""
+    """Return the clip coordinates (V, 4) of ``xy``, with the given z and with w = 1."""
     ones = torch.ones_like(xy[:, :1])
     return torch.cat([xy, z * ones, ones], 1)

@@ -90,7 +90,7 @@ def test_shared_edges_behind_the_camera_are_covered_once(backend: str, rng: np.r
     in_mesh = (y > 0) & (1 / y < 40 * 1.19)
     assert torch.equal(times[in_mesh], torch.ones_like(times[in_mesh]))
     assert int(times[y < 0].sum()) == 0
-    # At the pixel (x, y), the plane has w = 1 / y, so the interpolated w must be this number.
+    # At the pixel (x, y), the plane has w = 1 / y. The interpolated w must have this value.
     whole, _ = rasterize(pos[None], tri, (height, width), backend=backend)
     hit = decode_ids(whole[0, ..., 3]).long()
     w = pos[tri.long()[hit.clamp(min=0)]][..., 3]

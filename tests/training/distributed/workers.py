@@ -26,7 +26,7 @@ def small_model() -> PointModel:
 
 
 def frame_gradients(model: PointModel, frame: int) -> None:
-    """Compute the gradients of a loss of one frame's points. Points and loss depend on the frame."""
+    """Compute the gradients of a loss for the points of one frame. The points and the loss depend on the frame."""
     points = torch.Generator().manual_seed(frame)
     xyz = torch.rand(200, 3, generator=points, dtype=torch.float64)
     evaluated = model.evaluate(xyz, torch.full((200,), 0.05, dtype=torch.float64), frame / 3)
@@ -40,8 +40,8 @@ def frame_gradients(model: PointModel, frame: int) -> None:
 
 
 def average(group: ProcessGroup, out: Path) -> None:
-    """Average the gradients of a small model in float64 over the ranks. Only rank 0 has a gradient of the spherical
-    harmonics."""
+    """Average the gradients of a small float64 model over the ranks. Only rank 0 has gradients of the parameters that
+    produce spherical harmonics."""
     model = small_model()
     frame_gradients(model, group.rank)
     group.average_gradients(model.parameters())
@@ -49,7 +49,7 @@ def average(group: ProcessGroup, out: Path) -> None:
 
 
 def train_step(group: ProcessGroup, out: Path) -> None:
-    """Record the gradients of the first training step of the run in ``out``."""
+    """Run the first training step of the run in the folder ``out``, and save its gradients."""
     trainer = Trainer(open_run(out / "run"), None, quiet(), open_run(out / "run").config.train, group)
     record_gradients(trainer, out / f"step-{group.rank}.safetensors")
     trainer._step(NoLog())

@@ -27,7 +27,7 @@ CONFIG = replace(SMALL, max_steps=9, checkpoint_steps=100)
 
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Look for requests after each step."""
+    """Make the training look for requests after each step."""
     monkeypatch.setattr("fourd.training.live.session.CONTROL_SECONDS", 0.0)
     monkeypatch.setattr("fourd.training.live.session.STATE_SECONDS", 0.0)
     monkeypatch.setattr("fourd.training.loop.CONTROL_SECONDS", 0.01)

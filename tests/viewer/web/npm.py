@@ -15,8 +15,8 @@ TIMEOUT_SECONDS = 120
 
 
 def installed(name: str) -> Path:
-    """The folder of a package of viewer/web/package.json. The first call installs all packages of
-    viewer/web/package.json in build/npm.
+    """The folder of a package of viewer/web/package.json. The first call installs all packages of this file in
+    build/npm.
 
     Skips the test if npm fails or takes longer than ``TIMEOUT_SECONDS``.
     """

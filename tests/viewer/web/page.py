@@ -13,7 +13,8 @@ from fourd.cameras import Camera
 TIMEOUT_MS = 60_000
 """Time limit of each wait in milliseconds. The limit is long, because machines that run tests may be busy."""
 IGNORED = ("ReadPixels", "Failed to load resource", "software WebGL")
-"""Parts of console messages about slow reads, missing files and slow drivers, which are not the player's errors."""
+"""Console messages that contain one of these texts are not errors of the player. They report slow reads, missing files
+and slow drivers."""
 NAMES = "const player = document.querySelector('fourd-player'), {stage} = player;"
 IS_READY = "player.firstImageMs > 0 || (!player.panel.message.hidden && player.panel.message.textContent)"
 
@@ -33,11 +34,11 @@ class PlayerPage:
             self.problems.append(message.text)
 
     def run(self, script: str, argument: Any = None) -> Any:
-        """Evaluate a function body with `player`, its `stage`, and `argument`."""
+        """Evaluate the body of a JavaScript function. It can use the variables `player`, `stage` and `argument`."""
         return self.page.evaluate(f"async (argument) => {{ {NAMES} {script} }}", argument)
 
     def wait(self, condition: str) -> None:
-        """Wait until an expression with `player` is true."""
+        """Wait until a JavaScript expression, which can use `player` and `stage`, is true."""
         self.page.wait_for_function(f"() => {{ {NAMES} return {condition}; }}", timeout=TIMEOUT_MS)
 
     def ready(self) -> None:

@@ -43,7 +43,7 @@ def show(open_page: Callable[..., PlayerPage], object_site: Path, tmp_path: Path
 
 
 def with_manifest(content: bytes, change: Callable[[dict[str, Any]], object]) -> bytes:
-    """Return the scene with a changed manifest, whose size is unchanged."""
+    """Return the scene with a changed manifest of the same size."""
     name, extra = struct.unpack_from("<2H", content, 26)
     (size,) = struct.unpack_from("<L", content, 22)
     start = 30 + name + extra

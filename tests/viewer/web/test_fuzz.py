@@ -35,7 +35,7 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 
 def fuzz(scenes: list[Path], seed: int, cases: int) -> None:
-    """Read damaged scenes. Raises AssertionError if one ends with anything but a scene or a clear message."""
+    """Read damaged scenes. Raises AssertionError if the result of a case is neither a scene nor a clear message."""
     words = ["node", "--expose-gc", str(PROGRAM), str(seed), str(cases), *map(str, scenes)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60 + cases)
     lines = [json.loads(line) for line in done.stdout.splitlines()]

@@ -21,7 +21,8 @@ from tests.viewer.web.test_bad_scenes import with_manifest
 
 @pytest.fixture(scope="module")
 def video_site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site of a scene with a background, whose colours are images. Tests that change it restore it."""
+    """The site of a scene with a background. The colours of the scene are stored as images. A test that changes the
+    site must restore the site."""
     folder = tmp_path_factory.mktemp("video")
     write_full_scene(folder / "scene.4dv", frames=2, points=500, background_points=900)
     write_site(folder / "scene.4dv", folder / "site", "video")

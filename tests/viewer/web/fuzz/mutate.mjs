@@ -42,7 +42,7 @@ export function splitScene(bytes) {
   return { start, header: bytes.slice(0, start), size: size + ROOM, manifest, body: bytes.slice(start + size) };
 }
 
-/** Joins a manifest, or a text in its place, with the remaining bytes of a scene. */
+/** Joins a manifest and the remaining bytes of a scene. A text can replace the manifest. */
 export function joinScene({ start, header, size, body }, manifest) {
   const text = Buffer.from(typeof manifest === "string" ? manifest : JSON.stringify(manifest));
   const length = Math.max(size, text.length);

@@ -23,7 +23,7 @@ const scenes = paths.map((path) => splitScene(new Uint8Array(readFileSync(path))
 const first = count.startsWith("=") ? Number(count.slice(1)) : 0;
 const end = count.startsWith("=") ? first + 1 : Number(count);
 const result = { read: 0, refused: 0, peakMemory: 0 };
-/** Numbers of rejected scenes by the first words of the message. */
+/** The number of rejected scenes for each message. The keys are the first words of the messages. */
 const messages = {};
 for (let index = first; index < end; index++) {
   const random = new Random(Math.imul(Number(seed), 0x9e3779b1) + index);
