@@ -100,6 +100,8 @@ def test_make_writes_full_scenes(capture: Path, tmp_path: Path, capsys: pytest.C
     assert sorted(live["background"]) == ["02", "05"]
     assert live["image"]["psnr"] == pytest.approx(baked["image"]["psnr"], abs=0.3)
     assert live["image"]["psnr"] > 15
+    assert live["covisible"] == pytest.approx(np.mean([each["covisible"] for each in live["pictures"]]))
+    assert live["covisible"] == pytest.approx(baked["covisible"], abs=0.3)
 
 
 def test_commands_on_one_run_at_the_same_time_agree(made: Path, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -20,6 +21,7 @@ from fourd.errors import UserError
 from fourd.files import write_text_atomically
 from fourd.progress import Terminal
 from fourd.training.evaluation.camera_fitting import FittedView, fit_test_camera
+from fourd.training.evaluation.covisibility import covisible_masks, covisible_psnr
 from fourd.training.evaluation.metrics import psnr
 from fourd.training.evaluation.render import RenderedView
 from fourd.training.evaluation.scores import Evaluation, ViewScores, score_view, summarize
@@ -36,7 +38,8 @@ PLATES_HELP = (
 
 @dataclass(frozen=True)
 class Arguments:
-    """The command prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box."""
+    """The command prints mean PSNR, SSIM and LPIPS, for whole images and inside the matte's bounding box. For a full
+    scene, the command also prints the PSNR of the pixels whose surface is visible in a training view."""
 
     run: RunPath
     """Run folder."""
@@ -73,6 +76,7 @@ def run(arguments: Arguments) -> None:
 
         exported = open_scene(arguments.scene)
     whole = (trained.run.config.train.scene if exported is None else exported.manifest.kind) == "full"
+    masks = _covisible_masks(trained, indices, fitted, console)
     for frame in track(range(capture.frame_count), description="eval", console=console):
         for index in indices:
             camera = fitted[index].camera if index in fitted else capture.cameras[index]
@@ -85,7 +89,8 @@ def run(arguments: Arguments) -> None:
             matte = capture.mask(index, frame)
             truth = _truth(capture.image(index, frame), None if whole else matte)
             image, box = score_view(rgb, truth, matte, lpips)
-            pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box))
+            seen = covisible_psnr(rgb, truth, matte, masks[index]) if index in masks else None
+            pictures.append(ViewScores(capture.names[index], capture.frame_numbers[frame], image, box, seen))
     evaluation = summarize(pictures)
     backgrounds = {} if arguments.plates is None else _backgrounds(trained, indices, arguments.plates, fitted)
     _print(evaluation, trained, backgrounds)
@@ -135,6 +140,21 @@ def _fit_cameras(
         index: fit_test_camera(trained.renderer, trained.frames, index, layers, colours=arguments.refine_test_colours)
         for index in track(indices, description="fitting cameras", console=console)
     }
+
+
+def _covisible_masks(
+    trained: TrainedRun | SegmentedRun, indices: list[int], fitted: dict[int, FittedView], console: Console
+) -> dict[int, NDArray[np.bool_]]:
+    """For each evaluated camera of a full scene, the mask (H, W) of the pixels whose background is visible in a
+    training view. For an object scene, the result is empty."""
+    if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
+        return {}
+    cameras = {i: fitted[i].camera if i in fitted else trained.run.capture.cameras[i] for i in indices}
+
+    def show(values: Sequence[int]) -> Iterable[int]:
+        return track(values, description="depths of the training views", console=console)
+
+    return covisible_masks(trained.renderer, cameras, trained.run.config.train.layers, show)
 
 
 def _display_colours(
@@ -201,6 +221,8 @@ def _print(evaluation: Evaluation, trained: TrainedRun | SegmentedRun, backgroun
     for label, scores in (("whole image", evaluation.image), ("inside the matte's box", evaluation.box)):
         if scores is not None:
             table.add_row(label, f"{scores.psnr:.2f}", _shown(scores.ssim), _shown(scores.lpips))
+    if evaluation.covisible is not None:
+        table.add_row("visible in a training view", f"{evaluation.covisible:.2f}", "", "")
     if backgrounds:
         table.add_row("background alone", f"{np.mean(list(backgrounds.values())):.2f}", "", "")
     Terminal().print(table)

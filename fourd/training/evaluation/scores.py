@@ -29,12 +29,17 @@ class Scores:
 
 @dataclass(frozen=True)
 class ViewScores:
-    """Scores of one held-out image: for the whole image, and for the matte's bounding box extended by 8 pixels."""
+    """Scores of one held-out image: for the whole image, and for the matte's bounding box extended by 8 pixels.
+
+    In a full scene, ``covisible`` is the PSNR in dB over the pixels whose surface is visible in a training view
+    (fourd.training.evaluation.covisibility). In an object scene, it is None.
+    """
 
     camera: str
     frame: int
     image: Scores
     box: Scores | None
+    covisible: float | None = None
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ class Evaluation:
     pictures: list[ViewScores]
     image: Scores
     box: Scores | None
+    covisible: float | None = None
 
     def to_json(self) -> dict[str, object]:
         """The scores as plain data for a JSON file."""
@@ -52,6 +58,7 @@ class Evaluation:
             "frames": sorted({picture.frame for picture in self.pictures}),
             "image": asdict(self.image),
             "box": None if self.box is None else asdict(self.box),
+            "covisible": self.covisible,
             "pictures": [asdict(picture) for picture in self.pictures],
         }
 
@@ -74,7 +81,8 @@ def summarize(pictures: Iterator[ViewScores] | list[ViewScores]) -> Evaluation:
     """Means over images. The mean PSNR is the mean of the images' values in dB, as is usual in papers."""
     scored = list(pictures)
     boxes = [picture.box for picture in scored if picture.box is not None]
-    return Evaluation(scored, _mean([picture.image for picture in scored]), _mean(boxes) if boxes else None)
+    covisible = _mean_of([picture.covisible for picture in scored])
+    return Evaluation(scored, _mean([picture.image for picture in scored]), _mean(boxes) if boxes else None, covisible)
 
 
 def _scores(predicted: torch.Tensor, expected: torch.Tensor, lpips: LPIPS | None) -> Scores:

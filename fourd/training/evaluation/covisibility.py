@@ -1,0 +1,91 @@
+"""Pixels of a held-out view whose surface is visible in a training view.
+
+If no training view shows a surface, its colours can only be guessed. The PSNR over all other pixels is the masked PSNR
+(mPSNR) of Gao et al., "Monocular Dynamic View Synthesis: A Reality Check" (2022). Gao et al. compute visibility from
+optical flow. fourd computes it from the rendered depth of the static background.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourd.cameras import Camera
+from fourd.training.evaluation.metrics import psnr
+from fourd.training.evaluation.render import ModelRenderer
+
+DEPTH_TOLERANCE = 0.03
+"""A surface is visible in a training view if its depth is greater than the view's depth by at most this fraction."""
+SUBJECT = 128
+"""Matte value from which a pixel belongs to the subject."""
+
+Depth = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+
+def covisible_masks(
+    renderer: ModelRenderer,
+    evaluated: dict[int, Camera],
+    layers: int,
+    track: Callable[[Sequence[int]], Iterable[int]] = iter,
+) -> dict[int, Mask]:
+    """For each evaluated camera, the mask (H, W) of the pixels whose background is visible in a training view.
+
+    Args:
+        renderer: the renderer of a full scene.
+        evaluated: the evaluated cameras by camera index.
+        layers: maximum number of points that are composited at each pixel.
+        track: called with the indices of the training cameras, to show the progress over them.
+    """
+    cameras = [renderer.views.rig.cameras[index] for index in renderer.training]
+    depths = [renderer.render_background(cameras[i], layers).depth for i in track(range(len(cameras)))]
+    return {
+        index: visible_in_any(camera, renderer.render_background(camera, layers).depth, cameras, depths)
+        for index, camera in evaluated.items()
+    }
+
+
+def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], depths: Sequence[Depth]) -> Mask:
+    """Mask (H, W) of the pixels of ``camera`` whose surface is visible in at least one of ``cameras``.
+
+    Args:
+        camera: the evaluated camera, without lens distortion.
+        depth: (H, W) camera depth of the surface in world units, 0 at pixels without a surface.
+        cameras: the training cameras, without lens distortion.
+        depths: for each training camera, its depth image in world units.
+
+    Returns:
+        (H, W) mask, which is false at pixels without a surface.
+    """
+    height, width = depth.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ np.linalg.inv(camera.intrinsics).T
+    xyz_world = (rays * depth.reshape(-1, 1) - camera.translation) @ camera.rotation
+    visible = np.zeros(height * width, dtype=bool)
+    for other, nearest in zip(cameras, depths, strict=True):
+        pixels, distance = other.project(xyz_world)
+        inside = np.flatnonzero(other.is_in_image(pixels, distance))
+        column = np.minimum(pixels[inside, 0].astype(int), other.width - 1)
+        row = np.minimum(pixels[inside, 1].astype(int), other.height - 1)
+        visible[inside] |= distance[inside] <= nearest[row, column] * (1 + DEPTH_TOLERANCE)
+    return visible.reshape(height, width) & (depth > 0)
+
+
+def covisible_psnr(
+    picture: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], covisible: Mask
+) -> float | None:
+    """PSNR in dB over the pixels whose background is visible in a training view, and over the pixels of the subject.
+
+    Args:
+        picture: (H, W, 3) rendered colours in [0, 1].
+        truth: (H, W, 3) true colours in [0, 1].
+        matte: (H, W) matte of the subject.
+        covisible: (H, W) mask of :func:`covisible_masks`.
+
+    Returns:
+        The PSNR, or None if there is no such pixel.
+    """
+    mask = covisible | (matte >= SUBJECT)
+    return float(psnr(picture, truth, mask)) if mask.any() else None
