@@ -12,8 +12,8 @@ namespace fourd::antialias {
 
 // The colours and the rasterization of `count` images.
 struct Images {
-    const float* colours;  // (count, height, width, channels).
-    const float* rast;     // (count, height, width, 4): u, v, z/w and the id of the triangle.
+    const float* colours;  // Shape (count, height, width, channels).
+    const float* rast;     // Shape (count, height, width, 4): u, v, z/w and the id of the triangle.
     std::size_t count;
     int height, width, channels;
 
@@ -26,8 +26,8 @@ struct Settings {
 };
 
 // Writes the blended colours to `out`. Each pixel forms two pairs: one with its right neighbour and one with its lower
-// neighbour. For each pixel, the function writes a Code (maths.h) to `codes`. The code describes the silhouette edges
-// that cross these two pairs.
+// neighbour. For each pixel, the function writes a Code (maths.h) to `codes`, which describes the silhouette edges that
+// cross the two pairs of the pixel.
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
 
 // The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to `out`. The

@@ -31,8 +31,8 @@ struct AntialiasArguments {
     antialias::Mesh mesh;
     antialias::Images images;
 
-    // If `instanced` is true, each image has its own vertex positions. Otherwise, all images share the same positions.
-    // Every image of the batch has the same size.
+    // If `instanced` is true, each image has its own vertex positions; if it is false, all images share the same
+    // positions. Every image of the batch has the same size.
     AntialiasArguments(const Colours& colours, const Rast& rast, const Positions& positions, const Triangles& triangles,
                        const std::optional<Triangles>& opposite, bool instanced) {
         require(colours.shape(1) >= 1 && colours.shape(1) <= kLongestSide && colours.shape(2) >= 1 &&

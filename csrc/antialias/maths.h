@@ -19,15 +19,15 @@ namespace fourd::antialias {
 // The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to kTolerancePx pixels
 // away from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
-// Largest derivative of a crossing's position (Crossing::slope), in pixels per unit of clip space. Edges with a larger
-// derivative have no gradient.
+// Largest derivative of a crossing's position (Crossing::slope), in pixels per unit of clip space. Edges with a
+// derivative above kMaxSlope have no gradient.
 constexpr float kMaxSlope = 1.0e18f;
 
 struct Mesh {
-    const float* positions;  // (instances, vertices, 4) in clip space.
-    const int* triangles;    // (triangle_count, 3) vertex indices.
-    // (triangle_count, 3): element i of a triangle describes the edge opposite to vertex i. The element is the index of
-    // the neighbouring triangle's vertex that is not on this edge, or -1 if the edge is always a silhouette.
+    const float* positions;  // Shape (instances, vertices, 4), in clip space.
+    const int* triangles;    // Shape (triangle_count, 3): vertex indices.
+    // Shape (triangle_count, 3). Edge i of a triangle lies opposite to its vertex i. Element i is the index of the
+    // third vertex of the other triangle that shares edge i, or -1 if edge i is always a silhouette.
     const int* opposite;
     std::size_t vertices, triangle_count;
     bool instanced;  // Whether every image has its own positions. If false, all images share the same positions.
@@ -45,8 +45,8 @@ FOURD_HD static inline Vertex vertex_at(const Mesh& mesh, std::size_t first_vert
     return {at[0], at[1], at[3]};
 }
 
-// The determinant of p, q and r. Its sign tells on which side of a plane r lies: the plane through p, q and the camera.
-// The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
+// The determinant of p, q and r. Its sign tells on which side of the plane through p, q and the camera the vertex r
+// lies. The determinant is computed from differences, so that it is exactly 0 if two vertices are equal.
 FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Vertex& r) {
     const Vertex e{q.x - p.x, q.y - p.y, q.w - p.w}, d{r.x - p.x, r.y - p.y, r.w - p.w};
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
@@ -140,9 +140,9 @@ struct Line {
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
 // Returns the number (1 to 3) of the silhouette edge where the segment from the owner to the other pixel leaves the
-// triangle. Returns 0 if there is no such edge. An edge is ignored if its angle to the segment, in pixel coordinates,
-// is less than 45 degrees. Every piece of a silhouette is therefore blended along only one axis. `silhouettes` is the
-// result of silhouettes_of().
+// triangle. Returns 0 if the segment leaves the triangle at no silhouette edge. An edge is ignored if its angle to the
+// segment, in pixel coordinates, is less than 45 degrees. Every piece of a silhouette is therefore blended along only
+// one axis. `silhouettes` is the result of silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {
     const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
@@ -176,8 +176,8 @@ FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vert
     return edge;
 }
 
-// Returns the triangle of a pixel, or kNoTriangle. The argument `pixel` is the rasterization of the pixel (u, v, z/w,
-// id).
+// Returns the triangle of a pixel, or kNoTriangle. The argument `pixel` has the four rasterization values of the pixel:
+// u, v, z/w and id.
 FOURD_HD static inline int triangle_at(const Mesh& mesh, const float* pixel) {
     const int triangle = triangle_of_value(pixel[3]);
     return triangle >= 0 && static_cast<std::size_t>(triangle) < mesh.triangle_count ? triangle : kNoTriangle;

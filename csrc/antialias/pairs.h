@@ -9,7 +9,7 @@ namespace fourd::antialias {
 struct Plan {
     Mesh mesh;
     Images images;
-    const std::uint8_t* silhouettes;  // (instances, triangle_count): results of silhouettes_of().
+    const std::uint8_t* silhouettes;  // Shape (instances, triangle_count): results of silhouettes_of().
 
     FOURD_HD FOURD_INLINE const std::uint8_t* silhouettes_of_image(std::size_t image) const {
         return silhouettes + (mesh.instanced ? image * mesh.triangle_count : 0);
@@ -62,8 +62,8 @@ FOURD_HD static inline Code analyse(const View& view, const Pair& pair) {
     return edge == 0 ? 0 : code_of(edge, is_second, pair.axis);
 }
 
-// Whether the pair and the triangle of its owner exist. For codes from analyse(), they always exist. However, the
-// bindings do not check codes, so a caller can pass arbitrary codes to the backward kernels.
+// Returns whether the pair and the triangle of its owner exist. The result is always true for codes from analyse().
+// However, the bindings do not check codes, so a caller can pass arbitrary codes to the backward kernels.
 FOURD_HD static inline bool has_owner(const View& view, const Pair& pair, Code code) {
     if (pair.axis == 0 ? pair.column + 1 >= view.width : pair.row + 1 >= view.height) return false;
     const std::size_t first = view.pixel(pair.row, pair.column);

@@ -13,8 +13,8 @@ constexpr int kMaxHidden = 256;
 constexpr int kMaxChannels = 64;
 
 struct Mlp {
-    const float* weight;  // (channels, hidden): weights from the samples to the hidden layer.
-    const float* out;     // (hidden,): weights from the hidden layer to the logit.
+    const float* weight;  // Shape (channels, hidden): weights from the samples to the hidden layer.
+    const float* out;     // Shape (hidden,): weights from the hidden layer to the logit.
     float bias;
     float range;   // All logits are between -range and range.
     int channels;  // From 1 to kMaxChannels.
@@ -22,8 +22,8 @@ struct Mlp {
 };
 
 struct Inputs {
-    const float* point;    // (count, hidden): each point's contribution to the hidden layer.
-    const float* samples;  // (views, channels, count).
+    const float* point;    // Shape (count, hidden): each point's contribution to the hidden layer.
+    const float* samples;  // Shape (views, channels, count).
     std::size_t count;
     std::size_t views;
     int threads;  // At least 1. The result is the same for any number of threads.
@@ -35,7 +35,7 @@ struct Gradients {
     float* samples;
     float* weight;  // Has the shape of Mlp::weight.
     float* out;
-    float* bias;  // (1,).
+    float* bias;  // Shape (1,).
 };
 
 // Writes the logits to `logits` (views, count).

@@ -27,7 +27,7 @@ class Buffer {
         prefer_huge_pages(data_.get(), size * sizeof(T));
     }
 
-    // Makes the array larger if it has fewer than `size` elements. The old contents are then lost.
+    // Makes the array larger, and discards its contents, if it has fewer than `size` elements.
     void require(std::size_t size) {
         if (size > size_) *this = Buffer(size + size / 2);
     }

@@ -6,10 +6,9 @@
 // FOURD_DISPATCH(Loops, Simd::WIDEST). cpu/loops.cpp defines the functions and the table `const Loops loops` in
 // namespace KERNEL::FOURD_SIMD.
 //
-// A dispatched file must not call inline functions with external linkage. The functions of standard containers are such
-// inline functions, so a dispatched file must not call them. The linker keeps only one copy of each inline function in
-// the program, and that copy may need AVX-512. A dispatched file may call functions that are static, marked
-// FOURD_INLINE or in namespace FOURD_SIMD.
+// A dispatched file must not call inline functions with external linkage, for example the functions of standard
+// containers. The linker keeps only one copy of each inline function in the program, and that copy may need AVX-512. A
+// dispatched file may call functions that are static, marked FOURD_INLINE or in namespace FOURD_SIMD.
 #pragma once
 
 #include "common/simd.h"

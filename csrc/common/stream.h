@@ -1,5 +1,5 @@
-// Non-temporal stores. They write to memory without reading the old content into the cache first, and leave the cache
-// to other data. They are worthwhile for large memory that is not read soon.
+// Non-temporal stores: stores that do not read the old content of the memory into the cache first, and do not displace
+// other data from the cache. Non-temporal stores are worthwhile for large arrays that are not read soon.
 #pragma once
 
 #include <cstddef>
@@ -29,8 +29,8 @@ FOURD_INLINE void stream_words(std::uint32_t word, std::size_t count, void* to) 
     for (; done < count; ++done) std::memcpy(at + 4 * done, &word, sizeof word);
 }
 
-// Call this function after the last stream_words() of a task. Without it, another thread could read the old content,
-// because atomic operations do not order non-temporal stores.
+// Call this function after the last stream_words() of a task. Without this call, another thread could read the old
+// content, because atomic operations do not order non-temporal stores.
 FOURD_INLINE void finish_streams() {
 #if defined(FOURD_HAS_STREAMS)
     _mm_sfence();

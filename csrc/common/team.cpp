@@ -8,8 +8,8 @@ Team::Team(int threads) {
         try {
             workers_.emplace_back([this, worker] { work(worker); });
         } catch (const std::system_error&) {
-            break;  // The system allows no more threads. The team works with fewer threads, because results do not
-                    // depend on their number.
+            break;  // If the system cannot create another thread, the team works with fewer threads. Results do not
+                    // depend on the number of threads.
         }
     }
 }

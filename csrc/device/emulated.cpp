@@ -106,7 +106,7 @@ class Warp {
     std::array<ucontext_t, kWarpSize> lanes_{};
     ucontext_t scheduler_{};
     std::array<Call, kWarpSize> calls_{};
-    // The type is double, because a double represents every float, bool and 32-bit integer exactly.
+    // The values of all lanes. A double represents every float, bool and 32-bit integer exactly.
     std::array<double, kWarpSize> values_{};
     double result_ = 0;
     int finished_ = 0;

@@ -1,14 +1,14 @@
-// Visibility edges move with the vertices, which changes the image. This file computes the corresponding part of the
-// gradient with respect to the vertex positions, for an image without antialiasing. Callers check shapes. Indices of
-// vertices and triangles that are out of range are ignored.
+// When vertices move, the visibility edges move with them and change the image. This file computes the part of the
+// gradient of the vertex positions that comes from moving visibility edges, for an image without antialiasing. Callers
+// check shapes. Indices of vertices and triangles that are out of range are ignored.
 #pragma once
 
 #include "antialias/antialias.h"
 
 namespace fourd::edge_gradients {
 
-// `gradient` is the gradient of the loss with respect to the colours. Writes the gradient with respect to
-// Mesh::positions to `positions`, an array of the same shape.
+// `gradient` is the gradient of the loss with respect to the colours. Writes to `positions`, which has the shape of
+// Mesh::positions, the gradient with respect to Mesh::positions.
 void edge_gradients(const antialias::Mesh& mesh, const antialias::Images& images, const antialias::Settings& settings,
                     const float* gradient, float* positions);
 

@@ -91,8 +91,9 @@ struct Plane {
     }
 };
 
-// Whether the two triangles intersect between the pixel centres, and the owner's triangle is nearer at the owner. As
-// for silhouettes, an intersection line is ignored if its angle to the segment is below 45 degrees.
+// Returns true if the two triangles intersect between the two pixel centres and the owner's triangle is nearer at the
+// owner. An intersection line is ignored if its angle to the segment between the pixel centres is below 45 degrees, as
+// a silhouette edge is.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);
@@ -115,7 +116,7 @@ FOURD_HD static inline bool is_moderate(const Position& slope) {
            magnitude(slope.z) <= antialias::kMaxSlope && magnitude(slope.w) <= antialias::kMaxSlope;
 }
 
-// The derivatives of the position of a crossing between two triangles for which intersect() is true.
+// The derivatives of the crossing's position, for two triangles for which intersect() is true.
 FOURD_HD static inline Motion motion_of_intersection(const Mesh& mesh, std::size_t first_vertex, const Sight& sight,
                                                      int of_owner, int of_other) {
     const Outline outlines[2] = {Outline(mesh, first_vertex, sight, of_owner),

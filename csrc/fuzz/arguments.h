@@ -20,7 +20,8 @@ namespace nb = nanobind;
 // Maximum number of elements of one array. With this limit, a call takes only milliseconds.
 constexpr std::size_t kMaxElements = 1 << 16;
 
-// Index of hatch_spacing in stylize::Numbers. This number must be at least 1; other numbers may be smaller.
+// Index of hatch_spacing in stylize::Numbers. hatch_spacing must be at least 1; all other numbers of a style may be
+// smaller.
 constexpr std::size_t kHatchSpacing = 28;
 
 // Thrown if the sizes of a call are too large.
@@ -33,8 +34,8 @@ inline nb::dlpack::dtype dtype_named(const std::string& name) {
     return {static_cast<std::uint8_t>(code), bits, 1};
 }
 
-// Makes the arguments of one call. The array with the number `perturbed` gets a wrong size along one axis. If
-// `perturbed` is -1, no array does.
+// Makes the arguments of one call. The array with the index `perturbed` gets a wrong size along one axis. If
+// `perturbed` is -1, no array gets a wrong size.
 class ArgumentMaker {
   public:
     ArgumentMaker(Bytes& bytes, Sizes& sizes, const Rules& rules, int perturbed)

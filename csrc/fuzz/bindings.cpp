@@ -30,12 +30,12 @@ constexpr int kThreads = 3;  // Number of threads that call the same functions a
 #else
 constexpr int kThreads = 1;
 #endif
-constexpr unsigned kTries = 20000;  // Maximum number of calls with random arguments, for each rule of each function,
-                                    // when the program starts.
+constexpr unsigned kTries = 20000;  // At its start, the program checks each rule of each function with at most this
+                                    // number of random calls.
 
 struct Function {
     std::string name;
-    nb::object callable, owner;  // `owner` is the class of a method.
+    nb::object callable, owner;  // If the function is a method, `owner` is its class.
     std::vector<Parameter> parameters;
     std::vector<Rules> rules;
 };
@@ -46,7 +46,8 @@ struct State {
     const Function* build_discs = nullptr;
 };
 
-State* state = nullptr;  // Never deleted, because the interpreter ends before the destructors of static objects run.
+// This object is never deleted, because the interpreter ends before the destructors of static objects run.
+State* state = nullptr;
 
 std::vector<Rules> rules_of(const std::string& name) {
     std::vector<Rules> out;
@@ -114,7 +115,7 @@ bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
     return false;
 }
 
-// Finds outdated rules. With an outdated rule, every call fails, because the function has changed.
+// Finds outdated rules. A rule is outdated if the function has changed so that every call with the rule fails.
 void check_rules() {
     for (const Function& function : state->functions) {
         for (const Rules& rules : function.rules) {

@@ -35,7 +35,7 @@ class Bytes {
     std::size_t size_, at_ = 0;
 };
 
-// A random number generator (splitmix64) for the values of arrays. With it, a few bytes of the input describe a large
+// A random number generator (splitmix64) for the values of arrays, so that a few bytes of the input describe a large
 // array.
 class Values {
   public:

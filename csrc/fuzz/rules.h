@@ -13,7 +13,7 @@
 namespace fourd::fuzz {
 
 struct Rule {
-    std::vector<std::string> axes;  // Expressions of the free axes. Empty if the axes are independent.
+    std::vector<std::string> axes;  // Expressions for the sizes of the free axes. Empty if no rule gives these sizes.
     std::string length, limit;      // Expressions for the length of a list and for the limit of int32 values, or empty.
 };
 

@@ -12,12 +12,12 @@ namespace fourd::hashgrid {
 constexpr int kMaxFeatures = 8;
 
 struct Query {
-    const float* table;        // (entries, features).
+    const float* table;        // Shape (entries, features).
     std::size_t entries;       // Number of entries of all levels, including padding.
     const Level* levels;       // Levels in the order of the table.
     int level_count;           // From 1 to kMaxLevels.
     int features;              // From 1 to kMaxFeatures.
-    const float* coordinates;  // (count, 3): x, y and z of each point, clamped to [0, 1].
+    const float* coordinates;  // Shape (count, 3): x, y and z of each point, clamped to [0, 1].
     std::size_t count;
     int threads;  // At least 1. The result is the same for any number of threads.
     Simd simd;    // An instruction set that this machine supports.

@@ -25,7 +25,7 @@ struct InterpolateArguments {
     interpolate::Query query;
 
     // `diff` has indices of channels, which must be below the number of channels. For arrays on a GPU, only op.py
-    // checks these indices.
+    // checks the indices in `diff`.
     InterpolateArguments(const Attributes<const float>& attr, const Image<const float>& rast, const Triangles& tri,
                          const std::optional<Image<const float>>& rast_db, const Channels& diff, int threads,
                          Simd simd) {

@@ -11,17 +11,17 @@
 namespace fourd::interpolate {
 
 struct Query {
-    const float* attr;         // (images or 1, vertices, channels).
+    const float* attr;         // Shape (images or 1, vertices, channels).
     std::size_t vertices;
     std::size_t channels;
     // Number of vertices between the attributes of successive images, or 0 if all images share the attributes.
     std::size_t image_stride;
-    const std::int32_t* tri;   // (triangles, 3).
+    const std::int32_t* tri;   // Shape (triangles, 3).
     std::size_t triangles;
-    const float* rast;         // (images, height, width, 4): u, v, an unused number, and the encoded triangle id.
-    const float* rast_db;      // (images, height, width, 4); null if diff_count is 0.
+    const float* rast;         // Shape (images, height, width, 4): u, v, an unused number, and the encoded triangle id.
+    const float* rast_db;      // Shape (images, height, width, 4); null if diff_count is 0.
     int images, height, width;
-    // (diff_count,): indices, below `channels`, of the channels whose derivatives are computed.
+    // Shape (diff_count,): indices, below `channels`, of the channels whose derivatives are computed.
     const std::int32_t* diff;
     std::size_t diff_count;
     int threads;  // At least 1. The result is the same for any number of threads.
@@ -38,11 +38,11 @@ void interpolate(const Query& query, float* out, float* out_da);
 
 // The gradients of the outputs, and the arrays that receive the gradients of the inputs.
 struct Gradients {
-    const float* out;     // (images, height, width, channels).
-    const float* out_da;  // (images, height, width, 2 * diff_count); null if diff_count is 0.
+    const float* out;     // Shape (images, height, width, channels).
+    const float* out_da;  // Shape (images, height, width, 2 * diff_count); null if diff_count is 0.
     float* attr;          // Null, or an array with the shape of Query::attr.
-    float* rast;          // (images, height, width, 4), or null. The last two channels are set to 0.
-    float* rast_db;       // (images, height, width, 4), or null.
+    float* rast;          // Shape (images, height, width, 4), or null. The last two channels are set to 0.
+    float* rast_db;       // Shape (images, height, width, 4), or null.
 };
 
 // Overwrites the gradients of the inputs.

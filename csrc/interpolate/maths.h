@@ -12,7 +12,7 @@ namespace fourd::interpolate {
 // The offsets of the attributes of a triangle's vertices.
 struct Corners {
     std::size_t at[3];
-    bool is_valid;  // False for the background, and if the triangle or one of its vertices does not exist.
+    bool is_valid;  // False for the background, or if the triangle or one of its vertices does not exist.
 };
 
 FOURD_HD static inline Corners corners_of(float id, const std::int32_t* tri, std::size_t triangles,

@@ -20,7 +20,7 @@ constexpr int kRowsAhead = 4;
 
 // An image whose fourth channel has encoded triangle ids (common/triangle_id.h).
 struct IdImage {
-    const float* rast;  // (height, width, 4).
+    const float* rast;  // Shape (height, width, 4).
     int width, height;
     std::size_t triangles;  // Number of triangles. Ids beyond this number count as background.
 
@@ -36,7 +36,7 @@ class TileSlots {
 
     int count() const { return count_; }
     const std::int32_t* triangles() const { return triangles_; }  // Indexed by slot.
-    const std::int16_t* slot_of() const { return slot_of_; }      // (kTile, kTile): -1 at pixels without a triangle.
+    const std::int16_t* slot_of() const { return slot_of_; }      // Shape (kTile, kTile): slot, or -1 for no triangle.
 
   private:
     static constexpr int kBuckets = 2 * kTilePixels;
@@ -52,7 +52,7 @@ class TileSlots {
 // The values that one tile adds, for each of its slots.
 struct TileValues {
     std::vector<std::int32_t> triangles;
-    Buffer<float> values;  // (slots, 3, channels): values of the three vertices.
+    Buffer<float> values;  // Shape (slots, 3, channels): values of the three vertices.
 };
 
 struct VertexImage {

@@ -10,7 +10,7 @@
 namespace fourd::pixel_filter {
 
 struct Image {
-    const std::uint8_t* rgba;  // (height, width, 4).
+    const std::uint8_t* rgba;  // Shape (height, width, 4).
     int width, height;
 };
 

@@ -15,7 +15,7 @@ struct Query {
     const Plane* planes;
     int plane_count;
     int features;              // Number of features of every plane, from 1 to kMaxFeatures.
-    const float* coordinates;  // (count, 4): x, y, z and t of each point, clamped to [-1, 1].
+    const float* coordinates;  // Shape (count, 4): x, y, z and t of each point, clamped to [-1, 1].
     std::size_t count;         // Below 2^32.
     int threads;               // At least 1. The result is the same for any number of threads.
     Simd simd;                 // An instruction set that this machine supports.

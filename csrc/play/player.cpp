@@ -90,7 +90,7 @@ void Player::draw_surface(const Frame& frame, const points::Settings& settings, 
     });
 }
 
-// The points of a frame are in spatial order, so invisible points form long spans. The function skips these spans.
+// The points of a frame are in spatial order, so invisible points form long spans, which the function skips.
 template <typename Work>
 void Player::for_visible(std::size_t begin, std::size_t end, const Work& work) const {
     constexpr std::size_t kRange = points::kJoinedPoints;

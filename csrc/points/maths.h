@@ -2,8 +2,8 @@
 // fourd/ops/points/reference.py computes the same float32 numbers in the same order, so that kernel and reference find
 // exactly the same hits.
 //
-// All functions are static, because they are compiled once per instruction set. Otherwise, the linker could use an
-// AVX-512 version in code for processors without AVX-512.
+// All functions are static, because they are compiled once per instruction set. Without `static`, the linker could put
+// the AVX-512 version of a function into code for processors without AVX-512.
 #pragma once
 
 #include <cmath>
@@ -47,8 +47,8 @@ struct SplatGradient {
 };
 
 // The range, along one axis, of the pixels whose centres are within rho of `centre`. The range is clipped to [0, size),
-// and is empty if first > last. The bounds are clipped before they are rounded. This needs no branches, so compilers
-// can vectorise the code.
+// and is empty if first > last. The bounds are clipped before they are rounded, because this order needs no branches,
+// so that compilers can vectorise the code.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
     // The float32 rounding error of the hit test is about 4e-7 * rho^2. A margin of 1e-6 ensures that the pixel range
     // contains all hits.

@@ -10,10 +10,10 @@
 namespace fourd::points {
 
 struct Cloud {
-    const float* xyz;       // (count, 3).
-    const float* features;  // (count, channels).
-    const float* radius;    // (count,).
-    const float* density;   // (count,).
+    const float* xyz;       // Shape (count, 3).
+    const float* features;  // Shape (count, channels).
+    const float* radius;    // Shape (count,).
+    const float* density;   // Shape (count,).
     std::size_t count;      // Below 2^31.
     int channels;           // From 1 to 32.
 };
@@ -22,29 +22,30 @@ struct Settings {
     Pinhole camera;
     float near_depth;         // Positive. Points with a camera depth below near_depth are culled.
     int layers;               // Number K of depth layers, at least 1.
-    float transmittance_min;  // Compositing of a pixel ends at this transmittance. With the value 0, images are exact.
+    float transmittance_min;  // Compositing of a pixel ends at this transmittance; 0 gives exact images.
     int threads;              // At least 1. The result is the same for any number of threads.
     Simd simd;                // An instruction set that this machine supports.
 };
 
 struct Image {
-    float* features;  // (height, width, channels).
-    float* alpha;     // (height, width).
-    float* depth;     // (height, width). Where alpha is 0, depth is 0.
+    float* features;  // Shape (height, width, channels).
+    float* alpha;     // Shape (height, width).
+    float* depth;     // Shape (height, width). Where alpha is 0, depth is 0.
 };
 
 // An 8-bit image of three colour channels and alpha.
 struct Canvas {
-    std::uint8_t* rgba;   // (height, width, 4): rounded colours over the background, then alpha.
+    std::uint8_t* rgba;   // Shape (height, width, 4): rounded colours over the background, then alpha.
     float background[3];  // Each channel is in [0, 1].
 };
 
 // An 8-bit image with the visible surface of each pixel.
 struct Surface {
-    Canvas canvas;         // With a black background, the colours are the colours of the points multiplied by alpha.
-    float* inverse_depth;  // (height, width): coverage / (mean depth), where coverage = clamp(3 * alpha - 1/2, 0, 1).
-    // (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points, the
-    // normal is 0.
+    Canvas canvas;         // With a black background, the image has the colours of the points multiplied by alpha.
+    float* inverse_depth;  // Shape (height, width): coverage / (mean depth). The coverage is clamp(3 * alpha - 1/2, 0,
+                           // 1).
+    // Shape (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points,
+    // the normal is 0.
     std::uint8_t* normal;
     float persistence;     // From 0 to 1. If `persistence` is above 0, all arrays must contain the previous image of
                            // the same camera before the call. Where both images show the same surface, `persistence` is

@@ -68,8 +68,8 @@ FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const
     return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
 }
 
-// Sets the reference pixel of a triangle's Planes (maths.h). For a clipped triangle, this is the centre of the image.
-// For other triangles, this is the first pixel of the bounding box.
+// Sets the reference pixel of a triangle's Planes (maths.h): the centre of the image for a clipped triangle, and the
+// first pixel of the bounding box for any other triangle.
 FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
     piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);
     piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);

@@ -2,10 +2,11 @@
 //
 // With b = M^-1 f (maths.h), a change of the vertex p_k = (x, y, w)_k changes b by -M^-1 dp_k b_k. If g is the gradient
 // with respect to b, the gradient with respect to p_k is therefore -b_k M^-T g. M is the same at all pixels of a
-// triangle, so only the products b_k g are summed over pixels. The derivatives of b along x and y, b_x and b_y, depend
-// on M in the same way. Below, g0 and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect
-// to the sum s = 1/w of all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are
-// divided by this scale, so that the products of gradients and elements of b do not depend on the scale.
+// triangle, so only the products b_k g are summed over pixels. For the derivatives b_x and b_y of b along x and y, the
+// same formula holds with element k of b_x or b_y in place of b_k. Below, g0 and g1 are gradients with respect to b_0
+// and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k. The struct Planes stores b multiplied by
+// a scale. The gradients g0, g1 and gs are divided by this scale, so that the products of gradients and elements of b
+// do not depend on the scale.
 #pragma once
 
 #include "rasterize/maths.h"
@@ -13,7 +14,7 @@
 namespace fourd::rasterize {
 
 constexpr int kSums = 15;
-constexpr double kLargestGradient = 1e30;  // The gradients of degenerate triangles are clamped to this magnitude.
+constexpr double kLargestGradient = 1e30;  // The gradients of degenerate triangles are clamped to +-1e30.
 
 FOURD_HD static inline float bounded(double gradient) {
     gradient = gradient > -kLargestGradient ? gradient : -kLargestGradient;
@@ -22,8 +23,8 @@ FOURD_HD static inline float bounded(double gradient) {
 
 // Computes the values that are summed over the pixels of a triangle. The values are the 9 products of (g0, g1, gs) and
 // (b_0, b_1, s), and the gradients with respect to b_x and b_y. `b` has the values of the first three planes at the
-// pixel. `x` and `y` have the slopes of these planes. grad_u, grad_v and `db` are the gradients with respect to rast
-// and rast_db.
+// pixel. `x` and `y` have the slopes of the first three planes. grad_u, grad_v and `db` are the gradients with respect
+// to rast and rast_db.
 template <bool kDerivatives>
 FOURD_HD static inline void pixel_gradient(const float* b, const float* x, const float* y, float grad_u, float grad_v,
                                            const float* db, float* out) {
@@ -77,7 +78,7 @@ FOURD_HD static inline void vertex_gradients(const Screen& screen, int column, i
         product[j][1] = sums[3 * j + 1];
         product[j][2] = static_cast<double>(sums[3 * j + 2]) - sums[3 * j] - sums[3 * j + 1];
     }
-    // The third plane is the sum over all three vertices. Subtracting the first two planes from it gives the plane of
+    // The third plane is the sum over all three vertices, so subtracting the first two planes leaves the plane of
     // vertex 2.
     b_x[2] -= b_x[0] + b_x[1];
     b_y[2] -= b_y[0] + b_y[1];

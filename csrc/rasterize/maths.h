@@ -126,15 +126,15 @@ FOURD_HD static inline bool make_piece(const Snapped& a, const Snapped& b, const
     return true;
 }
 
-// An edge function in units of pixels: the value at a pixel, and its slopes. A pixel is inside if the value is at
-// least 0.
+// An edge function in units of pixels: the value at a pixel, and its slopes. A pixel is inside the edge if the value at
+// the pixel is at least 0.
 struct Edge {
     std::int64_t value;
     std::int32_t x, y;
 };
 
-// The edge from vertex k to the next vertex, with its value at a pixel. Values are divided by 256 and rounded down,
-// which keeps the sign at every pixel, because the slopes per pixel are multiples of 256.
+// The edge function from vertex k to the next vertex, with its value at the pixel (column, row). Values are divided by
+// 256 and rounded down, which keeps the sign at every pixel, because the slopes per pixel are multiples of 256.
 FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int row) {
     const int next = k == 2 ? 0 : k + 1;
     const std::int32_t dx = piece.x[next] - piece.x[k], dy = piece.y[next] - piece.y[k];

@@ -1,6 +1,6 @@
-// Compositing of discs along rays. Either each disc faces every ray, or all discs are parallel to one plane. If this
-// plane is the image plane of a pinhole camera, and there is one ray for each pixel, the result equals the image of the
-// point renderer (points/points.h).
+// Compositing of discs along rays. Either each disc faces every ray, or all discs are parallel. If the discs are
+// parallel to the image plane of a pinhole camera, and there is one ray for each pixel, the result equals the image of
+// the point renderer (points/points.h).
 #pragma once
 
 #include <cstddef>
@@ -13,9 +13,9 @@ namespace fourd::rays {
 constexpr int kMaxDiscLayers = 64;
 
 struct Discs {
-    const float* xyz;      // (count, 3).
-    const float* radius;   // (count,).
-    const float* density;  // (count,): alpha at the centre of each disc, clamped to 1.
+    const float* xyz;      // Shape (count, 3).
+    const float* radius;   // Shape (count,).
+    const float* density;  // Shape (count,): alpha at the centre of each disc, clamped to 1.
     std::size_t count;
 };
 
@@ -45,10 +45,10 @@ struct DiscTreeView {
 DiscTree build_discs(const Discs& discs, int threads);
 
 struct DiscPicture {
-    const float* colours;  // (Discs::count, 3): colours of the discs for which the tree was built.
-    const float* facing;   // (3,): the common normal of all discs, or null if discs face each ray.
+    const float* colours;  // Shape (Discs::count, 3): colours of the discs for which the tree was built.
+    const float* facing;   // Shape (3,): the common normal of all discs, or null if discs face each ray.
     int layers;            // Number K of nearest discs that are composited, from 1 to kMaxDiscLayers.
-    float* rgba;           // (Rays::count, 4): colour multiplied by alpha, then alpha.
+    float* rgba;           // Shape (Rays::count, 4): colour multiplied by alpha, then alpha.
 };
 
 // Composites the K nearest discs of each ray front to back, in the order of (t, index). The alpha of a disc at the

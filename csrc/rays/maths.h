@@ -99,8 +99,8 @@ FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, 
     return true;
 }
 
-// first_of() converts t_min to t', and last_of() converts t to t'. Both results are moved slightly outwards, because
-// the conversion of a tiny t is rounded.
+// first_of() converts the lower limit t_min, and last_of() an upper limit t, to t'. Both functions enlarge the interval
+// slightly, because the conversion of a tiny t is rounded.
 FOURD_HD FOURD_INLINE float first_of(const Ray& ray) {
     return ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
 }

@@ -16,7 +16,7 @@
 namespace fourd::rays {
 
 constexpr int kWidth = 8;                       // Maximum number of children of a node, and of triangles of a block.
-constexpr std::int32_t kNoChild = -2147483647;  // Marks a missing child. Any other negative child c is the block ~c.
+constexpr std::int32_t kNoChild = -2147483647;  // Marks a missing child. Every other child c < 0 is the block ~c.
 constexpr int kMaxDepth = 56;                   // Maximum depth of a tree.
 constexpr int kMaxStack = kWidth * kMaxDepth;   // Maximum number of entries on the stack of a traversal.
 
@@ -33,9 +33,9 @@ struct alignas(64) Block {
 };
 
 struct Mesh {
-    const float* xyz;  // (vertices, 3).
+    const float* xyz;  // Shape (vertices, 3).
     std::size_t vertices;
-    const std::int32_t* tri;  // (triangles, 3). A triangle with a vertex that does not exist is never hit.
+    const std::int32_t* tri;  // Shape (triangles, 3). A triangle with a vertex that does not exist is never hit.
     std::size_t triangles;
 
     // Writes the three vertices of a triangle. Returns false if the triangle or one of its vertices does not exist.
@@ -75,14 +75,14 @@ float refit(const Mesh& mesh, Node* nodes, std::size_t node_count, Block* blocks
 double expected_cost(const TreeView& tree);
 
 struct Rays {
-    const float* origins;     // (count, 3).
-    const float* directions;  // (count, 3), of any length. The point at t is origin + t * direction.
+    const float* origins;     // Shape (count, 3).
+    const float* directions;  // Shape (count, 3), of any length. The point at t is origin + t * direction.
     std::size_t count;
-    const float* t_min;  // (count,), or one number if t_min_stride is 0.
+    const float* t_min;  // Shape (count,), or one number if t_min_stride is 0.
     std::size_t t_min_stride;
-    const float* t_max;  // (count,), or one number if t_max_stride is 0.
+    const float* t_max;  // Shape (count,), or one number if t_max_stride is 0.
     std::size_t t_max_stride;
-    // (count,) each, or null. Hits up to (after_t, after_triangle), in the order of (t, triangle), are skipped.
+    // Shape (count,) each, or null. Hits up to (after_t, after_triangle), in the order of (t, triangle), are skipped.
     const float* after_t;
     const std::int32_t* after_triangle;
     int threads;
@@ -92,10 +92,10 @@ struct Rays {
 // The `layers` nearest hits of each ray in the order of (t, triangle).
 struct Hits {
     int layers;
-    float* t;                // (count, layers): infinite where there is no hit.
-    float* u;                // (count, layers): barycentric weight of the triangle's vertex 0; 0 where there is no hit.
-    float* v;                // (count, layers): barycentric weight of vertex 1; 0 where there is no hit.
-    std::int32_t* triangle;  // (count, layers): index of the triangle, or -1 where there is no hit.
+    float* t;                // Shape (count, layers): infinite where there is no hit.
+    float* u;                // Shape (count, layers): barycentric weight of vertex 0; 0 where there is no hit.
+    float* v;                // Shape (count, layers): barycentric weight of vertex 1; 0 where there is no hit.
+    std::int32_t* triangle;  // Shape (count, layers): index of the triangle, or -1 where there is no hit.
 };
 
 void trace(const TreeView& tree, const Rays& rays, const Hits& hits);
@@ -111,8 +111,8 @@ struct HitGradients {
     int layers;
     const float *t, *u, *v;
     const std::int32_t* triangle;
-    const float *to_t, *to_u, *to_v;     // (count, layers).
-    float *xyz, *to_origins, *to_directions;  // Each has the shape of its input, and is overwritten.
+    const float *to_t, *to_u, *to_v;     // Shape (count, layers).
+    float *xyz, *to_origins, *to_directions;  // Output arrays. Each gradient has the shape of its input.
     int threads;
 };
 

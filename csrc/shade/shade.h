@@ -13,17 +13,17 @@ constexpr int kTerms = 16;      // Number of real spherical harmonics up to degr
 constexpr int kMaxChosen = 64;  // Maximum number of source views to blend.
 
 struct Points {
-    const float* xyz;              // (count, 3).
-    const std::uint16_t* sh;       // (count, 3, 16), as float16.
-    const std::uint16_t* weights;  // (count, views), as float16. Weights are not negative.
-    const std::uint8_t* rgb;       // (count, views, 3).
+    const float* xyz;              // Shape (count, 3).
+    const std::uint16_t* sh;       // Shape (count, 3, 16), as float16.
+    const std::uint16_t* weights;  // Shape (count, views), as float16. Weights are not negative.
+    const std::uint8_t* rgb;       // Shape (count, views, 3).
     std::size_t count;
     std::size_t views;
 };
 
 struct Settings {
-    const std::int32_t* chosen;  // (chosen_count,): indices of the views to blend.
-    // (chosen_count,): factors in [0, 1] by which the blend weights are multiplied. At least one factor is not 0.
+    const std::int32_t* chosen;  // Shape (chosen_count,): indices of the views to blend.
+    // Shape (chosen_count,): factors in [0, 1] by which the blend weights are multiplied. At least one factor is not 0.
     const float* view_weights;
     int chosen_count;            // From 0 to kMaxChosen.
     double centre[3];            // Position of the camera in world coordinates.

@@ -12,8 +12,8 @@ namespace fourd::similarity {
 constexpr int kWindow = 11;
 
 struct Pictures {
-    const float* picture;  // (height, width, channels).
-    const float* truth;    // (height, width, channels).
+    const float* picture;  // Shape (height, width, channels).
+    const float* truth;    // Shape (height, width, channels).
     int width, height;     // At least kWindow.
     int channels;          // At least 1.
     int threads;           // At least 1. The result is the same for any number of threads.

@@ -42,21 +42,21 @@ using tiles::tile_span;
 
 struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
-    float sharpness;         // The factor |x| / d^2, which is 1 / sigma, or (pixel size)^2 / sigma if d is in pixels.
+    float sharpness;         // The ratio |x| / d^2: 1 / sigma for barycentric d, else (pixel size)^2 / sigma.
     float cut;               // A triangle hits the pixels where x >= -cut.
     float reach;             // The triangle hits a pixel outside it if the distance d is at most `reach`.
-    float per_depth;         // 1 / ((far - near) * gamma).
+    float per_depth;         // Equal to 1 / ((far - near) * gamma).
     float far_depth;         // A triangle hits a pixel only if its depth z at the pixel is at most far_depth.
-    float background_depth;  // The background has the weight of a triangle with D = 1 at this depth.
+    float background_depth;  // The background has the weight of a triangle with D = 1 at the depth background_depth.
 };
 
 // A projected triangle. Index k stands for the vertex k, or for the edge opposite to it.
 struct alignas(64) Face {
     float x, y;          // Centroid in pixels.
     float u[3], v[3];    // Corners in pixels, relative to the centroid.
-    float inverse_z[3];  // 1 / camera depth of the corners.
-    float inverse_area;  // 1 / (2 * signed area).
-    float inverse_square[3];     // 1 / squared length of the edges.
+    float inverse_z[3];  // Reciprocals of the camera depths of the corners.
+    float inverse_area;  // Equal to 1 / (2 * signed area).
+    float inverse_square[3];     // Reciprocals of the squared lengths of the edges.
     float slope_x[3], slope_y[3];  // Derivatives of d with respect to x and y, for each edge.
     tiles::TileRange range;
 };

@@ -13,9 +13,9 @@ namespace fourd::soft_triangles {
 constexpr int kMaxChannels = 32;
 
 struct Mesh {
-    const float* xyz;         // (vertices, 3).
-    const std::int32_t* tri;  // (count, 3): vertex indices.
-    const float* features;    // (count, channels).
+    const float* xyz;         // Shape (vertices, 3).
+    const std::int32_t* tri;  // Shape (count, 3): vertex indices.
+    const float* features;    // Shape (count, channels).
     std::size_t vertices;     // Below 2^31.
     std::size_t count;        // Below 2^31.
     int channels;             // From 1 to kMaxChannels.
@@ -24,15 +24,15 @@ struct Mesh {
 struct Settings {
     tiles::Pinhole camera;
     Softness softness;
-    float near_depth;  // Positive. Triangles with a vertex at a camera depth below this value are culled.
+    float near_depth;  // Positive. Triangles with a vertex at a camera depth below near_depth are culled.
     int layers;        // Largest number of triangles per pixel, from 1 to 2^20.
     int threads;       // At least 1. The result is the same for any number of threads.
     Simd simd;         // An instruction set that this machine supports.
 };
 
 struct Image {
-    float* features;  // (height, width, channels).
-    float* alpha;     // (height, width).
+    float* features;  // Shape (height, width, channels).
+    float* alpha;     // Shape (height, width).
 };
 
 struct ImageGradient {

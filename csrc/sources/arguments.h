@@ -19,7 +19,7 @@ struct SourceArguments {
     using Xyz = Array<const float, nanobind::shape<-1, 3>>;
     using XyzOut = Array<float, nanobind::shape<-1, 3>>;
     using Images = Array<const float, nanobind::shape<-1, 3, -1, -1>>;
-    using Features = Array<const float, nanobind::ndim<4>>;  // (views, height, width, channels)
+    using Features = Array<const float, nanobind::ndim<4>>;  // Shape (views, height, width, channels)
     using FeaturesOut = Array<float, nanobind::ndim<4>>;
     using Grey = Array<const float, nanobind::ndim<3>>;
     using Channels = Array<const float, nanobind::ndim<3>>;

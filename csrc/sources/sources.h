@@ -12,36 +12,37 @@ namespace fourd::sources {
 
 // Images, mattes, depth maps and feature maps of the source views. Each map covers the whole image of its view.
 struct Maps {
-    const float* images;    // (views, 3, height, width).
-    const float* mattes;    // (views, height, width). Values are in [0, 1].
-    const float* depth;     // (views, height, width): depth of the nearest surface. Null disables the occlusion test.
-    const float* features;  // (views, feature_height, feature_width, channels), or null.
+    const float* images;    // Shape (views, 3, height, width).
+    const float* mattes;    // Shape (views, height, width). Values are in [0, 1].
+    const float* depth;     // Shape (views, height, width): depth of the nearest surface. Null disables occlusion
+                            // tests.
+    const float* features;  // Shape (views, feature_height, feature_width, channels), or null.
     int width, height;
-    int channels, feature_width, feature_height;  // If `features` is null, all three numbers are 0.
+    int channels, feature_width, feature_height;  // The feature sizes and `channels` are 0 if `features` is null.
 };
 
 struct Query {
     Maps maps;
-    const Pinhole* cameras;  // (views,).
+    const Pinhole* cameras;  // Shape (views,).
     int views;
-    const float* xyz;  // (count, 3).
+    const float* xyz;  // Shape (count, 3).
     std::size_t count;
-    // (count,): length, in world units, over which the visibility decays behind a surface. sample_backward() does not
-    // read softness.
+    // Shape (count,): length, in world units, over which the visibility decays behind a surface. sample_backward() does
+    // not read softness.
     const float* softness;
     int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.
     Simd simd;    // An instruction set that this machine supports. Only the CPU uses simd.
 };
 
 struct Samples {
-    float* channels;    // (views, channels + 3, count): features, then red, green and blue.
-    float* visibility;  // (views, count).
+    float* channels;    // Shape (views, channels + 3, count): features, then red, green and blue.
+    float* visibility;  // Shape (views, count).
 };
 
 // Gradients with respect to the inputs. All gradients are computed from the gradient with respect to Samples::channels.
 // The visibility is treated as constant.
 struct Gradients {
-    float* xyz;       // (count, 3).
+    float* xyz;       // Shape (count, 3).
     float* features;  // Null, or an array with the shape of Maps::features.
 };
 
@@ -74,9 +75,9 @@ FOURD_HD FOURD_INLINE int nearest_index(float place, int size) {
 // Softness values that are NaN or smaller than kMinSoftness are replaced by kMinSoftness.
 constexpr float kMinSoftness = 1e-12f;
 
-// The visibility weight of a view at a point: the squared matte times a decay factor. Up to a distance of 2 * softness
-// behind the visible surface, the factor is 1. Farther behind the surface, the factor decays exponentially. The matte
-// is squared because pixels on the silhouette contain some background.
+// The visibility weight of a view at a point: the squared matte times a decay factor. The factor is 1 up to a distance
+// of 2 * softness behind the visible surface, and decays exponentially beyond this distance. The matte is squared
+// because pixels on the silhouette contain some background.
 FOURD_HD FOURD_INLINE float visibility(const Maps& maps, std::size_t view, const Projection& at, const Bilinear& image,
                                        float softness) {
     if (!(at.z > 0.0f)) return 0.0f;

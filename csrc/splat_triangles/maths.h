@@ -24,7 +24,7 @@ namespace fourd::splat_triangles {
 constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to kMaxAlpha, so that later triangles keep a gradient.
 constexpr float kInverseMinAlpha = 255.0f;    // A triangle is skipped at pixels where its alpha is below 1 / 255.
 constexpr float kMinTransmittance = 1e-4f;    // Compositing of a pixel ends at this transmittance.
-constexpr float kSmallestWindow = 1e-7f;      // Smaller values of min_k a_k count as rounding errors.
+constexpr float kSmallestWindow = 1e-7f;      // Values of min_k a_k below kSmallestWindow count as rounding errors.
 constexpr float kLn2 = 0.693147181f;
 
 using tiles::constant;
@@ -47,8 +47,8 @@ struct alignas(64) Splat {
     float x, y;                  // Incentre in pixels.
     float slope_x[3], slope_y[3];
     float opacity, sigma;
-    float smallest;  // The triangle hits the pixels where min_k a_k is at least this number.
-    float z;         // Camera depth of the centre.
+    float smallest;  // The triangle hits the pixels where min_k a_k is at least `smallest`.
+    float z;         // Mean camera depth of the three corners.
     tiles::TileRange range;
 };
 

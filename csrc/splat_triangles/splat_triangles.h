@@ -11,15 +11,15 @@
 namespace fourd::splat_triangles {
 
 constexpr int kGeometry = 4;      // Channels for geometry: the normal (3) and the depth of a triangle.
-constexpr int kMaxChannels = 36;  // 32 features and the channels for geometry.
+constexpr int kMaxChannels = 36;  // Maximum number of channels: 32 features plus the channels for geometry.
 constexpr int kShapeSums = 11;    // Number of gradient sums per triangle: the members of ShapeGradient.
 
 struct Mesh {
-    const float* xyz;          // (vertices, 3).
-    const std::int32_t* tri;   // (count, 3): vertex indices.
-    const float* features;     // (count, channels). With geometry, the last kGeometry channels are geometry.
-    const float* opacity;      // (count,).
-    const float* sigma;        // (count,).
+    const float* xyz;          // Shape (vertices, 3).
+    const std::int32_t* tri;   // Shape (count, 3): vertex indices.
+    const float* features;     // Shape (count, channels). With geometry, the last kGeometry channels are geometry.
+    const float* opacity;      // Shape (count,).
+    const float* sigma;        // Shape (count,).
     std::size_t vertices;      // Below 2^31.
     std::size_t count;         // Below 2^31.
     int channels;              // From 1 to kMaxChannels, including the channels for geometry.
@@ -28,18 +28,18 @@ struct Mesh {
 
 struct Settings {
     tiles::Pinhole camera;
-    float near_depth;  // Positive. Triangles with a vertex at a camera depth below this value are culled.
+    float near_depth;  // Positive. Triangles with a vertex at a camera depth below near_depth are culled.
     int layers;        // Largest number of triangles per pixel, from 1 to 2^20.
     int threads;       // At least 1. The result is the same for any number of threads.
     Simd simd;         // An instruction set that this machine supports.
 };
 
 struct Image {
-    float* features;       // (height, width, channels without geometry).
-    float* alpha;          // (height, width).
-    float* transmittance;  // (height, width): 1 - alpha, but more accurate than the difference computed from alpha.
-    float* normal;         // (height, width, 3), or null without geometry.
-    float* depth;          // (height, width), or null without geometry. Where alpha is 0, depth is 0.
+    float* features;       // Shape (height, width, channels without geometry).
+    float* alpha;          // Shape (height, width).
+    float* transmittance;  // Shape (height, width): 1 - alpha, more accurate than the difference computed from alpha.
+    float* normal;         // Shape (height, width, 3), or null without geometry.
+    float* depth;          // Shape (height, width), or null without geometry. Where alpha is 0, depth is 0.
 };
 
 // The image of the forward pass, and the gradients with respect to this image.

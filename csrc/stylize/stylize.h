@@ -20,7 +20,8 @@ constexpr int speck_reach(int thickness) {
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;
     return reach;
 }
-// A pixel's line continues other lines only if its strength, from 0 to 255, is at least this number.
+// A line on the border of a square (see speck_reach) counts only if its strength, from 0 to 255, is at least this
+// number.
 constexpr std::uint32_t kLeastStrength = 32;
 
 // The quantity that selects the row of the shade table.
@@ -46,21 +47,21 @@ struct Style {
     Detail detail;
     Lines lines;
     int thickness;               // From 1 to kMaxThickness.
-    const std::uint32_t* table;  // (rows, kTones): red in the lowest byte, then green and blue.
+    const std::uint32_t* table;  // Shape (rows, kTones): red in the lowest byte, then green and blue.
     int rows;                    // From 1 to kMaxRows.
 };
 
 // The visible surface (points/points.h, Surface).
 struct Surface {
-    const std::uint8_t* albedo;  // (height, width, 4): colour multiplied by alpha, then alpha.
-    const float* inverse_depth;  // (height, width).
-    const std::uint8_t* normal;  // (height, width, 4).
+    const std::uint8_t* albedo;  // Shape (height, width, 4): colour multiplied by alpha, then alpha.
+    const float* inverse_depth;  // Shape (height, width).
+    const std::uint8_t* normal;  // Shape (height, width, 4).
     int width, height;
 };
 
-// Writes the picture to `out` (height, width, 4). `line_state` (height, width) may be null. Otherwise, it has the lines
-// of the previous image from the same camera, and the function overwrites it with the lines of the new image. The
-// lowest byte of a line_state element is the strength of the line, where 0 means no line. The upper 16 bits of the
+// Writes the picture to `out` (height, width, 4). `line_state` (height, width) is either null, or has the lines of the
+// previous image from the same camera. The function replaces the lines in `line_state` by the lines of the new image.
+// The lowest byte of a line_state element is the strength of the line, where 0 means no line. The upper 16 bits of the
 // element are the upper 16 bits of a float, which is the sum of the inverse depths at the nine taps of the line filter.
 void stylize(const Surface& surface, const Style& style, int threads, Simd simd, std::uint32_t* line_state,
              std::uint8_t* out);

@@ -20,9 +20,9 @@ template <typename Device>
 struct TextureArguments {
     template <typename Number, std::size_t Axes>
     using Array = nanobind::ndarray<Number, nanobind::ndim<Axes>, nanobind::c_contig, Device>;
-    using Level = Array<const float, 5>;  // (items, faces, height, width, channels).
+    using Level = Array<const float, 5>;  // Shape (items, faces, height, width, channels).
     using LevelOut = Array<float, 5>;
-    using Pixels = Array<const float, 3>;  // (pictures, pixels, numbers).
+    using Pixels = Array<const float, 3>;  // Shape (pictures, pixels, numbers).
     using PixelsOut = Array<float, 3>;
     using Bias = Array<const float, 2>;
     using BiasOut = Array<float, 2>;

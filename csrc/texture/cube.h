@@ -71,8 +71,8 @@ FOURD_HD FOURD_INLINE void cube_position_backward(const CubePosition& at, float 
     grad_uv[f.m_axis] -= static_cast<float>(f.m_sign) * scale * (grad_s * (at.a / at.m) + grad_t * (at.b / at.m));
 }
 
-// The backward pass of cube_footprint. Adds the gradient with respect to the direction to grad_uv[3], and the gradient
-// with respect to uv_da to grad_uv_da[6].
+// The backward pass of cube_footprint. Adds to grad_uv[3] the gradient with respect to the direction, and to
+// grad_uv_da[6] the gradient with respect to uv_da.
 FOURD_HD FOURD_INLINE void cube_footprint_backward(const CubePosition& at, const float* uv_da, int size,
                                                    const Footprint& gradient, float* grad_uv, float* grad_uv_da) {
     if (!at.is_valid) return;

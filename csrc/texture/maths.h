@@ -119,7 +119,7 @@ FOURD_HD FOURD_INLINE float clamped_level(float level, int level_count) {
 struct Levels {
     int low, high;
     float fraction;  // Weight of `high`.
-    bool is_between;  // False if the level is clamped. A clamped level has no gradient.
+    bool is_between;  // False if the mip level has no gradient: it is clamped, or the filter does not blend levels.
 };
 
 FOURD_HD FOURD_INLINE Levels levels_at(float clamped, int level_count, Filter filter) {

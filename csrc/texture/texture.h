@@ -43,10 +43,10 @@ struct Query {
     Texture texture;  // The texture has one item for each picture, or one item that all pictures share.
     Filter filter;
     Boundary boundary;
-    const float* uv;      // (pictures, pixels, 2), or (pictures, pixels, 3) for a cube.
-    const float* uv_da;   // (pictures, pixels, 4), or (pictures, pixels, 6) for a cube, or null.
-    const float* bias;    // (pictures, pixels), added to the mip level, or null. Only filters with mip levels read
-                          // uv_da and bias.
+    const float* uv;      // Shape (pictures, pixels, 2), or (pictures, pixels, 3) for a cube.
+    const float* uv_da;   // Shape (pictures, pixels, 4), or (pictures, pixels, 6) for a cube, or null.
+    const float* bias;    // Shape (pictures, pixels), added to the mip level, or null. Only filters with mip levels
+                          // read uv_da and bias.
     std::size_t pictures, pixels;
     int threads;  // At least 1. Only the CPU uses threads, and the result does not depend on their number.
     Simd simd;    // An instruction set that this machine supports. Only the CPU uses simd.

@@ -14,7 +14,7 @@
 namespace fourd::tiles {
 
 constexpr float kThinnest = 1e-4f;             // Triangles with an inradius below kThinnest pixels are culled.
-constexpr float kFarthestPixel = 16777216.0f;  // 2^24. Triangles with a pixel coordinate beyond this value are culled.
+constexpr float kFarthestPixel = 16777216.0f;  // Triangles with a pixel coordinate beyond +-2^24 are culled.
 constexpr float kMaxDepth = 1e38f;             // Triangles with a vertex at a depth above kMaxDepth are culled.
 
 // Functions on floats. tiles/lanes.h has the same functions on Lanes.
@@ -30,7 +30,7 @@ FOURD_HD static inline float exp2_of(float a) { return exp2f(a); }
 template <typename Number>
 FOURD_HD static inline Number floor_of(Number a) {
     const Number* const tag = nullptr;
-    // 1.5 * 2^23. Floats of this magnitude are integers, so adding this number rounds.
+    // The number is 1.5 * 2^23. Floats of this magnitude are integers, so adding the number to `a` rounds `a`.
     const Number magic = constant(12582912.0f, tag);
     const Number rounded = (a + magic) - magic;
     return select(rounded > a, rounded - constant(1.0f, tag), rounded);
@@ -97,8 +97,8 @@ FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<N
     return out;
 }
 
-// The range of tiles along one axis that contains the pixel centres between low - margin and high + margin. Returns
-// false if there is no such tile.
+// Finds the range of tiles, along one axis, with pixel centres between low - margin and high + margin. Returns false if
+// the range is empty.
 template <typename Number>
 FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number margin, Number* first, Number* last) {
     const Number* const tag = nullptr;

@@ -116,7 +116,7 @@ std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, 
 }
 
 // Writes the entries of the tiles in the rows [top, bottom). In each tile, the entries of a part follow the entries of
-// the previous parts. The function overwrites the counts of these tiles in counts_.
+// the previous parts. The function overwrites the counts of the tiles in these rows in counts_.
 void DepthBins::fill_rows(int top, int bottom, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
     const std::size_t columns = static_cast<std::size_t>(columns_);

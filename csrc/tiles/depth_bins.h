@@ -30,9 +30,9 @@ class DepthBins {
     void prepare(std::size_t count, int width, int height, const Project& project, Team& team);
 
     // Bins the primitives into a band of tile rows that starts at row `top`, and returns the first row after the band.
-    // The band has at least one row. It gets more rows only as long as it has at most `max_entries` entries. Until the
-    // next call, only the rows of the band have entries. Without bands, the entries of large primitives could exceed
-    // the available memory.
+    // The band has at least one row, and gets more rows as long as it has at most `max_entries` entries. Until the next
+    // call, only the rows of the band have entries. Without bands, the entries of large primitives could exceed the
+    // available memory.
     int fill_band(int top, std::size_t max_entries, Team& team);
 
     // Projects and sorts the primitives, without binning them. order() then returns the sorted items.
@@ -44,7 +44,7 @@ class DepthBins {
     int tiles() const { return columns_ * rows_; }
     std::size_t visible() const { return visible_; }  // Number of visible primitives.
     const TileRange& tile_range(std::size_t index) const { return tile_ranges_[index]; }
-    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // (tiles + 1,): offsets into entries.
+    const std::size_t* tile_begin() const { return tile_begin_.data(); }  // Shape (tiles + 1,): offsets into entries.
     const std::uint32_t* entries() const { return entries_.data(); }  // Primitives of each tile, in the order of ranks.
 
     std::size_t bytes() const;  // Size of the memory that is kept between images.
@@ -67,7 +67,7 @@ class DepthBins {
     std::size_t visible_ = 0;
     std::vector<Run> runs_;            // Spans of ranks.
     std::vector<std::size_t> counts_;  // For each span, the number of entries of each tile.
-    Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // Indexed by primitive, and by rank.
+    Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // The first is indexed by primitive, the second by rank.
     Buffer<Item> items_, spare_;
     Buffer<std::uint32_t> entries_;
     Buffer<std::size_t> tile_begin_;

@@ -3,10 +3,10 @@
 // Additions have the same order for all instruction sets, so results have the same bits, except for the results of
 // multiply_add.
 //
-// multiply_add(a, b, c) returns a * b + c. With fused multiply-add, the product is not rounded; other instruction sets
-// round the product. For positive normal numbers a = m * 2^e with m in [1, 2), exponent_of(a) returns e and
-// mantissa_of(a) returns m. times_power_of_two(a, power) returns a * 2^power, where `power` is a whole number. The
-// result must be a normal number. minimum(a, b) and maximum(a, b) return b where a or b is NaN.
+// multiply_add(a, b, c) returns a * b + c. Instruction sets with fused multiply-add do not round the product a * b; all
+// others round it. For positive normal numbers a = m * 2^e with m in [1, 2), exponent_of(a) returns e and
+// mantissa_of(a) returns m. times_power_of_two(a, power) returns a * 2^power, where `power` must be a whole number and
+// a * 2^power must be a normal number. minimum(a, b) and maximum(a, b) return b where a or b is NaN.
 
 #if defined(__AVX512F__) && defined(__AVX512DQ__) && defined(__AVX512VL__)
 

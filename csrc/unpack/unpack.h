@@ -15,11 +15,11 @@ constexpr int kWeightCodes = 256;
 // Spherical harmonics. The coefficients of a point are the mean plus a weighted sum of the basis rows. The weights,
 // called factors, are stored for each point.
 struct Harmonics {
-    const std::uint8_t* low;   // (rows, points): low bytes of the zigzag-coded factors.
-    const std::uint8_t* high;  // (rows, points): high bytes.
+    const std::uint8_t* low;   // Shape (rows, points): low bytes of the zigzag-coded factors.
+    const std::uint8_t* high;  // Shape (rows, points): high bytes.
     std::size_t rows, points;
-    const float* basis;  // (rows, kShNumbers), already multiplied by the quantization step.
-    const float* mean;   // (kShNumbers).
+    const float* basis;  // Shape (rows, kShNumbers), already multiplied by the quantization step.
+    const float* mean;   // Shape (kShNumbers).
 };
 
 // One source view: a weight code for each point, then the colour levels of the points that have a colour. The levels
@@ -33,19 +33,19 @@ struct View {
 struct Views {
     const View* views;
     std::size_t view_count, points;
-    const std::uint8_t* mean;      // (points, 3).
-    const std::uint16_t* weights;  // (kWeightCodes): the blend weight of each code, as a half.
+    const std::uint8_t* mean;      // Shape (points, 3).
+    const std::uint16_t* weights;  // Shape (kWeightCodes): the blend weight of each code, as a half.
     int colour_step;               // Quantization step of the colour levels, from 1 to 127.
     bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
 };
 
-// Positions are stored as the differences of successive Morton codes. Byte k of all differences forms plane k, and the
-// plane of the lowest bytes comes first.
+// Positions are stored as the differences of successive Morton codes. Plane k has byte k of every difference, and byte
+// 0 is the lowest byte.
 struct Positions {
-    const std::uint8_t* planes;  // (code_bytes, points).
+    const std::uint8_t* planes;  // Shape (code_bytes, points).
     int code_bytes;              // Number of bytes per code, from 1 to 8.
     std::size_t points;
-    const double* lower;  // (3): position of cell 0.
+    const double* lower;  // Shape (3): position of cell 0.
     double step;          // Side length of a cell.
 };
 
@@ -55,8 +55,8 @@ void positions(const Positions& from, float* out);
 struct Loops {
     // Writes the coefficients (points, kShNumbers) as halves.
     void (*harmonics)(const Harmonics& from, std::uint16_t* out);
-    // Writes blend weights (points, views) as halves and colours (points, views, 3). `next` is scratch memory for one
-    // index per view.
+    // Writes the blend weights (points, views) as halves, and the colours (points, views, 3) as bytes. `next` is
+    // scratch memory for one index per view.
     void (*views)(const Views& from, std::size_t* next, std::uint16_t* out_weights, std::uint8_t* out_rgb);
 };
 

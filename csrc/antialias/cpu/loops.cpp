@@ -1,5 +1,5 @@
-// In most pairs of pixels, both pixels show the same triangle, or two triangles without silhouette edges. The loops
-// skip these pairs quickly.
+// The loops quickly skip most pairs of pixels: those that show the same triangle, or two triangles without silhouette
+// edges.
 #include "antialias/cpu/loops.h"
 
 #include <cstdint>
@@ -119,7 +119,7 @@ void blend_backward(const Plan& plan, const Rows& rows, const Gradients& gradien
                 if (edge_of(codes[column], axis) == 0) continue;
                 const Pair pair{row, column, axis};
                 if (!has_owner(view, pair, codes[column])) {
-                    // count() also counts these crossings, so their contributions are set to 0.
+                    // count() also counts crossings for which has_owner() is false; these crossings contribute 0.
                     if (own && contributions) *contributions++ = {0, 0, 0, 0}, *contributions++ = {0, 0, 0, 0};
                     continue;
                 }

@@ -22,10 +22,10 @@ struct Loops {
     std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
 
     // Writes the gradient with respect to the colours of some rows. If `contributions` is not null, the function also
-    // writes two contributions to the gradient with respect to the positions for each crossing.
+    // writes, for each crossing, two contributions to the gradient with respect to the positions.
     void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
 
-    // Adds those contributions that belong to vertices [begin, end) to `positions`, in order.
+    // Adds to `positions`, in order, the contributions to the gradients of the vertices [begin, end).
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 

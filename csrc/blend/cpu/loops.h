@@ -13,9 +13,9 @@ constexpr int kRun = 64;  // Number of points per batch. Vector instructions pro
 
 // The sums of one task, from which the gradient of the MLP is computed. Each sum consists of kLanes partial sums.
 struct Sums {
-    float* weight;  // (channels, hidden, kLanes).
-    float* out;     // (hidden, kLanes).
-    float* bias;    // (kLanes,).
+    float* weight;  // Shape (channels, hidden, kLanes).
+    float* out;     // Shape (hidden, kLanes).
+    float* bias;    // Shape (kLanes,).
 };
 
 struct Loops {

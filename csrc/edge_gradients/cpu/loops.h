@@ -19,7 +19,7 @@ struct Loops {
 
     void (*contribute)(const Plan&, const Rows&, const float* gradient, const std::uint8_t* codes, Contribution* out);
 
-    // Adds those contributions that belong to vertices [begin, end) to `positions`, in order.
+    // Adds to `positions`, in order, the contributions to the gradients of the vertices [begin, end).
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 

@@ -9,13 +9,13 @@ namespace fourd::interpolate {
 constexpr int kTile = 32;  // Side of a tile in pixels.
 
 struct GradientTile {
-    const float* attr;            // (vertices, channels): attributes for the image.
-    // (slots,): triangle of each slot. A slot is the number of a visible triangle in the tile.
+    const float* attr;            // Shape (vertices, channels): attributes for the image.
+    // Shape (slots,): triangle of each slot. A slot is the number of a visible triangle in the tile.
     const std::int32_t* visible;
-    const std::int16_t* slot_of;  // (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
+    const std::int16_t* slot_of;  // Shape (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
     int column, row;              // Position of the first pixel of the tile.
     std::size_t first;            // Index of the image's first pixel.
-    float* sums;                  // (slots, 3, channels), initially 0; null if the gradient of attr is not computed.
+    float* sums;                  // Shape (slots, 3, channels), initially 0, or null if attr needs no gradient.
 };
 
 struct Loops {

@@ -23,7 +23,7 @@ struct Plan {
     const Query* query;
     const Axis* axes;
     int axis_count;
-    const int* x_axis;  // For each plane, the index of its x axis in axes.
+    const int* x_axis;  // For each plane, the index of its x axis in `axes`.
     const int* y_axis;
     const int* large;  // Indices, in ascending order, of planes that are larger than the caches of a core.
     int large_count;
@@ -32,9 +32,9 @@ struct Plan {
 
 // The positions of the points of a batch, indexed by axis, then by point.
 struct RunPositions {
-    int* low;         // (axis_count, kRun).
-    float* fraction;  // (axis_count, kRun).
-    float* slope;     // (axis_count, kRun).
+    int* low;         // Shape (axis_count, kRun).
+    float* fraction;  // Shape (axis_count, kRun).
+    float* slope;     // Shape (axis_count, kRun).
 
     Interpolation at(int axis, int i) const {
         return {low[axis * kRun + i], fraction[axis * kRun + i], slope[axis * kRun + i]};

@@ -27,8 +27,8 @@ struct Tile {
 // The scratch memory of the backward pass. A visit is one (entry, block) pair in which the point of the entry may hit
 // pixels of the block. Visits are sorted by entry, then by block.
 struct Visits {
-    float* transmittance;  // (count, 16): transmittance before the entry, negative at pixels without a hit.
-    // (count,): the number 16 * entry + block of each visit, or kNoVisit if the visit hits no pixel.
+    float* transmittance;  // Shape (count, 16): transmittance before the entry, negative at pixels without a hit.
+    // Shape (count,): the number 16 * entry + block of each visit, or kNoVisit if the visit hits no pixel.
     std::uint64_t* tags;
     std::size_t count;     // Equal to count_visits(tile).
 };
@@ -52,9 +52,10 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // Joins the colours and the normals of the points [begin, end). There are at most kJoinedPoints points. `xyz`
-    // (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count, kSurfaceFeatures) are indexed by
-    // point. The normals are decoded (points/octahedral.h) and rotated to the axes of the camera.
+    // Computes the features for draw_surface of the points [begin, end), from their colours and normals. There are at
+    // most kJoinedPoints points. `xyz` (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count,
+    // kSurfaceFeatures) are indexed by point. The normals are decoded (points/octahedral.h) and rotated to the axes of
+    // the camera.
     void (*join_normals)(const Pinhole& camera, const float* xyz, const float* colours, const std::uint8_t* octahedral,
                          std::size_t begin, std::size_t end, float* out);
 

@@ -6,7 +6,8 @@
 namespace fourd::points::cuda {
 
 // The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula. The
-// term for alpha is computed separately. In a common sum, it would suffer from cancellation where alpha is close to 1.
+// term for alpha is computed separately, because its precision would be lost in a sum with the value of the layer where
+// alpha is close to 1.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];
@@ -22,8 +23,8 @@ struct Upstream {
 };
 
 // A thread composites its pixel front to back and records the layers. Afterwards, the thread processes the recorded
-// layers back to front. In this second pass, all threads of a warp process the same entry at the same time, and visit
-// every entry that at least one of them recorded.
+// layers back to front. During this back-to-front pass, all threads of a warp process the same entry at the same time,
+// and visit every entry that at least one of them recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // Requires view.layers <= kLayers.

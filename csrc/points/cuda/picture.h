@@ -71,7 +71,7 @@ FOURD_DEVICE static inline std::uint8_t byte_of(float value) {
 
 struct DrawPixel {
     View view;
-    const float* features;  // (count, 3).
+    const float* features;  // Shape (count, 3).
     Canvas out;
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {

@@ -13,7 +13,7 @@ constexpr int kTilePixels = kTile * kTile;
 // The plane equations of the triangles in one tile, as a structure of arrays. There are `capacity` elements per array.
 struct Records {
     static constexpr int kFields = 3 * kPlanes + 4;
-    float* values;  // (kFields, capacity): c, x and y of the planes, range of z/w, encoded id, and scale.
+    float* values;  // Shape (kFields, capacity): c, x and y of the planes, range of z/w, encoded id, and scale.
     std::uint32_t* references;  // Reference pixels (see Planes): x in the lower 16 bits, y in the upper 16 bits.
     std::size_t capacity;
 
@@ -28,32 +28,32 @@ struct Records {
 
 struct Tile {
     Screen screen;
-    const float* pos;         // (vertices, 4): positions for the image.
-    const std::int32_t* tri;  // (triangles, 3).
+    const float* pos;         // Shape (vertices, 4): positions for the image.
+    const std::int32_t* tri;  // Shape (triangles, 3).
     const Piece* pieces;      // Pieces of the tile, in ascending order of their triangles.
     std::size_t count;        // Number of pieces.
     int column, row;          // Image column and row of the tile's first pixel.
     Records records;          // Scratch memory for at least `count` records.
-    const float* previous;    // (height, width, 4): `rast` of the previous layer, or null.
-    float* rast;              // (height, width, 4).
-    float* rast_db;           // (height, width, 4), or null.
+    const float* previous;    // Shape (height, width, 4): `rast` of the previous layer, or null.
+    float* rast;              // Shape (height, width, 4).
+    float* rast_db;           // Shape (height, width, 4), or null.
 };
 
 // The inputs of the gradient of a tile. A slot is a triangle that is visible in the tile.
 struct GradientTile {
     Screen screen;
-    const float* pos;              // (vertices, 4): positions for the image.
+    const float* pos;              // Shape (vertices, 4): positions for the image.
     std::size_t vertices;          // Number of vertices.
-    const std::int32_t* tri;       // (triangles, 3).
-    const std::int32_t* visible;   // (slots,): triangle of each slot.
+    const std::int32_t* tri;       // Shape (triangles, 3).
+    const std::int32_t* visible;   // Shape (slots,): triangle of each slot.
     int slots;                     // Number of slots, at most kTilePixels.
-    const std::int16_t* slot_of;   // (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
+    const std::int16_t* slot_of;   // Shape (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
     int column, row;               // Image column and row of the tile's first pixel.
     Records records;               // Scratch memory for at least `slots` records.
     float* sums;                   // Scratch memory for at least (slots, kSumStride) floats.
-    const float* grad_rast;        // (height, width, 4).
-    const float* grad_db;          // (height, width, 4), or null.
-    float* out;                    // (slots, 12): gradients of x, y, z and w of the three vertices.
+    const float* grad_rast;        // Shape (height, width, 4).
+    const float* grad_db;          // Shape (height, width, 4), or null.
+    float* out;                    // Shape (slots, 12): gradients of x, y, z and w of the three vertices.
 };
 
 constexpr std::size_t kSumStride = 16;  // Number of floats per slot in GradientTile::sums, a multiple of the vector size.

@@ -42,8 +42,8 @@ FOURD_DEVICE static inline Planes planes_of(const Screen& screen, const Triangle
     return make_planes(screen, triangle.corners[0], triangle.corners[1], triangle.corners[2], column, row);
 }
 
-// A pixel stores its nearest triangle as one number, with the depth in the upper bits and the triangle in the lower
-// bits. The nearest triangle has the smallest number.
+// A pixel stores its nearest triangle as one number, with the depth in the upper bits and the index of the triangle in
+// the lower bits. Of two triangles, the nearer one has the smaller number.
 constexpr std::uint64_t kNoHit = ~std::uint64_t{0};
 
 FOURD_DEVICE static inline std::uint64_t key_of(float depth, int triangle) {
@@ -61,11 +61,11 @@ FOURD_DEVICE static inline float depth_of(std::uint64_t key) {
     return depth;
 }
 
-// The buffer to which the kernels write the nearest triangle of each pixel, and the previous layer.
+// The previous layer, and the buffer to which the kernels write the nearest triangle of each pixel.
 struct Target {
     Screen screen;
-    std::uint64_t* keys;    // (images, height, width).
-    const float* previous;  // (images, height, width, 4): the previous layer, or null.
+    std::uint64_t* keys;    // Shape (images, height, width).
+    const float* previous;  // Shape (images, height, width, 4): the previous layer, or null.
 
     FOURD_DEVICE std::size_t pixel(std::size_t image, int column, int row) const {
         return (image * screen.height + row) * screen.width + column;

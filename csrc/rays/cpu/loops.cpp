@@ -17,8 +17,8 @@ namespace {
 #include "rays/cpu/lanes.inc"
 #include "rays/cpu/traversal.inc"
 
-// Returns a mask of the lanes whose triangles may pass the test in intersect(). A triangle cannot pass if it has both a
-// positive and a negative corner weight.
+// Returns a mask of the lanes whose triangles may pass the test in intersect(). A triangle cannot pass the test if it
+// has both a positive and a negative corner weight.
 FOURD_INLINE unsigned triangles_near(const WideRay& ray, const Block& block) {
     const int axes[3] = {ray.ray.x, ray.ray.y, ray.ray.z};
     Lanes x[3], y[3];

@@ -25,7 +25,7 @@ inline void extend(Box* box, const Box& by) {
     }
 }
 
-// The index of a primitive and its box. The builder of the tree sorts these references.
+// The index of a primitive and its box. The builder of the tree sorts the references.
 struct alignas(16) Reference {
     Box box;
     std::int32_t index;
@@ -37,7 +37,7 @@ struct Leaf {
 };
 
 struct Topology {
-    Buffer<Node> nodes;  // The bounds of these nodes are not set. A negative child c is the leaf with the index ~c.
+    Buffer<Node> nodes;  // Node::bounds is not set. A negative child c is the leaf with the index ~c.
     Buffer<Leaf> leaves;
 };
 

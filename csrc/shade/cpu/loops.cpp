@@ -108,7 +108,7 @@ FOURD_INLINE float weighted_sum(const Points& points, std::size_t row, const Set
     float total = 0;
     for (int v = 0; v < settings.chosen_count; ++v) {
         const std::size_t at = row + static_cast<std::size_t>(settings.chosen[v]);
-        std::uint32_t bytes = 0;  // Only three bytes are used. The fourth byte belongs to the next view.
+        std::uint32_t bytes = 0;  // The lowest three bytes are used; the fourth belongs to the next view.
         if (at < last) {
             std::memcpy(&bytes, points.rgb + 3 * at, 4);
         } else {

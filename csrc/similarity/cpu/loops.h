@@ -19,7 +19,7 @@ struct Window {
 struct Plan {
     Pictures pictures;
     Window window;
-    std::size_t stride, valid;  // Number of floats per row of the pictures, and per row of the valid part.
+    std::size_t stride, valid;  // Number of floats in a row of a picture, and in a row of its valid part.
     int rows, valid_rows;
     float scale;  // 1 / (number of valid values).
 
@@ -31,7 +31,7 @@ struct Plan {
 constexpr int kMeans = 5;
 
 // Number of derivatives of the similarity. The derivatives are with respect to the mean of the picture, the mean of its
-// square and the mean of the product.
+// square and the mean of its product with the truth.
 constexpr int kDerivatives = 3;
 
 struct Loops {

@@ -31,10 +31,10 @@ struct Tile {
 // Scratch memory. A visit is one (entry, block) pair in which the entry's triangle hits at least one pixel of the
 // block.
 struct Visits {
-    std::uint16_t* blocks;   // (count,): mask of the blocks that each entry may hit.
-    std::uint32_t* entries;  // (count,): entry of each visit of a block.
-    float* x;                // (count, 16): log-odds of the coverage D (maths.h).
-    float* depth;            // (count, 16): depth of the triangle, or kNoHit at pixels that do not use the triangle.
+    std::uint16_t* blocks;   // Shape (count,): mask of the blocks that each entry may hit.
+    std::uint32_t* entries;  // Shape (count,): entry of each visit of a block.
+    float* x;                // Shape (count, 16): log-odds of the coverage D (maths.h).
+    float* depth;            // Shape (count, 16): depth of the triangle, or kNoHit at pixels that do not use it.
 };
 
 struct Loops {

@@ -65,9 +65,9 @@ FOURD_INLINE float total(const Eight* number) {
 }
 #endif
 
-// Back-propagates the gradient of channel c and, if Number is Eight, of the next seven channels. The function adds the
-// gradient with respect to the pixel position to `sum`. If `to` is not null, the function adds the gradient with
-// respect to the features to `to`.
+// Back-propagates the gradient of channel c and, if Number is Eight, of the next seven channels. The function adds to
+// `sum` the gradient with respect to the pixel position. If `to` is not null, the function adds to `to` the gradient
+// with respect to the features.
 template <typename Number>
 FOURD_INLINE void scatter_at(const float* features, const Bilinear& at, int channels, std::size_t c,
                              const float* gradient, float* to, PixelGradient* sum) {

@@ -94,8 +94,8 @@ inline void measure(const Taps& centre, const Style& style, int row, int first, 
     if (has_rows && !by_facing) measure_depth_detail(centre, style, out.detail);
 }
 
-// Returns 1 if `position` is a whole number, and 0 if it is halfway between two whole numbers. The function is linear
-// in between.
+// Returns 1 if `position` is a whole number, 0 if it is halfway between two whole numbers, and linearly interpolated
+// values for all other positions.
 inline float wave(float position) {
     const float whole = static_cast<float>(static_cast<int>(position)), part = position - whole;
     return size_of(2.0f * part - 1.0f);

@@ -11,9 +11,10 @@ constexpr int kRun = 64;  // Number of pixels of a row that are computed togethe
 // The lines of a picture. All arrays belong to the caller. Each run of pixels is one word, in which bit i belongs to
 // pixel i of the run. Each row starts and ends with one additional word without lines.
 struct LineImage {
-    std::uint32_t* state;   // (height, width), as in stylize().
-    std::uint64_t* drawn;   // (height, words()): whether a pixel has a line.
-    std::uint64_t* strong;  // (height, words()): whether a pixel has a line with a strength of at least kLeastStrength.
+    std::uint32_t* state;   // Shape (height, width), as in stylize().
+    std::uint64_t* drawn;   // Shape (height, words()): whether a pixel has a line.
+    std::uint64_t* strong;  // Shape (height, words()): whether a pixel has a line with a strength of at least
+                            // kLeastStrength.
     int width, height;
     bool has_previous;  // Whether `state` has the lines of the previous image.
 
@@ -25,8 +26,8 @@ struct Loops {
     // Draws the rows [begin, end) without lines, and finds the lines of these rows.
     void (*shade)(const Surface& surface, const Style& style, int begin, int end, const LineImage& lines,
                   std::uint8_t* out);
-    // Draws the lines of rows [begin, end) over the picture. Before the call, the lines must also be found for all rows
-    // at a distance of at most speck_reach().
+    // Draws the lines of rows [begin, end) over the picture. Before the call, shade() must have found the lines of
+    // these rows and of all rows at most speck_reach() rows away.
     void (*draw_lines)(const LineImage& lines, const Style& style, int begin, int end, std::uint8_t* picture);
 };
 

@@ -10,11 +10,11 @@
 namespace fourd::stylize {
 namespace {
 
-// With 8 rows, the pixels that a task reads fit into the L1 cache. Pixels that two successive runs read are then still
-// in the cache.
+// With 8 rows, the pixels that a task reads fit into the L1 cache, so pixels that two successive runs read are still in
+// the cache for the second run.
 constexpr int kRowsPerTask = 8;
 
-// Decides when the lines of a task's rows can be drawn: all tasks with rows at a distance of at most `reach` must have
+// Decides when the lines of a task's rows can be drawn: all tasks with rows at most `reach` rows away must have
 // finished. Lines are drawn soon after shading, while the rows are still in the L2 cache.
 class Progress {
   public:

@@ -32,16 +32,16 @@ using Entry = std::uint16_t;
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;
 
 struct EntryList {
-    std::uint32_t* bands;  // (kMaxEntries,).
-    Entry* entries;        // (kMaxEntries,).
+    std::uint32_t* bands;  // Shape (kMaxEntries,).
+    Entry* entries;        // Shape (kMaxEntries,).
     std::size_t count;
 };
 
-// The sums of the gradients of the texels [begin, end) of a level. All these texels belong to one band.
+// The sums of the gradients of the texels [begin, end) of a level, which all belong to one band.
 struct BandSums {
     int level;
     int begin, end;
-    float* sums;  // (end - begin, stride_of(channels)).
+    float* sums;  // Shape (end - begin, stride_of(channels)).
 };
 
 // Number of floats per texel in BandSums. Three channels are padded to a vector of four.
@@ -58,7 +58,7 @@ struct Loops {
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
     // Computes some rows of a level from the next finer level. If halves_rows is true, the finer level has two rows for
-    // each row of the coarser level. Otherwise, it has one row.
+    // each row of the coarser level, and otherwise one row.
     void (*halve)(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out);
     // The backward pass of halve: adds the gradient of the coarser level to some rows of the gradient of the finer
     // level.

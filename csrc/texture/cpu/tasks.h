@@ -19,8 +19,8 @@ inline std::vector<Task> tasks_of(const Query& query) {
     return tasks;
 }
 
-// Some rows of a level. `coarse` is the offset of these rows in the level. They are computed from rows of the next
-// finer level, and `fine` is the offset of those rows. Offsets are in floats.
+// Some rows of a level, and the rows of the next finer level from which they are computed. `coarse` is the offset of
+// the rows in the coarser level, and `fine` is the offset of the rows in the finer level, both in floats.
 struct HalvedRows {
     std::size_t fine, coarse, count;
     int fine_width;

@@ -63,8 +63,8 @@ struct SampleBackward {
 
   private:
     // Adds the contribution of one of the two mip levels that a lookup blends. The derivative with respect to the mip
-    // level is the difference of the values of the two levels. In this difference, the value of this level has the sign
-    // `sign` (1 or -1).
+    // level is the difference of the values of the two levels. `sign` (1 or -1) is the sign that the value of `level`
+    // has in this difference.
     FOURD_DEVICE void add(const Lookup& at, int level, float blend, float sign, std::size_t pixel,
                           PixelGradient& sum) const {
         const Texels texels = at.texels(query, level);
@@ -119,9 +119,9 @@ struct SampleBackward {
     }
 };
 
-// A float of the coarser level is the mean of up to four floats of the finer level. Mean computes the offsets of these
-// floats. A side with an odd number of texels has exactly one texel, so the rows of all images can be numbered
-// consecutively.
+// A float of the coarser level is the mean of up to four floats of the finer level. Mean computes the offsets of the
+// floats of the finer level. The finer level has exactly `rows` rows for each row of the coarser level, so the rows of
+// all images can be numbered consecutively.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;

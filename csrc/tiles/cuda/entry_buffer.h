@@ -6,10 +6,10 @@
 
 namespace fourd::tiles::cuda {
 
-// Scratch memory with space for a number of (primitive, tile) entries. If an image needs more entries than this number,
-// every pixel tests every primitive, which is slow but gives the same image. The GPU writes to `needed` how many
-// entries the image needs. The caller can allocate this number of entries for later images. Waiting for the number of
-// the current image would stall the CPU.
+// Scratch memory with space for `entries` (primitive, tile) entries. If an image needs more entries, every pixel tests
+// every primitive, which is slow but gives the same image. The GPU writes to `needed` how many entries the image needs.
+// The caller can then allocate enough entries for later images, but does not wait for the number of the current image,
+// because waiting would stall the CPU.
 struct EntryBuffer {
     void* memory;           // At least workspace_bytes() bytes.
     std::size_t entries;    // Below 2^31.

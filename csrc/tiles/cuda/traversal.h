@@ -42,9 +42,9 @@ FOURD_DEVICE static inline EntryList entry_list(const Entries<Splat>& entries, s
 }
 
 // Composites the primitives of a list front to back until all pixels of the warp are complete. The compositor provides
-// pixel_coverage(splat, x, y). The result has the member `alpha`, which is above 0 if the primitive hits the pixel.
-// Calls take(position, rank, splat, coverage, transmittance) for every layer of the pixel. Returns the final
-// transmittance.
+// pixel_coverage(splat, x, y), which returns how the primitive covers the pixel. The member `alpha` of this coverage is
+// above 0 if the primitive hits the pixel. Calls take(position, rank, splat, coverage, transmittance) for every layer
+// of the pixel. Returns the final transmittance.
 template <typename Splat, typename Take>
 FOURD_DEVICE static inline float traverse(const Entries<Splat>& entries, const EntryList& list, const Pixel& pixel, int layers,
                                           float transmittance_min, const device::Lane& lane, const Take& take) {
