@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Factor for the limit angle of :func:`fading_weights`. It is used only if every camera that is not chosen has a
-smaller angle than the largest angle of the chosen cameras. The limit angle is then this largest angle times the factor.
+"""Factor for the limit angle of :func:`fading_weights`. If every camera that is not chosen has a smaller angle than the
+largest angle of the chosen cameras, the limit angle is this largest angle times the factor. In all other cases, the
+factor is not used.
 """
 
 
@@ -182,13 +183,15 @@ def select_views(camera: Camera, sources: Sequence[Camera], count: int, focus: A
 def fading_weights(
     camera: Camera, sources: Sequence[Camera], chosen: Sequence[int], focus: Array
 ) -> NDArray[np.float32]:
-    """Return view weights (V,) of the ``chosen`` cameras, which decrease with the angle to the viewing camera.
+    """Return the view weights (V,) of the V cameras ``chosen``. The larger the angle to the viewing camera, the smaller
+    the weight.
 
     A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b, where b is the limit angle.
-    Let A be the largest angle of the chosen cameras. To find b, consider the cameras that are not chosen and whose
-    angle is at least A: b is the smallest of their angles. At the moment when another camera replaces a chosen camera,
-    both have the view weight 0, so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al.
-    2001, sec. 4). Angles are measured at the point ``focus``. If all view weights would be 0, all view weights are 1.
+    Let A be the largest angle of the chosen cameras. Among the cameras that are not chosen and whose angles are at
+    least A, b is the smallest angle. At the moment when another camera replaces a chosen camera, both have the view
+    weight 0, so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4).
+    Angles are measured at the point ``focus``. If this formula gives 0 for all chosen cameras, all view weights are 1
+    instead.
 
     Args:
         camera: the viewing camera.

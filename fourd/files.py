@@ -168,7 +168,7 @@ def is_unused(folder: Path | str) -> bool:
 
 
 def _create_temporary(target: Path) -> tuple[int, str]:
-    """Create a temporary file beside ``target``. Returns its descriptor, which is locked, and its path."""
+    """Create a temporary file beside ``target``, and lock it. Returns the open descriptor and the path of the file."""
     while True:
         descriptor, name = tempfile.mkstemp(
             dir=target.parent, prefix=f"{UNFINISHED}{target.stem}-", suffix=target.suffix

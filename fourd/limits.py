@@ -27,8 +27,8 @@ MAX_CONFIG_BYTES = 1 << 20
 MAX_NUMBER = 64
 """Maximum number of characters of a number that is read from a file as an exact fraction."""
 _MIN_READ = 1 << 16
-"""Minimum number of bytes that are read from a file, even if its reported size is smaller. Files in /proc report the
-size 0."""
+"""If a file reports a smaller size than this number of bytes, reading still continues up to this number of bytes or the
+end of the file. Files in /proc report the size 0, although they have content."""
 _KINDS = (
     (stat.S_ISFIFO, "a named pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -40,8 +40,8 @@ _KINDS = (
 def require_regular(path: Path | str) -> None:
     """Raise UserError if ``path`` is a named pipe, a socket or a device, because reading it may never end.
 
-    Symbolic links are followed. No error is raised for a folder or a missing path. The code that opens the path reports
-    these errors.
+    Symbolic links are followed. No error is raised for a folder or a missing path, because opening the path afterwards
+    raises an error.
     """
     try:
         mode = os.stat(path).st_mode
@@ -51,16 +51,17 @@ def require_regular(path: Path | str) -> None:
 
 
 def open_regular(path: Path | str) -> BufferedReader:
-    """Open a regular file for reading. Opening never waits, and nothing is read from pipes and devices.
+    """Open a regular file for reading. Opening never blocks, and nothing is read from pipes and devices.
 
     Raises:
         UserError: if ``path`` is a named pipe, a socket or a device.
         OSError: if ``path`` is missing, is a folder, or cannot be opened.
     """
-    # The file is examined before it is opened, because opening a device can have side effects. It is examined again
-    # afterwards, because another process may have replaced it in between. The stream owns the descriptor from the
-    # start. Otherwise, if Ctrl-C arrived after the descriptor was opened and before the stream owned it, the descriptor
-    # would be closed twice. The second call could then close a file that another thread has opened in the meantime.
+    # The kind of the file is checked before the file is opened, because opening a device can have side effects. It is
+    # checked again after the file is opened, because another process may have replaced the file in between. The stream
+    # is created together with the descriptor, and only the stream closes the descriptor. With two owners, a Ctrl-C
+    # could make both of them close the descriptor. The second close could then close a file that another thread has
+    # opened in the meantime.
     _require_regular_mode(path, os.stat(path).st_mode)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     # Opening raises IsADirectoryError for folders.
@@ -76,7 +77,7 @@ def open_regular(path: Path | str) -> BufferedReader:
 def read_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
     """Read the content of a regular file of at most ``max_bytes`` bytes.
 
-    The errors are those of :func:`open_regular`. UserError is also raised for larger files.
+    Raises the same errors as :func:`open_regular`, and UserError for larger files.
     """
     with open_regular(path) as stream:
         size = os.fstat(stream.fileno()).st_size
@@ -90,13 +91,13 @@ def read_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> bytes:
 
 
 def read_text_limited(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """Read a file as UTF-8 text, with the limit and the errors of :func:`read_limited`. Also raises UnicodeDecodeError,
-    a ValueError, if the bytes are not UTF-8."""
+    """Read a file as UTF-8 text, with the same size limit and errors as :func:`read_limited`. Also raises
+    UnicodeDecodeError, a ValueError, if the bytes are not UTF-8."""
     return read_limited(path, max_bytes).decode("utf-8")
 
 
 def read_json(path: Path | str, max_bytes: int = MAX_TEXT_BYTES) -> Any:
-    """Parse a JSON file. The errors are those of :func:`read_text_limited`, and ValueError for invalid JSON.
+    """Parse a JSON file. Raises the same errors as :func:`read_text_limited`, and ValueError for invalid JSON.
 
     JSON that is nested too deeply for the parser also raises ValueError.
     """

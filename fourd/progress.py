@@ -116,8 +116,8 @@ class EndEstimate:
     """Estimates the end of a phase from the rate at which the last items were finished.
 
     The rate is measured over the last minute, or over the last 20 items if they took longer than a minute. This time
-    window is long enough for a stable estimate, even if several processes finish items at the same time. It is also
-    short enough that the estimate follows changes of the machine's load.
+    window is long enough for a stable estimate, even if several processes finish items at the same time. The time
+    window is also short enough that the estimate follows changes of the machine's load.
     """
 
     def __init__(self, start: float, count: int) -> None:
@@ -126,9 +126,9 @@ class EndEstimate:
         self._marks = deque([(start, 0)])
 
     def update(self, now: float, done: int) -> float:
-        """Return the estimated end of the phase on the clock of ``now``.
+        """Return the estimated time of the phase's end, on the same clock as ``now``.
 
-        ``done`` is the number of finished items, which must increase with every call.
+        ``done``, the number of finished items, must increase with every call.
         """
         self._marks.append((now, done))
         while len(self._marks) > RATE_ITEMS + 1 and self._marks[1][0] <= now - RATE_SECONDS:

@@ -1,5 +1,5 @@
-"""Detection of backgrounds that are not static. The area outside the mattes is compared between frames and clean
-plates."""
+"""Detection of backgrounds that are not static. Frames are compared with clean plates in the area outside the
+mattes."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def read_plates(
     ``capture.cameras``.
 
     If the user provides a plate, ``bgs/CAM.png`` or ``bgs/CAM.jpg``, this plate is used. The user's plate must have the
-    full size of the frames and their lens distortion. Pixels of the user's plate that are not opaque are holes. If the
+    full size and the lens distortion of the frames. Pixels of the user's plate that are not opaque are holes. If the
     user provides no plate, the plate ``.fourd/plates/CAM.png`` from :mod:`fourd.matting.plates` is read.
 
     Args:

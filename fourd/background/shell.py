@@ -19,7 +19,7 @@ HORIZONTAL_WEIGHT = 6.0
 """Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. Floors, walls and skies vary
 less in the horizontal direction than in the vertical direction."""
 SMALL_GAP_DEG = 1.5
-"""Gaps of up to this many degrees are closed. Such gaps are common between neighbouring points of a surface."""
+"""Gaps of up to this many degrees are closed. Gaps of this size are common between neighbouring points of a surface."""
 RIM_FACTOR = 0.985
 """Factor that multiplies the inverse distances of the shell's rim. The rim consists of known cells beside unknown
 cells. The factor places the rim slightly behind the known points."""
@@ -56,8 +56,9 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
-    # Shell points whose distance from the centre is smaller than the median distance of the cameras are dropped. Some
-    # cameras see the space near the centre. Gaps in this space are therefore caused by sparse points and need no shell.
+    # A shell point is dropped if its distance from the centre is smaller than the median of the cameras' distances.
+    # Some cameras see the space near the centre. Gaps in this space are therefore caused by sparse points and need no
+    # shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
     kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
@@ -102,15 +103,15 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
     step = np.maximum(1, np.rint(1 / np.maximum(np.cos(elevation), 1e-3))).astype(np.intp)
     step = np.where(degrees > NEAR_GAP_DEG, 4 * step, step)
     level = np.where(degrees > NEAR_GAP_DEG, row % 4 == 0, True)
-    # Far from known cells, every second row with points is offset by half a step. The resulting hexagonal layout covers
-    # the sphere most evenly.
+    # Far from known cells, every second row with points is offset by half the distance between its points. The
+    # resulting hexagonal layout covers the sphere most evenly.
     offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
     return np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
 
 
 def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
-    """Close small gaps between known cells. Returns the known cells after closing (rows, columns), and the angle in
-    degrees between each cell and the nearest cell that was known before closing."""
+    """Close small gaps between known cells. Returns a mask (rows, columns) of the known cells after closing, and the
+    angle in degrees between each cell and the nearest cell that was known before closing."""
     known = _dilate_rows(sphere, known)
     # Three copies of the grid side by side make the distance transform periodic in azimuth.
     tiled = np.pad(np.tile(known, (1, 3)), ((sphere.rows, sphere.rows), (0, 0)))
@@ -133,7 +134,7 @@ def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.
 
 
 def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
-    """(N,) bool, true for points (N, 3) that occlude at least one of the points ``seen`` (M, 3) in at least one
+    """Mask (N,) of the points ``xyz`` that occlude at least one of the known points ``seen`` (M, 3) in at least one
     camera."""
     hides = np.zeros(len(xyz), np.bool_)
     for camera in cameras:

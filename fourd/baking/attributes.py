@@ -116,7 +116,7 @@ def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:
         bits = bits & np.uint16(0x7FFF)
     if int(bits.max()) <= limit:
         return True
-    # The bit patterns of infinity and NaN are 0x7C00 or more, and those of negative values are 0x8000 or more.
-    # Infinity, NaN and negative values therefore exceed ``limit``. The value -0 has the bit pattern 0x8000 and is
+    # The bit patterns of infinity and NaN are 0x7C00 or more, and the bit patterns of negative values are 0x8000 or
+    # more. Infinity, NaN and negative values therefore exceed ``limit``. The value -0 has the bit pattern 0x8000 and is
     # valid.
     return int(np.where(bits == 0x8000, np.uint16(0), bits).max()) <= limit

@@ -97,13 +97,13 @@ def require_bakeable(run: Run) -> None:
 
 
 def select_baked_views(run: Run) -> list[int]:
-    """Return the cameras whose colours are baked: the training views, or no cameras if the run stores colours only as
-    spherical harmonics."""
+    """Return the cameras for which colours are baked: the training views, or no cameras if the run stores colours only
+    as spherical harmonics."""
     return run.training if run.config.train.model.appearance != "sh" else []
 
 
 def make_manifest(trained: TrainedRun, layers: int = BAKED_LAYERS, fps: float | None = None) -> SceneManifest:
-    """Return the manifest of a run's scene, without the numbers of points. The writer sets the numbers of points.
+    """Return the manifest of a run's scene. The writer adds the number of dynamic points of each frame.
 
     For ``fps``, see :func:`bake_run`.
     """
@@ -210,7 +210,8 @@ def _bake_points(
 def _bake_blending(
     model: PointModel, points: EvaluatedPoints, sources: list[int], get_source_view: GetSourceView
 ) -> tuple[Tensor, Tensor]:
-    """Compute blend weights (N, V) and colours (N, V, 3) in [0, 1]. Each source view is evaluated separately.
+    """Compute the points' blend weights (N, V), and their colours (N, V, 3) in [0, 1]. Each source view is evaluated
+    separately.
 
     The blend weight of a point is 0 in each view where the point is occluded.
     """

@@ -1,4 +1,5 @@
-"""Combination of a frame's dynamic points with the background of a full scene and with the shadow on the background."""
+"""Combination of a frame's dynamic points with the background points of a full scene, whose colours are multiplied by
+the frame's shadow."""
 
 from __future__ import annotations
 
@@ -22,8 +23,8 @@ def combine_frames(dynamic: BakedFrame, background: BakedFrame, shadow: NDArray[
         dynamic: the N dynamic points of the frame.
         background: the M background points. The background must have the same source views and attributes as
             ``dynamic``.
-        shadow: (M,) uint8 factors that multiply the background's colours, in units of 1/128. If ``shadow`` is None, the
-            colours are unchanged.
+        shadow: (M,) uint8 factors, in units of 1/128, that multiply the background's colours. If ``shadow`` is None,
+            the colours are unchanged.
 
     Raises:
         ValueError: for an invalid argument. The message names the argument and the expected value.

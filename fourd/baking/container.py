@@ -96,8 +96,8 @@ class SceneWriter:
 
         Args:
             frame: the points of this frame, without the background.
-            shadow: (M,) uint8 factors that multiply the colours of the M background points in this frame, in units of
-                1/128. Only full scenes have shadows. Either all frames have a shadow or no frame has one.
+            shadow: (M,) uint8 factors, in units of 1/128, that multiply the colours of the M background points in this
+                frame. Only full scenes have shadows. Either all frames have a shadow or no frame has one.
         """
         if index != len(self._points) or index >= self.manifest.frame_count:
             raise ValueError(
@@ -197,8 +197,8 @@ class SceneWriter:
 class SceneReader:
     """Reads a `.4dv`. Each call reads the requested frame from the file. Only the background is kept in memory.
 
-    Several threads may use one instance. ``path`` can be a URL, such as s3://bucket/scene.4dv. A scene at a URL is read
-    with range requests, without a local copy.
+    Several threads may use one instance at the same time. ``path`` can be a URL, such as s3://bucket/scene.4dv. A scene
+    at a URL is read with range requests, without a local copy.
 
     Attributes:
         path: the path or URL of the file.
@@ -208,7 +208,7 @@ class SceneReader:
     Raises:
         UserError: if the file is truncated, is not a scene, has a newer format or is inconsistent. An invalid file
             raises UserError when it is opened. A damaged member of the ZIP raises UserError when the member is read.
-            The message is one line that names the file and the fix.
+            The message is one line that names the file and says how to solve the problem.
     """
 
     def __init__(self, path: Location | str) -> None:

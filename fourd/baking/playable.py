@@ -156,6 +156,6 @@ def select_frames(playable: Playable, selection: str | None) -> list[int]:
 
 
 def selected_rate(playable: Playable, frames: Sequence[int]) -> float:
-    """Frame rate at which the selected frames play at the speed of the recording. ``frames`` are evenly spaced frame
+    """Frame rate that plays the selected frames at the speed of the recording. ``frames`` are evenly spaced frame
     indices."""
     return playable.fps if len(frames) < 2 else playable.fps / (frames[1] - frames[0])

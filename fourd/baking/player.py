@@ -18,7 +18,7 @@ from fourd.ops.play.op import PointPlayer
 class Player:
     """Draws baked frames and reuses its workspace between images.
 
-    Several threads may use one instance. A lock serializes the threads' calls.
+    Several threads may use one instance, because a lock serializes their calls.
     """
 
     def __init__(self) -> None:
@@ -38,8 +38,8 @@ class Player:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw the frame from ``camera`` as an (H, W, 4) uint8 image. The channels are RGB over the background, and
-        alpha.
+        """Draw the frame from ``camera`` as an (H, W, 4) uint8 image. The channels are RGB, composited over
+        the background, and alpha.
 
         The image differs in two ways from the image that :meth:`fourd.baking.rendering.Scene.render` returns. First,
         values are rounded to bytes, before and after the scene's pixel filter. Second, compositing of a pixel ends when

@@ -38,7 +38,7 @@ class RenderedImage:
 
 
 class Scene:
-    """An open baked scene. Several threads may use one instance.
+    """An open baked scene. Several threads may use one instance at the same time.
 
     Use the scene as a context manager, or call :meth:`close` when it is no longer needed. The most recently used frames
     are cached, up to ``cache_bytes``.
@@ -157,6 +157,7 @@ def open_scene(path: Location | str, *, cache_bytes: int = CACHE_BYTES) -> Scene
             this limit.
 
     Raises:
-        UserError: if the file is not a valid scene. The message is one line that names the file and the fix.
+        UserError: if the file is not a valid scene. The message is one line that names the file and says how to solve
+            the problem.
     """
     return Scene(path, cache_bytes=cache_bytes)

@@ -156,12 +156,12 @@ class SceneManifest:
         neighbours: number of source views that are blended for a viewing camera (N' in 4K4D).
         fade_views: whether the weight of a source view decreases with its angle to the viewing camera; see
             :func:`fourd.cameras.fading_weights`.
-        sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(sh . Y(d))``, where Y(d)
-            are the spherical harmonics in viewing direction d.
+        sh_range, sh_base: constants of the view-dependent colour ``sh_base + sh_range * tanh(dot(sh, Y(d)))``, where
+            Y(d) are the spherical harmonics in viewing direction d.
         near: depth, in world units, of the near plane. Points with a smaller depth are not rendered.
         pixel_filter: weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25; see
             :func:`fourd.ops.pixel_filter.op.filter_pixels`. With 0, images are not filtered.
-        kind: "object" (on black) or "full" (with a static background).
+        kind: "object" (only dynamic points) or "full" (dynamic points and a static background).
         background: static points of a full scene; set by the writer.
         producer: program and version that wrote the scene.
         version: version of the file format; set by the writer.

@@ -86,8 +86,8 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
 
 
 def composite(cloud: dict[str, Tensor], view: Camera, layers: int, backward: bool, backend: str = "auto") -> Work:
-    """Return a function that renders a cloud. If ``backward``, the function also computes the gradients of all arrays
-    of the cloud."""
+    """Return a function that renders a point cloud. If ``backward``, the function also computes the gradients of all
+    arrays of the point cloud."""
 
     def work() -> object:
         free = {name: array.requires_grad_(backward) for name, array in cloud.items()}

@@ -36,7 +36,7 @@ def make_mesh(count: int) -> tuple[Tensor, Tensor]:
     first = (torch.arange(cells)[:, None] * (cells + 1) + torch.arange(cells)).reshape(-1)
     right, below = first + 1, first + cells + 1
     tri = torch.cat([torch.stack([first, right, below], 1), torch.stack([right, below + 1, below], 1)])
-    order = torch.argsort(tri.amin(1), stable=True)  # Neighbours in the list are also neighbours on the surface.
+    order = torch.argsort(tri.amin(1), stable=True)  # Consecutive triangles are near each other on the surface.
     return xyz.reshape(-1, 3).float(), tri[order].int()
 
 

@@ -1,6 +1,6 @@
 """The computations of the benchmarks, implemented with other libraries for comparison.
 
-The other libraries are optional.
+The libraries for the comparison are optional.
 """
 
 from __future__ import annotations

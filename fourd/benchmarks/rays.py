@@ -32,7 +32,7 @@ def random_rays(count: int) -> tuple[Tensor, Tensor]:
 
 def ray_works(count: int, side: int) -> Iterator[tuple[str, Work, dict[str, Work]]]:
     """Yield benchmarks with about ``count`` triangles: building a BVH, refitting it, and tracing rays. Each benchmark
-    is a name, the work and its rivals."""
+    consists of a name, the work, and other implementations of the work, by name."""
     xyz, tri = make_mesh(count)
     bvh = Bvh.build(xyz, tri)
     yield f"build a BVH over {count:,} triangles", lambda: Bvh.build(xyz, tri), {}

@@ -18,7 +18,7 @@ overlap."""
 
 def make_soup(count: int) -> dict[str, Tensor]:
     """Make the array arguments of ``splat_triangles``. The triangles are equilateral, have random colours and share no
-    vertices. They lie in tangent planes of the ellipsoid of :func:`fourd.benchmarks.workloads.make_points`."""
+    vertices. The triangles lie in tangent planes of the ellipsoid of :func:`fourd.benchmarks.workloads.make_points`."""
     rng = np.random.default_rng(SEED)
     centres = make_points(count)[0].astype(np.float64)
     normals = _unit(centres)

@@ -1,7 +1,7 @@
 """Timings that are comparable on a machine under varying load.
 
-A timing is the median over several runs, in milliseconds. It is also given as a multiple of the time of the unit, which
-is a fixed computation.
+A timing is the median over several runs, in milliseconds. The timing is also given as a multiple of the time of a fixed
+computation, which is called the unit.
 """
 
 from __future__ import annotations

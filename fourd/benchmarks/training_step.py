@@ -26,8 +26,8 @@ CAMERAS = 6
 def training_steps(resources: ExitStack) -> Iterator[tuple[str, Work]]:
     """Yield four training steps with their names.
 
-    Two steps use the default config, and two steps use whole images and every point. In each of these pairs, one step
-    trains the image CNN, and the other step keeps it frozen.
+    Two steps use the default config, and two steps use whole images and every point. Of two steps with the same config,
+    one trains the image CNN, and the other keeps it frozen.
 
     The capture is in a temporary folder, which is removed when ``resources`` is closed.
     """

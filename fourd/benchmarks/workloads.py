@@ -54,7 +54,7 @@ def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> t
     ring.
 
     Args:
-        ordered: whether to sort the points in Morton order, as a trained run does. Otherwise the points are in random
+        ordered: whether to sort the points in Morton order, as a trained run does. If false, the points are in random
             order.
     """
     rng = np.random.default_rng(SEED + 2)

@@ -55,7 +55,8 @@ class CalibrationSettings:
         board: the board in the videos.
         board_file: the board's file, for error messages.
         intrinsics: folder or file with known lenses, or None to estimate all lenses.
-        frames: range A:B[:S] of the frames to search, or None for all frames, at most 400.
+        frames: range A:B[:S] of the frames to search. If None, all frames are searched, or 400 evenly spaced frames if
+            there are more.
         floor_frame: number of a frame in which the board lies on the floor, or None. The world's origin is then a
             corner of the board, and z points up. Without a floor frame, the world has the axes of the first camera.
         offsets: delay, in frames, of each camera's video, by camera name.
@@ -74,7 +75,7 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
 
     Args:
         source: folder with a video or a folder of images per camera. All cameras record the same moving board.
-        out: folder that is new, empty, or an earlier calibration. An earlier calibration is replaced completely.
+        out: a new folder, an empty folder, or the folder of an earlier calibration, which is replaced completely.
         settings: the user's settings.
         log: called with one line per result or choice.
         warn: called with one line for each value that is badly determined.
@@ -111,7 +112,7 @@ def calibrate_rig(source: Path, out: Path, settings: CalibrationSettings, *, log
 
 
 def check_out(out: Path) -> None:
-    """Raise UserError unless ``out`` is a new or empty folder, or an earlier calibration."""
+    """Raise UserError unless ``out`` is a new folder, an empty folder, or the folder of an earlier calibration."""
     if out.is_dir() and all((out / name).is_file() for name in (INTRINSICS_NAME, EXTRINSICS_NAME, REPORT)):
         known = {INTRINSICS_NAME, EXTRINSICS_NAME, REPORT, DRAWING}
         if set(os.listdir(out)) <= known:
@@ -182,7 +183,8 @@ def _detect(
     """Find the board in all frames.
 
     Raises:
-        UserError: if a camera never sees the board. If another board is found, the message describes it.
+        UserError: if a camera never sees the board. If the camera sees a different board, the message describes
+            that board.
     """
     detector = BoardDetector(settings.board)
     views: list[BoardView] = []
@@ -239,8 +241,8 @@ def _grey(frames: SynchronizedFrames, camera: int, number: int) -> Grey:
 
 
 def _lay_on_floor(fit: RigFit, views: Sequence[BoardView], settings: CalibrationSettings) -> RigFit:
-    """Make the board of the floor frame the origin and the axes of the world. z points to the side of the cameras that
-    see the board."""
+    """Move the origin and the axes of the world to the board in the floor frame. z points to the side from which the
+    cameras see the board."""
     frame = settings.floor_frame
     some = [view for view in views if view.frame == frame]
     if not some or frame is None:

@@ -18,15 +18,15 @@ Grey = NDArray[np.uint8]
 MIN_CORNERS = 6
 """Minimum number of corners of a view. A pose from fewer corners is inaccurate."""
 MIN_SPREAD = 0.5
-"""Minimum standard deviation of a view's corners across their main direction, in squares. Corners on one line do not
-determine a pose."""
+"""Minimum standard deviation, in squares, of a view's corners perpendicular to the line that fits them best. Corners on
+one line do not determine a pose."""
 MARKER_CLEARANCE = 0.95
 """Half the side length of the patch around a corner, as a share of the distance to the nearest marker."""
 CHESSBOARD_PATCH = 0.2
 """Half the side length of the patch around a corner of a chessboard, in squares."""
 MAX_CHESSBOARD_PX = 1000
-"""The search for a chessboard starts in a reduced image, whose longer side has this length in pixels. This saves time,
-because the search takes longest in images without a chessboard.
+"""The search for a chessboard starts in a reduced image, whose longer side has this length in pixels. The reduced
+image saves time, because the search takes longest in images without a chessboard.
 """
 
 
@@ -58,7 +58,7 @@ class BoardDetector:
         self._charuco = None if board.dictionary is None else _make_charuco_detector(board)
 
     def detect(self, grey: Grey, camera: int, frame: int) -> BoardView | None:
-        """Find the board in an image (H, W) uint8. Returns None if too few of its corners are visible."""
+        """Find the board in an image (H, W) uint8. Returns None if too few of the board's corners are visible."""
         positive = 255 - grey if self.board.inverted else grey
         first = self._mirrored_first.get(camera, False)
         for mirrored in (first, not first) if self.board.double_sided else (False,):
@@ -111,8 +111,8 @@ class BoardDetector:
 
 
 def _is_spread(flat: Array) -> bool:
-    """Whether a view has enough corners that are not nearly on one line. ``flat`` (N, 2) are the corners' positions on
-    the board, in squares."""
+    """Whether there are enough corners, and the corners are not nearly on one line. ``flat`` (N, 2) are the corners'
+    positions on the board, in squares."""
     if len(flat) < MIN_CORNERS:
         return False
     return bool(np.linalg.svd(flat - flat.mean(axis=0), compute_uv=False)[1] >= MIN_SPREAD * np.sqrt(len(flat)))

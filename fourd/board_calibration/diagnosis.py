@@ -1,4 +1,5 @@
-"""Reasons why a board is not found: other markers, other numbers of squares, negative or mirrored images."""
+"""Reasons why a board is not found: markers or numbers of squares that differ from the board's file, and negative or
+mirrored images."""
 
 from __future__ import annotations
 
@@ -23,7 +24,8 @@ MAX_TRIED_SQUARES = 14
 INLIER_SQUARES = 0.25
 """Maximum distance of a marker from its expected position on a board, in squares."""
 MAX_PX = 800
-"""Longer side, in pixels, of the reduced images that are used to search for other chessboards."""
+"""The search for chessboards that differ from the board's file uses reduced images, whose longer side has this length
+in pixels."""
 FEW_PICTURES = 3
 """Number of images that are searched first.
 
@@ -64,9 +66,9 @@ class _FoundMarkers:
 
 
 def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """Find the keys and values with which the board's file would describe the board that the images (H, W) uint8 show.
+    """Find the keys and values that the board's file needs to describe the board in the images (H, W) uint8.
 
-    The function tries all dictionaries, other numbers of squares, the inverted board and the mirrored board. The result
+    The function tries all dictionaries, many numbers of squares, the inverted board and the mirrored board. The result
     is a text with the keys that must be changed, or None if no board is found.
     """
     few = pictures[:: max(1, len(pictures) // FEW_PICTURES)]
@@ -110,8 +112,8 @@ def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> f
 
 
 def _search_markers(board: CalibrationBoard, pictures: Sequence[Grey]) -> _FoundMarkers | None:
-    """Search for markers in the images as they are, inverted and mirrored. Returns the markers of the dictionary with
-    the most markers, or None if no marker is found."""
+    """Search for markers in the images, and in inverted and mirrored copies of the images. Returns the markers of the
+    dictionary with the most detected markers, or None if no marker is found."""
     best, most = None, 0
     for inverted, mirrored in product((board.inverted, not board.inverted), (False, True)):
         turned = [_transform(picture, inverted, mirrored) for picture in pictures]
@@ -129,7 +131,8 @@ def _transform(picture: Grey, inverted: bool, mirrored: bool) -> Grey:
 
 
 def _marker_changes(board: CalibrationBoard, name: str, found: Sequence[MarkerImage]) -> list[str] | None:
-    """Keys and values for the board's file that fit the markers in the images, or None if no board fits the markers."""
+    """Return the keys and values to change in the board's file, so that the file describes the board in the images.
+    Returns None if no board fits the markers in the images."""
     size = _fit_size(board, name, sorted(found, key=lambda each: -len(each.ids))[:MAX_FITTED_PICTURES])
     if size is None:
         return None
@@ -175,7 +178,8 @@ def _fit_size(board: CalibrationBoard, name: str, images: Sequence[MarkerImage])
 
 
 def _count_placed(places: Array, found: MarkerImage) -> int:
-    """Number of markers whose centres a homography maps to their positions on the board."""
+    """Number of markers that fit one homography, which maps their centres in the image to their positions on the
+    board."""
     known = found.ids < len(places)
     if known.sum() < MIN_MARKERS:
         return 0
@@ -196,8 +200,8 @@ def _marker_places(board: CalibrationBoard) -> Array:
 
 
 def _find_markers(picture: Grey, name: str, precise: bool = False) -> MarkerImage:
-    """Find the markers whose ids occur once. With ``precise``, lines are fitted to the edges of the markers, which
-    takes longer than detection without lines."""
+    """Find the markers whose ids occur exactly once in the image. With ``precise``, lines are fitted to the edges of
+    the markers; this takes longer."""
     parameters = cv2.aruco.DetectorParameters()
     if precise:
         # Without refined corners, blurred markers appear up to 7% too small.
@@ -238,7 +242,8 @@ def _contains(name: str, other: str, largest: int) -> bool:
 
 
 def _suggest_chessboard(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None:
-    """Search the images for a chessboard. Returns the chessboard's numbers of squares, as keys of the board's file."""
+    """Search the images for a chessboard. Returns its numbers of columns and rows, as keys and values for the board's
+    file."""
     for picture in pictures:
         zoom = min(1.0, MAX_PX / max(picture.shape))
         reduced = np.asarray(cv2.resize(picture, None, fx=zoom, fy=zoom, interpolation=cv2.INTER_AREA), np.uint8)

@@ -125,7 +125,7 @@ def _draw_grid(panel: Picture, view: _View, to_pixels: _ToPixels, extent: float)
 
 
 def _draw_camera(panel: Picture, name: str, camera: Camera, to_pixels: _ToPixels, length: float) -> None:
-    """Draw a camera as a pyramid over its image, with the camera's name."""
+    """Draw a camera as a pyramid, with the camera's name. The apex is the camera centre, and the base is the image."""
     corners = np.array([[0, 0], [camera.width, 0], [camera.width, camera.height], [0, camera.height]], np.float64)
     rays = np.column_stack([corners, np.ones(4)]) @ np.linalg.inv(camera.intrinsics).T
     # Rays are scaled to equal lengths, because cameras with wide lenses would otherwise be drawn larger than others.

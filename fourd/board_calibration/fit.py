@@ -57,7 +57,7 @@ MIN_FITTED_VIEWS = 8
 MIN_FITTED_PAIRS = 4
 """A frame is held out only if each pair of its cameras keeps at least this number of shared frames in the fit."""
 SCALES_PX = (10.0, 1.0, 0.5)
-"""Scales of the Huber loss in the successive adjustments, in pixels."""
+"""Scales, in pixels, of the Huber loss in the successive adjustments."""
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
@@ -74,8 +74,8 @@ MAX_MEDIAN = 0.004
 """Maximum median error of a camera, as a share of the image's longer side. A larger error means that the cameras do not
 see one rigid board at the same time."""
 TIMING_GAIN = 0.97
-"""Delays and readouts are used if the mean error on held-out frames with them is below this multiple of the mean error
-without them."""
+"""Delays and readouts are used if they reduce the mean error on held-out frames to less than this multiple of the mean
+error without them."""
 OFFSET_STD = (0.0006, 0.0006, 0.002)
 """Standard deviations of a corner's displacement on the board along x, y and z, in squares."""
 MAX_OFFSETS = 60
@@ -94,8 +94,8 @@ class RigFit:
         held_out: (F,) whether the first fit left the frame out. The errors are measured with the first fit. The last
             fit uses all frames.
         corners: the corners of all frames.
-        errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the pose of the
-            board that fits best in each frame.
+        errors: (N,) reprojection errors of the corners in pixels, with the cameras of the first fit and the best pose
+            of the board in each frame.
         std: (C, 17) standard deviations of the cameras' parameters; see :mod:`fourd.board_calibration.adjustment.rig`.
         pairs: pairs of cameras that see the board in the same frame.
         estimated: (C,) whether a camera's lens was estimated.
@@ -116,8 +116,8 @@ class RigFit:
     thickness_m: float = 0.0
 
     def rms(self, camera: int, held_out: bool) -> float | None:
-        """Root mean square error of a camera in pixels, on held-out frames or on the other frames. The result is None
-        if the camera has no error for the requested frames."""
+        """Root mean square error, in pixels, of a camera on the held-out frames or on the frames of the first fit. The
+        result is None if the camera has no error for the requested frames."""
         rows = (self.corners.camera == camera) & (self.held_out[self.corners.board] == held_out)
         return float(np.sqrt(np.mean(self.errors[rows] ** 2))) if rows.any() else None
 
@@ -133,7 +133,7 @@ class RigInput:
         lenses: known lens of each camera, or None where it is estimated. The poses are ignored.
         board: the board.
         views: views of the board.
-        turns: angle in degrees, a multiple of 90, by which each camera's images were turned upright.
+        turns: angle in degrees, a multiple of 90, by which each camera's images were rotated to be upright.
     """
 
     where: str
@@ -147,7 +147,7 @@ class RigInput:
 
 @dataclass(frozen=True, eq=False)
 class _Rough:
-    """A rig that is correct up to a few pixels.
+    """A rig whose reprojection errors are at most a few pixels.
 
     Attributes:
         state: the rig.
@@ -168,7 +168,8 @@ def fit_rig(rig: RigInput, track: Track) -> RigFit:
     """Calibrate a rig in the coordinates of its first camera.
 
     Raises:
-        UserError: if a camera has too few views, cameras are not joined by common frames, or the views do not agree.
+        UserError: if a camera has too few views, shared frames do not connect all cameras, or the views contradict
+            each other.
     """
     _check_views(rig)
     frames = sorted({view.frame for view in rig.views})
@@ -199,7 +200,8 @@ def fit_rig(rig: RigInput, track: Track) -> RigFit:
 
 
 def choose_held_out(views: Sequence[BoardView], frames: Sequence[int]) -> set[int]:
-    """Choose every fifth frame, unless the fit needs the frame for a camera or a pair of cameras."""
+    """Choose the held-out frames: every fifth frame, except frames that the fit needs for a camera or a pair of
+    cameras."""
     seen: dict[int, list[int]] = {frame: [] for frame in frames}
     for view in views:
         seen[view.frame].append(view.camera)
@@ -272,8 +274,8 @@ def _adjust(
 
 
 def _check_agreement(rig: RigInput, medians: Array) -> None:
-    """Raise UserError if a camera strongly disagrees with the others. ``medians`` (C,) are the cameras' median errors
-    in pixels."""
+    """Raise UserError if the median error of a camera is too large for one rigid board. ``medians`` (C,) are the
+    cameras' median errors in pixels."""
     limits = [MAX_MEDIAN * max(size) for size in rig.sizes]
     worst = int(np.argmax(medians / limits))
     if medians[worst] > limits[worst]:
@@ -319,7 +321,7 @@ def _start(rig: RigInput, rough: _Rough, timed: bool) -> tuple[RigState, Corners
     mask, timing = rough.free.copy(), None
     if timed:
         mask[:, TIME] = True
-        # The first camera's time is the frame's time.
+        # Delays are relative to the first camera, so its delay is fixed at 0.
         mask[0, TIME.start] = False
         phase = [
             (0.0, 1 / h) if turn % 180 == 0 else (1 / w, 0.0)
@@ -378,8 +380,8 @@ def locate_boards(
 
     Args:
         board: the board.
-        rig: cameras, timing and shape of the board, and the initial poses of the board in the frames ``known``.
-        located: views and the poses of the board that fit their corners.
+        rig: the cameras, their timing, the shape of the board, and its initial poses in the frames ``known``.
+        located: the views, each with the poses of the board that fit its corners.
         frames: frame numbers, in ascending order.
         known: frame numbers of the poses in ``rig``.
     """

@@ -19,7 +19,7 @@ from fourd.capture.layout import sample_indices
 Array = NDArray[np.float64]
 
 MAX_LENS_VIEWS = 40
-"""Maximum number of views for the initial lens.
+"""Maximum number of views from which an initial lens is estimated.
 
 The maximum limits the computing time. The bundle adjustment uses all views.
 """
@@ -28,17 +28,16 @@ MAX_PAIR_FRAMES = 60
 FOCAL_GUESSES = (0.6, 1.0, 1.6)
 """Initial focal lengths that are tried, as shares of the image's longer side."""
 BAD_VIEW = 3.0
-"""A view is left out of the initial lens if its error exceeds this multiple of the median error."""
+"""A view is not used to estimate the initial lens if its error exceeds this multiple of the median error."""
 AGREEMENT_M = 0.1
-"""When relative poses are compared, a distance of this length in metres has the same weight as an angle of 0.1
-radians."""
+"""When relative poses are compared, a distance of this many metres has the same weight as an angle of 0.1 radians."""
 MAX_ERROR_PX = 30.0
 """Upper limit, in pixels, to which reprojection errors are clamped when poses of the board are compared."""
 
 
 @dataclass(frozen=True, eq=False)
 class LocatedView:
-    """A view and the poses of the board that fit the corners of the view.
+    """A view, and the poses of the board that fit the board's corners in this view.
 
     Attributes:
         view: the view.
@@ -116,7 +115,8 @@ def pair_cameras(located: Sequence[LocatedView]) -> list[CameraPair]:
 
 
 def join_cameras(count: int, pairs: Sequence[CameraPair]) -> list[list[int]]:
-    """Groups of cameras that camera pairs connect with each other. The largest group comes first."""
+    """Connected components of the graph of cameras, in which each camera pair is an edge. The largest component comes
+    first."""
     groups = [[index] for index in range(count)]
     for pair in pairs:
         first, second = (next(g for g in groups if index in g) for index in (pair.first, pair.second))
@@ -130,7 +130,7 @@ def chain_poses(count: int, pairs: Sequence[CameraPair]) -> Poses:
     """Poses from the first camera's coordinates to the coordinates of each of the ``count`` cameras. The poses are
     chained along the pairs with the most shared frames.
 
-    The chain is a maximum spanning tree (Prim). All cameras must be joined.
+    The chains form a maximum spanning tree (Prim's algorithm). The pairs must connect all cameras.
     """
     poses: dict[int, Poses] = {0: Poses(np.eye(3)[None], np.zeros((1, 3)))}
     while len(poses) < count:

@@ -20,7 +20,7 @@ MAX_ASPECT_DIFFERENCE = 0.01
 
 
 def read_lenses(path: Path) -> dict[str, Camera]:
-    """Read lenses by camera name; the cameras' poses are the identity.
+    """Read the lens of each camera, by camera name. The poses of the returned cameras are the identity.
 
     Args:
         path: a folder with intri.yml, or a TOML file of Caliscope (camera_array.toml), Anipose or Pose2Sim, in which
@@ -54,11 +54,12 @@ def read_lenses(path: Path) -> dict[str, Camera]:
 def match_lenses(
     path: Path, lenses: dict[str, Camera], names: Sequence[str], sizes: Sequence[tuple[int, int]]
 ) -> tuple[Camera | None, ...]:
-    """Choose the lens of each camera by name, and scale it to the size of the camera's images. The result is None for
-    cameras without a lens.
+    """Choose the lens of each camera by name, and scale it to the size of the camera's images. The result is
+    None for cameras without a lens in ``lenses``.
 
     Raises:
-        UserError: if the file contains a camera without a video, or images have another aspect ratio.
+        UserError: if the file contains a camera without a video, or the aspect ratios of a lens and of its camera's
+            images differ.
     """
     pairs = match_names(list(lenses), names, path)
     for unknown in sorted(set(lenses) - set(pairs.values())):

@@ -58,7 +58,8 @@ def print_board(path: Path, board: CalibrationBoard, page: str) -> tuple[float, 
 
 
 def page_size(page: str) -> tuple[float, float]:
-    """Width and height in millimetres of a page's name or of WIDTHxHEIGHT. Raises UserError for any other text."""
+    """Width and height, in millimetres, of the page that the text ``page`` describes: A4, A3, A2, letter, or
+    WIDTHxHEIGHT. Raises UserError for any other text."""
     if page.lower() in PAGES_MM:
         return PAGES_MM[page.lower()]
     width, _, height = page.lower().partition("x")
@@ -111,7 +112,7 @@ def _rectangle(edges_mm: Array) -> str:
 
 
 def _document(size: tuple[float, float], contents: list[bytes]) -> bytes:
-    """A PDF file with one page per content."""
+    """A PDF file with one page for each item of ``contents``."""
     box = f"[0 0 {size[0] * POINTS_PER_MM:.4f} {size[1] * POINTS_PER_MM:.4f}]"
     pages = [4 + 2 * number for number in range(len(contents))]
     objects = [

@@ -21,7 +21,7 @@ CELLS = (8, 6)
 FEW_VIEWS = 15
 LOW_COVERAGE = 0.5
 MIN_TILT_DEGREES = 20.0
-"""At least a tenth of the views should tilt the board against the image plane by more than this angle.
+"""In at least a tenth of the views, the board should be tilted against the image plane by more than this angle.
 
 In frontal views, a longer focal length looks almost the same as a smaller distance.
 """

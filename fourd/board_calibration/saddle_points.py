@@ -37,8 +37,8 @@ def refine_corners(grey: Grey, flat: Array, pixels: Array, half: float) -> tuple
         half: distance from the centre of the patch to its edge, in squares.
 
     Returns:
-        corners (N, 2) in OpenCV's pixel coordinates, and a mask (N,) of the corners that are saddle points. The other
-        corners are unchanged.
+        corners (N, 2) in OpenCV's pixel coordinates, and a mask (N,) of the corners for which a saddle point was
+        found. Corners without a saddle point are unchanged.
     """
     axes = _patch_axes(flat, pixels, half)
     if axes is None:
@@ -67,12 +67,12 @@ def refine_corners(grey: Grey, flat: Array, pixels: Array, half: float) -> tuple
 
 
 def _patch_axes(flat: Array, pixels: Array, half: float) -> Array | None:
-    """Axes (N, 2, 2) of the patches in pixels, as the columns of a matrix. Returns None if no homography fits the
-    corners."""
+    """(N, 2, 2): for each corner, a matrix whose columns are the vectors, in pixels, from the centre of the patch to
+    two of its edges. Returns None if no homography fits the corners."""
     homography, _ = cv2.findHomography(flat, pixels, cv2.LMEDS)
     if homography is None:
         return None
-    # The derivative of the homography at each corner.
+    # Differences between these mapped points approximate the derivative of the homography at each corner.
     ends = [np.column_stack([flat + step, np.ones(len(flat))]) @ homography.T for step in ((0, 0), (0.5, 0), (0, 0.5))]
     if any((np.abs(end[:, 2]) < 1e-9).any() for end in ends):
         return None

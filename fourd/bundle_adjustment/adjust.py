@@ -40,9 +40,9 @@ MIN_FEATURES = 20
 INLIER_SCALES = 4.0
 """A feature is an outlier if its reprojection error exceeds this multiple of the scale of the Cauchy loss."""
 FINAL_BAND_PX = 3.0
-"""Maximum distance of a match from its epipolar lines in the last of the three bundle adjustments, in pixels."""
+"""Maximum distance, in pixels, of a match from its epipolar lines in the last of the three bundle adjustments."""
 FINAL_SCALE_PX = 1.0
-"""Scale of the Cauchy loss in the last two of the three bundle adjustments, in pixels."""
+"""Scale, in pixels, of the Cauchy loss in the last two of the three bundle adjustments."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,10 @@ def adjust_cameras(capture: MaskSource, cameras: Sequence[int], prior: Prior, ba
 
 
 def adjust_to_matches(given: Sequence[Camera], frames: Sequence[FrameMatches], prior: Prior, band: float) -> Adjustment:
-    """Adjust the cameras ``given`` to feature matches; see :func:`adjust_cameras` for ``prior`` and ``band``."""
+    """Adjust the initial cameras ``given`` to feature matches.
+
+    See :func:`adjust_cameras` for ``prior`` and ``band``.
+    """
     wide = band * max(max(camera.width, camera.height) for camera in given)
     cameras, tracks, after = tuple(given), build_tracks(frames, given, wide), float("nan")
     for band_px, scale_px in ((wide, wide / 4), (wide / 2, FINAL_SCALE_PX), (FINAL_BAND_PX, FINAL_SCALE_PX)):

@@ -38,9 +38,9 @@ multiple of the median residual before the correction."""
 BAND = 0.03
 """Maximum distance of a match from its epipolar line, as a share of the longer image side."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
-"""Assumed standard deviations of the errors in the given calibration. Rotations are in degrees. Positions are shares of
-the distance between the camera and the scene's centre. Focal lengths are shares of the given focal length. Principal
-points are shares of the longer image side."""
+"""Assumed standard deviations of the errors in the given calibration. ROTATION_DEG is in degrees. POSITION is a share
+of the distance between the camera and the scene's centre. FOCAL is a share of the given focal length. PRINCIPAL is a
+share of the longer image side."""
 DISTORTION_ROUNDS = 3
 """Number of rounds of a bundle adjustment that changes intrinsics. Each round undistorts the matches with the latest
 intrinsics."""
@@ -127,7 +127,7 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
     """
     _, rows = _index_features(matches, cameras)
     tracks = _label_tracks(rows)
-    # The order of the tracks is random, because consecutive tracks are near each other in the image.
+    # Tracks are put in random order, because tracks with consecutive indices are near each other in the image.
     order = np.random.default_rng(0).permutation(max(tracks.values(), default=0) + 1)
     fitted, held_out = {}, {}
     for (i, j), found in matches.items():
@@ -140,7 +140,7 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
 
 
 def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
-    """Number of the track of each feature.
+    """The index of each feature's track.
 
     A camera sees each point at most once, so a match joins two tracks only if no camera is in both tracks. Without this
     rule, a few wrong matches would join all tracks.
@@ -168,7 +168,7 @@ def _is_better(now: MatchScore, before: MatchScore) -> bool:
 def _adjust(
     given: Sequence[Camera], matches: Mapping[Pair, Matches], has_focal: bool, has_principal: bool
 ) -> tuple[Camera, ...]:
-    """Bundle-adjust the cameras ``given`` with the matches."""
+    """Run bundle adjustment with the initial cameras ``given`` and the matches."""
     straight = [replace(camera, distortion=None) for camera in given]
     focus = viewing_centre(straight)
     distance = np.array([float(np.linalg.norm(camera.centre - focus)) for camera in given])
@@ -197,7 +197,7 @@ def _undistorted_frame(matches: Mapping[Pair, Matches], cameras: Sequence[Camera
 
 
 def _index_features(matches: Mapping[Pair, Matches], cameras: int) -> tuple[FrameMatches, dict[Pair, NDArray[np.intp]]]:
-    """Number the features of each camera. Matches with the same position in a camera share one feature."""
+    """Give each feature an index within its camera. Matches with the same position in a camera share one feature."""
     positions = []
     for camera in range(cameras):
         parts = [found.first_px for (i, _), found in matches.items() if i == camera]

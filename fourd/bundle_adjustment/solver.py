@@ -39,13 +39,13 @@ class Prior:
 
     Attributes:
         rotation: standard deviation of rotations in radians. With 0, all rotations are fixed.
-        position: (V,) standard deviation of the position of each camera in world units. With 0, all positions are
+        position: (V,) standard deviation, in world units, of the position of each camera. With 0, all positions are
             fixed.
         focal: standard deviation of the logarithm of the focal length. With 0, all focal lengths are fixed.
         pixel: standard deviation of the position of a feature in pixels. The measured standard deviation is a third of
             a pixel. The default is larger than the measured value, because the errors of features on the same surface
-            are correlated. A value below the default would make the adjustment fit the correlated errors and deform
-            rings of cameras.
+            are correlated. With a smaller value, the adjustment fits the correlated errors and deforms rings of
+            cameras.
         principal_px: standard deviation of the principal point in pixels. With 0, all principal points are fixed.
     """
 
@@ -97,7 +97,7 @@ def solve(
 
 
 def reprojection_errors_px(tracks: Observations, cameras: Sequence[Camera], xyz: Array) -> Array:
-    """Reprojection error (M,) of each feature in pixels. The error is infinite for points behind the camera."""
+    """Reprojection error (M,), in pixels, of each feature. The error is infinite for points behind the camera."""
     residual, in_camera = _residuals(_State(tuple(cameras), xyz), tracks)
     return np.where(in_camera[:, 2] > 0, np.linalg.norm(residual, axis=1), np.inf)
 
@@ -186,8 +186,8 @@ def _residuals(state: _State, tracks: Observations) -> tuple[Array, Array]:
 
 
 def _jacobians(state: _State, tracks: Observations, in_camera: Array) -> tuple[Array, Array]:
-    """Jacobians of the projections with respect to the parameters of the cameras (M, 2, 9) and to the points (M, 2,
-    3)."""
+    """Jacobians of the projections: an (M, 2, 9) array for the cameras' parameters, and an (M, 2, 3) array for the
+    points' positions."""
     k, rotation = (
         np.stack([getattr(camera, name) for camera in state.cameras])[tracks.camera]
         for name in ("intrinsics", "rotation")
@@ -218,7 +218,7 @@ def _update_camera(camera: Camera, change: Array) -> Camera:
 
 
 def _corrections(cameras: Sequence[Camera], given: Sequence[Camera]) -> Array:
-    """Changes (V, 9) of the parameters from the cameras ``given`` to the cameras ``cameras``."""
+    """Differences (V, 9): the parameters of ``cameras`` minus the parameters of the uncorrected cameras ``given``."""
     rows = []
     for camera, before in zip(cameras, given, strict=True):
         rotation = cv2.Rodrigues(camera.rotation @ before.rotation.T)[0].ravel()
@@ -243,7 +243,7 @@ def _prior_precision(prior: Prior, views: int) -> Array:
 
 
 def _free(prior: Prior) -> NDArray[np.bool_]:
-    """(9,) bool, true for camera parameters that are optimised."""
+    """Mask (9,) of the camera parameters that are optimised."""
     free = np.zeros(PARAMETERS, bool)
     free[ROTATION], free[POSITION] = prior.rotation > 0, bool((prior.position > 0).all())
     free[LOG_FOCAL], free[PRINCIPAL] = prior.focal > 0, prior.principal_px > 0

@@ -36,7 +36,7 @@ class Observations:
 
     @property
     def points(self) -> int:
-        """Number P of points. Every index from 0 to P - 1 is used."""
+        """Number P of points. Each point, from index 0 to P - 1, has at least one feature."""
         return int(self.point.max()) + 1 if len(self.point) else 0
 
     def of_points(self, kept: NDArray[np.bool_]) -> Observations:
@@ -66,7 +66,8 @@ class FrameMatches:
 
 
 def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band_px: float) -> Observations:
-    """Connect matches to tracks across cameras. Matches farther than ``band_px`` from their epipolar lines are ignored.
+    """Build feature tracks across cameras from matches. Matches farther than ``band_px`` from their epipolar lines are
+    ignored.
 
     Features of a track are dropped if the track has several features in the same camera.
     """
@@ -119,8 +120,8 @@ def triangulate_points(tracks: Observations, cameras: Sequence[Camera]) -> tuple
     """Triangulate one point per track: the point with the smallest sum of squared distances to the track's rays.
 
     Returns:
-        world points (P, 3), and (P,) bool, true for points whose rays span an angle of at least about 2 degrees. If the
-        rays span less than about 2 degrees, the position of the point is undefined.
+        world points (P, 3), and a mask (P,) that is true for points whose rays span an angle of at least about 2
+        degrees. If the rays span less than about 2 degrees, the position of the point is undefined.
     """
     origins = np.stack([camera.centre for camera in cameras])[tracks.camera]
     rays = _ray_directions(tracks, cameras)

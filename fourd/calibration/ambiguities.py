@@ -124,7 +124,7 @@ class _SizeResolver:
         return name, [note], matches
 
     def _check_option(self, asked: str | None, resized: Sequence[int]) -> None:
-        """Check that the size hypothesis ``asked`` explains the sizes of all resized images.
+        """Check that the requested size hypothesis ``asked`` explains the sizes of all resized images.
 
         If ``asked`` is None, check that at least one size hypothesis explains the sizes of all resized images.
 
@@ -149,8 +149,8 @@ class _SizeResolver:
         matches = match_cameras(self.pictures_by_frame, guess.cameras, self.track)
         choice = choose_size(matches, self.cameras, self.sizes, borders)
         if not choice.is_clear and self.checks_principal_points:
-            # Mirrored principal points can increase the residuals more than a wrong size hypothesis. The hypotheses are
-            # therefore compared again with corrected principal points.
+            # Mirrored principal points can increase the residuals more than a wrong size hypothesis does. The
+            # hypotheses are therefore compared again with corrected principal points.
             mirrors = _choose_mirrors(matches, choice.cameras)
             if mirrors is not None and mirrors.is_clear:
                 corrected = [

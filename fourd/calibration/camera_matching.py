@@ -31,8 +31,8 @@ Ground matching tries the planes in this order until there are enough matches.
 """
 GROUND_HALF_SIDE_M = 2.5
 METRIC_DISTANCES_M = (0.5, 50.0)
-"""Smallest and largest plausible distance between two cameras in metres. If a distance is outside this range, the unit
-of the world is assumed not to be metres."""
+"""Smallest and largest plausible distance, in metres, between two cameras. If a distance is outside this range, the
+unit of the world is assumed not to be metres."""
 MIN_UPRIGHT = 0.5
 """Minimum mean z component of the cameras' up directions in a world with z up."""
 MAX_RASTER_PX = 2000
@@ -44,10 +44,10 @@ def match_cameras(
     """Match pairs of cameras over all given frames.
 
     Features are matched first. Camera pairs with fewer than 20 feature matches are treated as unmatched. Wide baselines
-    can leave a camera with fewer than two matched pairs. If the world is in metres with z up, all pairs of a camera
-    with fewer than two matched pairs are also matched on the ground. The patches lie at z = 0, in a 5 m square that is
-    centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm below and above are also
-    tried. A pair with both feature matches and ground matches keeps the larger set.
+    can leave a camera with fewer than two matched pairs. If a camera has fewer than two matched pairs, and the world
+    is in metres with z up, all pairs of the camera are also matched on the ground. The ground patches lie at z = 0, in
+    a 5 m square that is centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm
+    below and above are also tried. A pair with both feature matches and ground matches keeps the larger set.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.
@@ -56,7 +56,7 @@ def match_cameras(
         track: progress callback.
 
     Returns:
-        The matches of each pair. Their positions are in pixels of the distorted images.
+        The matches of each pair, in pixels of the distorted images.
 
     Raises:
         ValueError: if an image does not have its camera's size.

@@ -139,8 +139,8 @@ def _border_width(rows: Array) -> float:
     if content - floor < 1:
         return 0.0
     share = np.clip((level[: first + 2] - floor) / (content - floor), 0, 1)
-    # Only the last black row can contain a part of the picture. Brightness in earlier black rows is a ringing artefact
-    # of the codec.
+    # Only the last black row can contain a part of the picture. Brightness in the other black rows is a ringing
+    # artefact of the codec.
     share[: max(first - 1, 0)] = 0
     return float((1 - share).sum())
 

@@ -155,10 +155,10 @@ def _fit_inliers(matches: Matches, which: NDArray[np.intp], tolerance_px: float,
 
 
 def _beats_chance(count: int, inliers: int, sample_size: int, probability: float) -> bool:
-    """Whether random matches are unlikely to give a model with ``inliers`` among ``count`` matches.
+    """Whether random matches are unlikely to give a model with ``inliers`` inliers among ``count`` matches.
 
-    The ``sample_size`` matches that define a model always fit it. ``probability`` is the probability that a random
-    match fits the model.
+    The ``sample_size`` matches that define a model always fit the model. ``probability`` is the probability that a
+    random match fits the model.
     """
     if inliers <= sample_size + 3:
         return False

@@ -14,7 +14,7 @@ from fourd.cameras import Camera
 
 @dataclass(frozen=True)
 class PoseError:
-    """Rotation error of a camera in degrees, and distance of its centre from the true centre in world units."""
+    """Error of a camera's pose: rotation error in degrees, and distance from the true camera centre in world units."""
 
     degrees: float
     distance: float

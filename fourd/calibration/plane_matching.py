@@ -1,9 +1,9 @@
 """Matches on a plane in the world, for wide baselines where features differ too much between images.
 
-The calibration is used to rectify both images to the plane. For each small patch of one rectified image, the most
-similar patch of the other rectified image is then searched for, near the position that the calibration predicts. The
-calibration affects only the appearance of a patch and the centre of its search. Errors of the calibration therefore
-show in the positions of the matches.
+The calibration is used to rectify both images to the plane. Each small patch of one rectified image is then matched to
+the most similar patch of the other rectified image, near the position that the calibration predicts. The calibration
+affects only the appearance of a patch and the centre of its search. Errors of the calibration therefore show in the
+positions of the matches.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ MIN_CORRELATION = 0.75
 MIN_LEAD = 0.12
 """Minimum difference between the peak correlation and the highest correlation more than 8 pixels away."""
 MIN_DROP = 0.03
-"""Minimum decrease of the correlation 3 pixels from its peak in all directions.
+"""Minimum decrease of the correlation from its peak to each of the eight positions at offsets of 3 pixels along x, y or
+both axes.
 
 The minimum rejects patches on a straight edge, because their correlation stays high along the edge.
 """
@@ -70,7 +71,7 @@ class PlanePatch:
 def match_on_plane(
     first: Picture, second: Picture, cameras: tuple[Camera, Camera], patch: PlanePatch, search_radius: int = 28
 ) -> Matches:
-    """Match two simultaneous RGB images (H, W, 3) on and near the plane of ``patch``.
+    """Match points on and near the plane of ``patch`` between two simultaneous RGB images (H, W, 3).
 
     Args:
         first: distorted image of the first camera.
@@ -80,7 +81,7 @@ def match_on_plane(
         search_radius: largest displacement between the two rectified images that is searched, in raster pixels.
 
     Returns:
-        The matches. Their positions are in pixels of the distorted images. Each match starts from a corner in the first
+        The matches, in pixels of the distorted images. Each match starts from a corner in the first
         rectified image. A corner is matched if its normalized cross-correlation with the second rectified image has one
         distinct peak.
     """
@@ -133,7 +134,7 @@ def _to_picture_px(camera: Camera, patch: PlanePatch, raster_px: Array) -> Array
 def _search(
     raster: Picture, other: Picture, x: int, y: int, search_radius: int
 ) -> tuple[float, float, float, float] | None:
-    """Search for the patch around (x, y) of the rectified image ``raster`` in the rectified image ``other``.
+    """Search the rectified image ``other`` for the patch around (x, y) in the rectified image ``raster``.
 
     Returns:
         (x, y) and the subpixel position of the match in ``other``, or None if the correlation has no distinct peak.

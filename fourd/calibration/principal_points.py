@@ -86,8 +86,8 @@ def principal_point_hypotheses(camera: Camera) -> dict[str, Camera]:
 def choose_principal_points(matches: Mapping[Pair, Matches], cameras: Sequence[Camera]) -> MirrorChoice:
     """Choose the combination of mirrored principal points with the smallest epipolar residual.
 
-    The images must have the calibration's size, or be resized without an off-centre crop. An off-centre crop would move
-    the image centre.
+    The images must show the same field of view as the images of the calibration. They may have another size, but they
+    must not be cropped off-centre, because such a crop moves the image centre.
 
     Args:
         matches: matches of each camera pair, in pixels of the distorted images.

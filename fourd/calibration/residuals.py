@@ -168,7 +168,7 @@ def find_bad_cameras(pairs: Mapping[Pair, float], *, max_px: float = MAX_GOOD_PX
     A camera is bad if it meets all of these conditions:
     - the camera belongs to at least 2 pairs;
     - at least 75% of the camera's pairs disagree;
-    - in the disagreeing pairs, at least 2 of the camera's partners agree with a third camera.
+    - among the cameras with which it disagrees, at least 2 agree with a third camera.
 
     If there are only two cameras or all pairs disagree, the residuals do not show which camera is wrong, and no camera
     is called bad.

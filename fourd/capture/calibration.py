@@ -127,7 +127,7 @@ def read_intrinsics(folder: Path | str) -> dict[str, Camera]:
     extri.yml is not read.
 
     Raises:
-        UserError: like :func:`read_calibration`, or if a camera has no image size.
+        UserError: in the same cases as :func:`read_calibration`, or if a camera has no image size.
     """
     lenses = {}
     intri = _Storage(Path(folder) / INTRINSICS_NAME)
@@ -222,7 +222,7 @@ def _read_rotation(name: str, extri: _Storage) -> Array:
 
 
 class _Storage:
-    """The content of a calibration file. Its error messages contain the file and the key."""
+    """The content of a calibration file. The error messages of this class contain the file and the key."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

@@ -29,7 +29,7 @@ class CameraFrames(Protocol):
         """Description of the frame for error messages: the file, and in a video also the frame number."""
 
     def close(self) -> None:
-        """Close open files. The next read opens them again."""
+        """Close open files. If a file is read later, it is opened again."""
 
 
 @dataclass(frozen=True)

@@ -76,7 +76,7 @@ def find_videos(folder: Path) -> dict[str, Path]:
 
 
 def refuse_symlinks(capture: Path, folder: Path) -> None:
-    """Check that no symbolic link makes a deletion in ``folder`` reach files outside CAPTURE/.fourd.
+    """Check that a deletion in ``folder`` cannot reach files outside CAPTURE/.fourd through a symbolic link.
 
     The check is skipped if ``folder`` is not inside CAPTURE/.fourd.
 

@@ -80,8 +80,8 @@ class Capture:
         frame_names: names of the selected frames. A frame's name is the name of its image file without suffix.
         frame_numbers: indices of the selected frames in the whole capture.
         total_frames: number of frames of the whole capture.
-        time_span: range of frame indices in the whole capture: its first frame has time 0, and its last frame has time
-            1. By default, the time span contains all frames.
+        time_span: range of frame indices in the whole capture. The first frame of the range has time 0, and the last
+            frame of the range has time 1. By default, the time span contains all frames.
         fps: number of selected frames per second of the recording, or None if the frame rate is not known. If every
             S-th frame is selected, ``fps`` is the recording's frame rate divided by S.
     """
@@ -120,7 +120,7 @@ class Capture:
         self.close()
 
     def close(self) -> None:
-        """Close all videos. The next read opens its video again."""
+        """Close all videos. If a video is read later, it is opened again."""
         for footage in self._footage:
             footage.images.close()
 
@@ -370,8 +370,8 @@ def _to_camera(path: Path, name: str, calibration: Calibration, size: tuple[int,
 def undistortion_maps(camera: Camera) -> NDArray[np.float32]:
     """For each pixel of the undistorted image, its position in the distorted image: x and y as an array (2, H, W).
 
-    The positions follow OpenCV's convention: the centre of the first pixel has the coordinate 0. In fourd it has 0.5,
-    so the principal point is shifted by half a pixel.
+    The positions follow OpenCV's convention: the centre of the first pixel has the coordinate 0. In fourd, this centre
+    has the coordinate 0.5, so the principal point is shifted by half a pixel.
     """
     k = camera.intrinsics.copy()
     k[:2, 2] -= 0.5
@@ -380,7 +380,7 @@ def undistortion_maps(camera: Camera) -> NDArray[np.float32]:
 
 
 class _ArrayCache:
-    """Cache of arrays by key. Its size in bytes is limited. The least recently used array is evicted first."""
+    """Cache of arrays by key, with a limited total size in bytes. The least recently used array is evicted first."""
 
     def __init__(self, max_bytes: int) -> None:
         self._max_bytes = max_bytes

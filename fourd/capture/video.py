@@ -27,8 +27,8 @@ CONTAINERS = "mov,mp4,matroska,webm,avi,mpegts,h264,hevc"
 """Names of the FFmpeg demuxers for the formats of :data:`fourd.capture.layout.VIDEO_SUFFIXES`, and for raw streams. Raw
 streams are opened only because a later check rejects them with an error message that explains the fix."""
 MAX_JITTER = 0.05
-"""Maximum deviation of a frame's time from a constant frame rate, as a share of the interval between frames. If one
-frame exceeds it, the index stores the time of every frame."""
+"""Maximum deviation of a frame's time from a constant frame rate, as a share of the interval between frames. If any
+frame deviates more, the index stores the time of every frame."""
 MAX_RATE_ERROR = 5e-3
 """The mean rate of unevenly spaced frames is replaced by the nearest standard rate if the two rates differ by less than
 a tolerance. The tolerance grows with the jitter of the frames, up to this share."""
@@ -162,7 +162,7 @@ def index_to_json(index: VideoIndex) -> dict[str, Any]:
 
 def index_from_json(values: Any) -> VideoIndex:
     """Create an index from its JSON values. Raises TypeError, KeyError, ValueError or ZeroDivisionError if the values
-    are not those of an index."""
+    do not describe a valid index."""
     values = dict(values) | {name: read_fraction(values[name]) for name in FRACTIONS if name in values}
     values |= {name: _whole_numbers(values.get(name, ())) for name in ("keyframes", "times")}
     index = VideoIndex(**values)
@@ -290,8 +290,8 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek skipped the requested frame. Either the file stores the frame after a keyframe that is displayed
-            # later, or the container's seek went too far. Decode from the start of the video instead.
+            # The seek missed the requested frame: it went too far, or the file stores the frame after a keyframe that
+            # is displayed later. In both cases, decode from the start of the video.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:
@@ -353,7 +353,7 @@ def first_frame(path: Path) -> tuple[int, int, int, str]:
 
 def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fraction, bool]:
     """Compute the frame rate in 1/s from the ascending times of at least 2 frames. Also return whether the times are
-    even.
+    evenly spaced.
 
     The container may have rounded the times to multiples of its time base, ``base`` seconds. If the times are uneven,
     as in videos of phones, intervals with dropped frames are ignored.

@@ -67,14 +67,14 @@ class Video:
 
     @property
     def frames_left(self) -> int:
-        """Number of frames of the capture between its frame 0 and the end of the video, or 0 if the video ends before
-        frame 0."""
+        """Number of frames of the capture from frame 0 to the end of the video, or 0 if the video ends before frame
+        0."""
         last = self.index.elapsed(self.index.frames - 1) + 1 / (2 * self.index.fps)
         return max(0, floor(last * self.rate - Fraction(self.offset)) + 1)
 
     def clock_error(self, frames: int) -> tuple[float, int]:
-        """For each frame of the capture, the nearest video frame is used. Find the largest difference in seconds
-        between the times of these two frames.
+        """Compare the time of each frame of the capture with the time of the nearest video frame, and find the largest
+        difference in seconds.
 
         Args:
             frames: number of frames of the capture.
@@ -124,8 +124,7 @@ def write_video_list(capture: Path, videos: Mapping[str, Video]) -> None:
 
 
 def write_entries(path: Path, entries: Mapping[str, Entry], fps: Fraction | None = None) -> None:
-    """Atomically write ``entries``, which describe videos and are keyed by camera name, to a file in the format of
-    videos.json.
+    """Atomically write the video entries ``entries``, keyed by camera name, to a file in the format of videos.json.
 
     ``fps`` is the frame rate of the capture in 1/s. If ``fps`` is None, as for the cache file in ``.fourd/``, no frame
     rate is written.

@@ -60,7 +60,7 @@ def transfer_of(frame: av.VideoFrame) -> str:
 def turn_of(frame: av.VideoFrame) -> int | None:
     """Angle in degrees (0, 90, 180 or 270) by which a frame must be turned counter-clockwise to be upright.
 
-    Returns None if the display matrix of the frame has another angle, or mirrors the frame.
+    Returns None if the display matrix of the frame has none of these angles, or mirrors the frame.
     """
     side_data: Any = frame.side_data  # PyAV accepts this key, but its type annotations do not declare it
     if "DISPLAYMATRIX" in side_data:

@@ -83,10 +83,10 @@ def find_bounds(
 
     Args:
         capture: cameras and masks; frames are read one at a time.
-        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
-            that see it.
-        least_views: a share in (0, 1]. At least this share of all views, and at least 3 views, must see a hull point.
-            If there are only 2 views, both must see it.
+        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
+            the views that see it.
+        least_views: a share in (0, 1]. At least the share ``least_views`` of all views, and at least 3 views, must see
+            a hull point. If there are only 2 views, both must see the point.
         margin: distance by which each face of the box is moved outwards, as a share of the box's longest side.
         max_frames: maximum number of frames that are read. The frames are evenly spaced and include the first and the
             last frame.
@@ -149,10 +149,10 @@ def hull_bounds(
 def viewing_region(cameras: Sequence[Camera]) -> tuple[Array, float]:
     """Find the point (3,) nearest to all optical axes, and the distance between this point and the farthest camera.
 
-    If the optical axes are almost parallel, no point is clearly nearest, and a weak prior determines the result. The
-    prior is a point in front of the mean of the camera centres. The distance of the prior from the mean is four times
-    the distance of the farthest camera from the mean. If the axes are not almost parallel, the prior has almost no
-    effect, because its weight is only 0.1% of the weight of the axes.
+    If the optical axes are almost parallel, many points are almost equally near to them, and a weak prior determines
+    the result. The prior is a point in front of the mean of the camera centres. The distance of the prior from the mean
+    is four times the distance of the farthest camera from the mean. If the axes are not almost parallel, the prior has
+    almost no effect, because its weight is only 0.1% of the weight of the axes.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -193,9 +193,9 @@ def empty_hull_error(views: Silhouettes, half: float, names: Sequence[str] | Non
 
 def removed_shares(views: Silhouettes, half: float) -> list[float]:
     """For each view, compute a share in [0, 1]: how much of the hull of all other views disappears when the view is
-    added. The hull of the other views is computed with an agreement of 1. If that hull is empty, the agreement is
-    lowered in steps, to 0.5 at the lowest, until the hull is not empty. The search cube is centred on the origin of
-    ``views``, and ``half`` is half the cube's side in world units.
+    added. The hull of the other views is computed with an agreement of 1. If the hull of the other views is empty, the
+    agreement is lowered in steps, to 0.5 at the lowest, until the hull is not empty. The search cube is centred on the
+    origin of ``views``, and ``half`` is half the cube's side in world units.
     """
     shares = []
     for index, view in enumerate(views.views):

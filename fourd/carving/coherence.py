@@ -1,4 +1,4 @@
-"""Agreement of mattes: the share of each matte that the visual hull of the other views covers.
+"""Agreement of mattes with the visual hull: the share of each matte that the visual hull of the other views covers.
 
 The measure needs no ground truth. Silhouette coherence (Hernandez et al. 2007) compares the silhouette of each view
 with the silhouette of the visual hull of all views. The measure in this module instead compares each matte with the
@@ -59,9 +59,9 @@ def frame_coherence(
     Args:
         masks: mattes (H, W) uint8, one per camera; 255 is the object. At least 2 mattes are required.
         cameras: undistorted pinhole cameras.
-        agreement: share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that see
-            it.
-        least_views: share in (0, 1]. At least this share of all views must see a hull point.
+        agreement: share in (0, 1]. A hull point must be inside the mattes of at least the share ``agreement`` of the
+            views that see it.
+        least_views: share in (0, 1]. At least the share ``least_views`` of all views must see a hull point.
     """
     focus, reach = viewing_region(cameras)
     views = Silhouettes.from_masks(masks, cameras, focus, agreement=agreement, least_views=least_views)

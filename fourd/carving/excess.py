@@ -1,16 +1,16 @@
-"""Removal of excess parts of the visual hull. Excess parts protrude from the hull, and the hull covers all silhouettes
-even without them.
+"""Removal of excess parts of the visual hull. Excess parts are protrusions of the hull without which the hull still
+covers all silhouettes.
 
 The visual hull is the largest shape that agrees with all silhouettes. The hull protrudes from the object in directions
 that lie between the directions of the views, and in concave regions, which no silhouette shows. Training often cannot
-remove excess parts, because they can have the correct colour in every view. An example is a white lump in front of a
-white chest.
+remove excess parts, because they can have the correct colour in every view. For example, a white lump in front of a
+white chest looks correct in every view.
 
 First, the hull is filled with cells. Then, in each round, cells with a mostly empty neighbourhood are removed. However,
 for each pixel inside a silhouette, the cell with the fullest neighbourhood on the pixel's ray is kept. The remaining
 cells therefore still cover all silhouettes. Repeated smoothing and thresholding moves a surface by its mean curvature
 (Merriman, Bence and Osher 1994). Kolev and Cremers (2008) also search for a shape that has a small area and satisfies
-silhouette constraints. Their method solves a convex problem.
+silhouette constraints, but they solve a convex problem.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ RAY_CELLS = 0.7
 shrink."""
 
 CRUMB_FULLNESS = 0.5
-"""The cell with the fullest neighbourhood on its ray is kept only if the filled share of its neighbourhood is at least
-this factor times the largest filled share on the adjacent rays. Otherwise the cell is a small piece of an excess part,
-on a ray that passes between the centres of the object's cells."""
+"""Factor that decides whether the cell with the fullest neighbourhood on a ray is kept. The filled share of its
+neighbourhood must be at least this factor times the largest filled share on the adjacent rays. Otherwise, the cell is a
+small piece of an excess part, on a ray that passes between the centres of the object's cells."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this number of side lengths of a cell."""
@@ -178,9 +178,9 @@ def remove_excess(views: Silhouettes, hull: FilledHull) -> NDArray[np.int64]:
 
 
 def _rays_of_cells(view: SilhouetteView, centres: Floats, side: float) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """The rays of a view form a grid. Return the flat index in this grid of the ray through each cell centre (3, N),
-    and the grid's shape (rows, columns). The index is -1 if the centre projects outside the view's silhouette or
-    image."""
+    """The rays of a view form a grid. For each cell centre (3, N), return the flat index of the ray through the centre
+    in the grid of rays. Also return the shape (rows, columns) of the grid of rays. The index is -1 if the centre
+    projects outside the view's silhouette or image."""
     x, y, z = view.project(centres)
     is_inside = view.sees(x, y, z)
     is_inside[is_inside] = sample(view.distance, x[is_inside], y[is_inside], cv2.INTER_LINEAR) >= 0

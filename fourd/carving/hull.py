@@ -48,8 +48,8 @@ class Silhouettes:
     Attributes:
         origin: (3,) float64 world point. The coordinates of all cells and points are relative to the origin.
         views: the silhouettes in the order of the cameras.
-        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
-            that see it.
+        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
+            the views that see it.
         needed: minimum number of views that must see a hull point.
     """
 
@@ -90,7 +90,7 @@ class Silhouettes:
         return replace(self, views=remaining, needed=min(self.needed, len(remaining)))
 
     def tolerated_outliers(self, seen: NDArray[np.integer]) -> NDArray[np.int64]:
-        """For each point, the number of views that are allowed to exclude it while it still belongs to the hull.
+        """For each point, the maximum number of views that can exclude the point without removing it from the hull.
         ``seen`` is the number of views that see each point."""
         return np.floor((1 - self.agreement) * np.asarray(seen) + 1e-9).astype(np.int64)
 
@@ -221,8 +221,8 @@ def root_cells(lower: Array, upper: Array, size: float) -> Floats:
 
 
 def refine(cells: Floats, size: float) -> tuple[Floats, float]:
-    """Subdivide each cell into eight cells. Return the new centres (3, 8 N), where the eight parts of a cell are
-    adjacent, and the new side length."""
+    """Subdivide each cell into eight cells. Return the new centres (3, 8 N), in which the eight parts of a cell are
+    adjacent columns, and the new side length."""
     corners = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij"), dtype=np.float32)
     steps = corners.reshape(3, 1, 8) * np.float32(size / 4)
     return (cells[:, :, None] + steps).reshape(3, -1), size / 2
@@ -253,8 +253,8 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
     - row 3: a part of the sphere may be in the image;
     - row 4: a part of the sphere may be in the image, and a part may project to the object.
 
-    Row 4 is needed for spheres that lie at the image borders of many views. Row 0 does not count a view that sees only
-    a part of the sphere, even if the visible part projects to the background.
+    Row 4 of ``counts`` is needed for spheres that lie at the image borders of many views. Row 0 of ``counts`` does not
+    count a view that sees only a part of the sphere, even if the visible part projects to the background.
     """
     x, y, z = view.project(cells)
     in_front = z > radius * np.float32(1.001)
@@ -273,8 +273,8 @@ def _count_view(view: SilhouetteView, cells: Floats, radius: np.float32, counts:
 
 
 def _insert(lowest: Floats, owners: NDArray[np.int16], value: Floats, index: np.int16) -> None:
-    """Insert the values (N,) of the view ``index`` into ``lowest`` (K, N), in place. Each column of ``lowest`` is in
-    ascending order."""
+    """Insert ``value`` (N,), the values of the view with the number ``index``, into ``lowest`` (K, N), in place. Each
+    column of ``lowest`` stays in ascending order."""
     owner = np.full(value.shape, index, dtype=np.int16)
     for rank in range(lowest.shape[0]):
         less = value < lowest[rank]

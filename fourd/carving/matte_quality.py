@@ -27,7 +27,7 @@ MAX_LINES = 8
 
 @dataclass(frozen=True, eq=False)
 class MatteQuality:
-    """Agreement of the mattes of a capture.
+    """Agreement of a capture's mattes with the visual hulls of its frames.
 
     Attributes:
         names: camera names.
@@ -105,7 +105,8 @@ def measure_mattes(
     max_frames: int = MAX_FRAMES,
     track: Track = untracked,
 ) -> MatteQuality | None:
-    """Measure the agreement of the mattes in at most ``max_frames`` evenly spaced frames of a capture.
+    """Measure how well the mattes agree with the visual hull, in at most ``max_frames`` evenly spaced frames of a
+    capture.
 
     With fewer than three cameras, the result is None. Two silhouettes nearly always have a common hull, so their
     agreement does not show whether the mattes are correct. Frames are read one at a time.

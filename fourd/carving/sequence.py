@@ -75,17 +75,17 @@ def carve_capture(
     """Carve every frame. Write ``FRAME.ply`` (xyz, rgb) for each frame, and ``bounds.json``, to ``out_folder``.
 
     FRAME is the six-digit frame number in the capture. Files are written atomically, and each process keeps only one
-    frame in memory. If neither the capture nor the settings have changed since the last call, frames with a complete
-    PLY file are skipped. After a change, all frames are carved again.
+    frame in memory. If the capture and the settings are the same as in the last call, frames with a complete PLY file
+    are skipped. Otherwise, all frames are carved again.
 
     Args:
         capture: cameras, images and masks.
         out_folder: folder for the files; it is created if missing.
         points: number of points per frame, at least 1.
-        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least this share of the views
-            that see it.
-        least_views: a share in (0, 1]. At least this share of all views, and at least 3 views, must see a hull point.
-            If there are only 2 views, both must see it.
+        agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
+            the views that see it.
+        least_views: a share in (0, 1]. At least the share ``least_views`` of all views, and at least 3 views, must see
+            a hull point. If there are only 2 views, both must see the point.
         trim: whether to remove protruding parts of the hull. The remaining hull still covers all silhouettes.
         inset: distance by which points are moved into the hull, in point spacings.
         seed: seed of the random order of the points.
@@ -138,7 +138,8 @@ def read_bounds(folder: Path | str) -> Bounds:
 
 
 def settings_key(capture: MaskSource, settings: DataclassInstance) -> str:
-    """Hash the inputs of carving: settings, cameras, frame numbers, and sizes and modification times of the files."""
+    """Hash the inputs of carving: settings, cameras, frame numbers and files. For each file, the name, the size and the
+    modification time are hashed."""
     digest = hashlib.sha256(json.dumps([VERSION, asdict(settings), capture.frame_numbers]).encode())
     for name, camera in zip(capture.names, capture.cameras, strict=True):
         digest.update(f"{name} {camera.width} {camera.height}".encode())
@@ -207,7 +208,7 @@ def _load_or_carve(
 
 @dataclass(frozen=True)
 class _Job:
-    """The frames that one process carves, and all inputs of their carving."""
+    """Job of one process: the frames that it carves, and all inputs of the carving."""
 
     capture: MaskSource
     folder: Path

@@ -17,7 +17,7 @@ CANDIDATES = 1.3
 computation slower."""
 MIN_DEPTH = 0.7
 """A move into the hull is acceptable if the moved point's distance from the surface is at least this share of the
-length of the move. At creases of the surface, the distance is shorter than the move."""
+length of the move. At creases of the surface, the moved point is nearer to the surface than the length of the move."""
 
 
 def surface_cells(views: Silhouettes, lower: Array, upper: Array, size: float) -> Floats:
@@ -40,9 +40,9 @@ def project_to_surface(
 ) -> tuple[Floats, Floats]:
     """Move points (3, N) onto the surface along the gradient of the distance. Points that do not converge are dropped.
 
-    The deciding view of a point is the view whose silhouette determines its distance. Two steps are enough, except at
-    creases of the surface, where the deciding view changes. A point has converged if its distance to the surface is at
-    most a tenth of ``size``.
+    The deciding view of a point is the view whose silhouette determines its distance. Two gradient steps are enough,
+    except at creases of the surface, where the deciding view changes. A point has converged if its distance to the
+    surface is at most a tenth of ``size``.
 
     Returns:
         points (3, M) and their outward unit normals (3, M).
@@ -103,8 +103,8 @@ def distance_gradient(views: Silhouettes, xyz: Floats, deciding: NDArray[np.int1
 def thin_evenly(xyz: NDArray[np.float32], count: int, rng: np.random.Generator) -> NDArray[np.int64]:
     """Select ``count`` of the points (N, 3) such that their density is even. Return their indices in random order.
 
-    ``count`` is at most N. Points are removed in rounds. In each round, each of the closest pairs of points loses one
-    point. Because the order is random, the first M points are a uniform sample for every M.
+    ``count`` is at most N. Points are removed in rounds. In each round, one point of each of the closest pairs is
+    removed. Because the order is random, the first M points are a uniform sample for every M.
     """
     kept = np.arange(len(xyz))
     while len(kept) > count:

@@ -63,8 +63,8 @@ FILE_ERRORS = (
 """File system errors that the user can fix."""
 
 SYSTEM_FOLDERS = ("/proc", "/sys")
-"""Folders in which no program can create files. If a program tries to create one, Linux reports that the file does not
-exist."""
+"""Folders in which no program can create files. If a program tries to create a file there, Linux reports that the file
+does not exist."""
 
 MAX_MESSAGE = 4000
 """Maximum number of characters of an error message. The middle of a longer message, which may quote text from a file,
@@ -114,7 +114,7 @@ Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be
 BROKEN_PIPE = 141
 """Exit code if the program that reads the output ends before fourd, as in ``fourd info FILE | head``.
 
-A process that the signal SIGPIPE ends has the same exit code.
+Shells report the same exit code for a process that is ended by the signal SIGPIPE.
 """
 
 SPIN_COUNT = "20000"

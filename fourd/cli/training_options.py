@@ -63,8 +63,9 @@ class TrainingOptions:
     """Flags and --set override the config file. The config file overrides the defaults."""
 
     scene: Annotated[Literal["object", "full"] | None, _config_option("scene", "{object,full}")] = None
-    """object: reconstruct only the foreground in the mattes, on black. full: also reconstruct a static background. With
-    full, a capture needs no mattes if nothing moves in it or if it has only one frame."""
+    """object: reconstruct only the foreground that the mattes cover, and render it in front of black. full: also
+    reconstruct a static background. With full, a capture needs no mattes if nothing moves in it or if it has only one
+    frame."""
     config: Annotated[Path | None, option("FILE.yaml", "none")] = None
     """YAML file with config keys. docs/configuration.md lists all keys."""
     assignments: Annotated[
@@ -140,7 +141,7 @@ class TrainingOptions:
 
 
 def _flag(name: str) -> str:
-    """Return the option on the command line that sets the field ``name`` of the options."""
+    """Return the command-line option that sets the field ``name`` of :class:`TrainingOptions`."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -158,7 +159,8 @@ def _replace_key(config: Any, key: str, values: Mapping[str, Any], flag: str) ->
 
     Args:
         config: a dataclass.
-        key: dotted key of a field, for example "rates.planes". The fields in ``values`` belong to the same dataclass.
+        key: dotted key of one of the fields in ``values``, for example "rates.planes". All these fields must belong to
+            one dataclass.
         values: new values by field name.
         flag: the command-line option, for errors.
     """

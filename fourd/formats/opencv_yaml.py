@@ -2,8 +2,8 @@
 
 OpenCV's own parser recurses without bound on nested content, and its reader of matrices corrupts memory if a matrix is
 incomplete. The reader in this module accepts only the types that calibrations contain, and takes a time proportional to
-the size of the file. A file is split into entries, and an entry is parsed when its value is requested. An entry of a
-type that the reader does not accept is therefore no error.
+the size of the file. A file is split into entries, and an entry is parsed when its value is requested. A file can
+therefore contain entries whose types the reader does not accept.
 """
 
 from __future__ import annotations
@@ -127,7 +127,8 @@ def _without_tag(text: str) -> str:
 
 
 def _fields(text: str) -> dict[str, str]:
-    """The fields of a map such as a matrix, one level deep. The value of a field ends at the next line with a key."""
+    """Split a map, such as a matrix, into its fields. Maps inside the map are not supported. The value of a field ends
+    at the next line with a key."""
     fields: dict[str, list[str]] = {}
     name = None
     for line in text.split("\n")[1:]:
@@ -171,7 +172,7 @@ def _gap_end(text: str, position: int) -> int:
 
 
 def _dashed(text: str) -> list[Item]:
-    """The items of lines such as ``  - "a"``. Raises ValueError if the text has other lines."""
+    """The items of lines such as ``  - "a"``. Raises ValueError if any line has a different form."""
     first, *lines = text.split("\n")
     items: list[Item] = []
     for line in lines:

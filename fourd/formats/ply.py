@@ -74,8 +74,8 @@ def write_vertices(path: Path | str, rows: NDArray[Any]) -> None:
 def read_ply(path: Path | str) -> ColouredPoints:
     """Read the vertices of a PLY file, which may be ASCII or binary of either byte order.
 
-    Colours may have the type uchar, or float with values in [0, 1]. Points without colours get a medium grey. All
-    vertex properties except position and colour are skipped, and so are elements after the vertices.
+    Colours may have the type uchar, or float with values in [0, 1]. Points without colours get a medium grey. The
+    function skips all vertex properties except position and colour, and all elements after the vertices.
 
     Raises:
         UserError: if the file is missing, is not a PLY file, is shorter than its header declares, lacks x, y or z, or
@@ -89,7 +89,7 @@ def read_vertices(path: Path) -> NDArray[Any]:
     """Read the vertices of a PLY file as a structured array (N,), one field for each property.
 
     Raises:
-        UserError: for the errors of :func:`read_ply`, except for coordinates that are not finite.
+        UserError: in the same cases as :func:`read_ply`, but coordinates that are not finite cause no error.
     """
     header, body = _read(path, -1)
     return _ascii_rows(path, header, body) if header.order is None else _binary_rows(path, header, body)

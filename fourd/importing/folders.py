@@ -22,8 +22,8 @@ MAX_VALUE = 1e100
 """Maximum magnitude of a number in a calibration file. Larger numbers are treated as infinite, because their products
 may overflow."""
 FRAME_FOLDERS = (".", "videos", "images", "raw-2d", "videos-raw", "synchronized_videos")
-"""Folders of a source that may contain the cameras' frames. Earlier folders are preferred. Anipose uses raw-2d and
-videos-raw. FreeMoCap uses synchronized_videos."""
+"""Folders of a source that may contain the cameras' frames. Earlier folders are preferred. Anipose uses the folders
+raw-2d and videos-raw. FreeMoCap uses the folder synchronized_videos."""
 CALIBRATION_FOLDER = re.compile("calib|intri|extri", re.IGNORECASE)
 """Pattern of the names of calibration folders. Images and videos in calibration folders show calibration boards, not
 the recording."""
@@ -168,7 +168,7 @@ def join_calibrations(
         calibrations: cameras, keyed by their names in the file ``path``.
         path: the calibration file, for error messages.
         mattes: folders that may contain a folder of mattes for each camera. The mattes of a camera are read from the
-            first folder that contains any.
+            first folder that contains mattes of this camera.
 
     Raises:
         UserError: when :func:`match_names` or :func:`find_mattes` raises UserError.
@@ -198,7 +198,7 @@ def parse_numbers(where: str, value: object, shape: tuple[int, ...]) -> Array:
     A size of -1 in ``shape`` means any length.
 
     Raises:
-        UserError: when the value has another shape or type. The error message starts with ``where``.
+        UserError: when the value has a wrong shape or type. The error message starts with ``where``.
     """
     expected = " x ".join("some" if size < 0 else str(size) for size in shape) or "1"
     try:
@@ -236,8 +236,8 @@ def make_camera(
 
 
 def _ends_with(name: str, camera: str) -> bool:
-    """Whether a video's name ends with a separator and a camera's name, such as -A, or with "cam" between the two, such
-    as -camA."""
+    """Whether a video's name ends with a separator and a camera's name, such as -A, or with a separator, "cam" and a
+    camera's name, such as -camA."""
     return re.search(rf"(?:^|[-_. ])(?:cam)?{re.escape(camera)}$", name) is not None
 
 

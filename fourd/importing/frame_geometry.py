@@ -20,7 +20,7 @@ after they are turned upright by the rotation in the video's metadata."""
 
 
 def turn_camera(camera: Camera, degrees: int) -> Camera:
-    """Return the camera whose image is the image of ``camera``, turned counter-clockwise by ``degrees``.
+    """Return the camera that fits the image of ``camera`` after the image is turned counter-clockwise by ``degrees``.
 
     In an image that is W pixels wide, a turn by 90 degrees maps the pixel (x, y) to (y, W - x), and the camera
     coordinates (X, Y, Z) to (Y, -X, Z). Of OpenCV's distortion coefficients, the radial ones do not change. The pairs

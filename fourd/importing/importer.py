@@ -50,8 +50,8 @@ METRIC_FORMATS = ("qualisys", "anipose", "actorshq", "dna-rendering")
 MAX_SAMPLE_FRAMES = 3
 """To check a calibration of at most FEW_CAMERAS cameras, the images of this number of frames are matched."""
 FEW_CAMERAS = 5
-"""With more cameras than this, the images of only one frame are matched: they have enough matches, and matching three
-frames would take minutes."""
+"""If there are more cameras than this number, the images of only one frame are matched. One frame then has enough
+matches, and matching three frames would take minutes."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +163,7 @@ def _correct_estimate(
     estimate: Estimate, imported: Imported, source_format: Format, options: ImportOptions, log: Log
 ) -> Estimate:
     """If the offsets were estimated from sound, correct them by the time that sound takes to reach each calibrated
-    camera, and log them."""
+    camera, and log the offsets."""
     is_metric = source_format.name in METRIC_FORMATS or options.distance is not None or options.board is not None
     if options.calibration is not None:
         is_metric |= is_metric_calibration(Path(options.calibration))

@@ -90,7 +90,8 @@ def find_layout(source: Path, formats: Sequence[CalibrationFormat]) -> Layout | 
     is used.
 
     Returns:
-        The layout; only the frames if no calibration is found; or None if no frames are found.
+        The layout if frames and a calibration are found, the frames if no calibration is found, or None if no frames
+        are found.
 
     Raises:
         UserError: if ``source`` contains several recordings, if it contains an OpenCap session, if all calibrations
@@ -243,7 +244,7 @@ def _is_suspect(path: Path) -> bool:
 
 
 def _reason(path: Path) -> str:
-    """The reason for not using a file that no format recognises."""
+    """Explain why a file that no format recognises is not used."""
     if path.suffix.lower() in PICKLES:
         return "fourd never loads pickles, because loading one can run code"
     for own, other in ((INTRINSICS_NAME, EXTRINSICS_NAME), (EXTRINSICS_NAME, INTRINSICS_NAME)):

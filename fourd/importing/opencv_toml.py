@@ -32,8 +32,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def camera_of_table(where: str, table: Mapping[str, Any], rotation: Array, translation: Array) -> Camera:
-    """Make a camera with the given pose. Its lens is read from the keys ``size``, ``matrix`` and ``distortions`` of
-    ``table``.
+    """Make a camera with the given pose. The camera's lens is read from the keys ``size``, ``matrix`` and
+    ``distortions`` of ``table``.
 
     Args:
         where: file and table for error messages.

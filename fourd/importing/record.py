@@ -32,8 +32,8 @@ class ImportRecord:
         calibration: hash of the source's calibration; see :func:`digests`.
         files: hash of the names and sizes of the source's files; see :func:`digests`.
         options: options of the command.
-        offsets: applied delays of the videos in frames of the capture.
-        unpacked: whether the videos' frames were written as images, with the offsets ``offsets``.
+        offsets: delays of the videos that were applied, in frames of the capture.
+        unpacked: whether the videos' frames were written as images, after the delays ``offsets`` were applied.
         done: whether the import finished.
         warnings: warnings of the import.
     """
@@ -95,8 +95,8 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
 
 
 def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, float], reduce: float) -> None:
-    """Raise UserError if the folder contains unpacked frames of other videos, or frames that were unpacked with other
-    offsets or another scale."""
+    """Raise UserError if an earlier import unpacked frames into the folder, but from different videos, with different
+    offsets or at a different scale than this import."""
     if before.unpacked and before.files != files:
         raise UserError(
             f"{out}: expected the videos unpacked into this folder, got other videos; import into another folder"

@@ -33,7 +33,7 @@ from fourd.sync.sound import SPEED_OF_SOUND, Soundtrack, estimate_sound_offsets,
 
 MAX_OFFSET_FRAMES = 300
 DECIMALS = 2
-"""Decimals of the applied offsets in frames."""
+"""Applied offsets, in frames, are rounded to this number of decimals."""
 PLOT = DERIVED / "sync.png"
 
 SyncMethod = Literal["auto", "sound", "motion"]
@@ -83,7 +83,7 @@ def estimate_offsets_of(
 
     Raises:
         UserError: if there are too few frames, or if a frame or soundtrack cannot be decoded. With "sound", UserError
-            is also raised if a soundtrack is missing, is silent, or has nothing in common with the others.
+            is also raised if a soundtrack is missing, is silent, or does not match the other soundtracks.
     """
     rate = float(min((index.fps for index in indices.values()), default=Fraction(1)))
     if method != "motion":
@@ -169,7 +169,7 @@ def correct_sound_travel(
 ) -> Estimate:
     """Correct estimated delays by the time that sound takes to travel to each calibrated camera.
 
-    A measured lag is the sum of an offset and a difference of travel times. Because the two cannot be separated, the
+    A measured lag is the sum of an offset and a difference of travel times. Only the sum can be measured, so the
     position of the source of the sound cannot be estimated. The user can specify the position. Otherwise, the point
     that the cameras face is used.
 
@@ -211,8 +211,8 @@ def correct_sound_travel(
 
 
 def applied_offsets(estimate: Estimate | None, given: Mapping[str, float], apply: bool) -> dict[str, float]:
-    """The offsets in frames to apply: the estimated offsets of high confidence if ``apply`` is true, otherwise the
-    user's offsets."""
+    """The offsets to apply, in frames. If ``apply`` is true, these are the estimated offsets of high confidence,
+    otherwise the user's offsets."""
     if estimate is None or not apply:
         return dict(given)
     return {name: round(of, DECIMALS) for name, of in estimate.frames.items() if estimate.is_sure(name)}

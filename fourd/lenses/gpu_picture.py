@@ -27,7 +27,7 @@ def draw_through_lens_gpu(
     layers: int | None = None,
     background: tuple[float, float, float] = (0.0, 0.0, 0.0),
 ) -> Tensor:
-    """Draw a frame through a lens on the frame's device. Return RGB (H, W, 3) float32 in [0, 1] on that device.
+    """Draw a frame through a lens on the frame's device. Return RGB (H, W, 3) float32 in [0, 1] on the frame's device.
 
     Up to rounding, the image equals the image that :func:`fourd.lenses.picture.draw_through_lens` draws without mirrors
     and glass balls. The rays and the bounding volume tree of the points are made on the CPU. For frames in CPU memory,

@@ -15,8 +15,8 @@ _GAP = 1e-4
 
 @dataclass(frozen=True)
 class Branch:
-    """Rays that continue from an insert: origins and directions (R, 3). The light of the ray that met the insert
-    contains the light of each continued ray, multiplied by ``share`` (R,)."""
+    """Rays that continue from an insert: origins and directions (R, 3). Each continued ray adds its light, multiplied
+    by ``share`` (R,), to the light of the ray that met the insert."""
 
     origins: Array
     directions: Array
@@ -52,8 +52,8 @@ class MirrorFloor:
         return np.where((away < 0) & (height > 0) & (distance <= self.radius), t, np.inf)
 
     def leave(self, points: Array, directions: Array) -> tuple[list[Branch], Array]:
-        """For the rays that arrive at ``points``, return the reflected rays and the light (R, 3) of the floor
-        itself."""
+        """For the rays that arrive at ``points``, return the reflected rays, and the light (R, 3) that comes from the
+        floor."""
         reflected = directions - 2 * (directions @ self.normal)[:, None] * self.normal
         share = np.full(len(points), self.reflectivity)
         light = (1 - share)[:, None] * np.asarray(self.colour)
@@ -62,8 +62,8 @@ class MirrorFloor:
 
 @dataclass(frozen=True)
 class GlassBall:
-    """A ball of clear glass. Refraction follows Snell's law, and reflection Schlick's approximation of Fresnel's
-    equations.
+    """A ball of clear glass. Refraction follows Snell's law. The reflected share follows Schlick's approximation of
+    Fresnel's equations.
 
     Attributes:
         centre: (3,) position in world units.

@@ -109,7 +109,7 @@ class ThinLens:
         aperture: diameter of the lens in world units, at least 0.
         focus: depth of the plane in focus in world units, above 0.
         rays_per_pixel: number of rays per pixel, at least 1. The rays are spread over the lens and over the pixel.
-        seed: seed of the random positions of the rays. All images of a video have the same positions.
+        seed: seed of the random positions of the rays. The positions are the same in all images of a video.
     """
 
     aperture: float
@@ -159,7 +159,8 @@ def _sample_points(camera: Camera, samples: int) -> tuple[Array, NDArray[np.int6
 
 
 def _through(camera: Camera, points: Array) -> Array:
-    """Return the world directions (R, 3) through image positions. Their component along the viewing axis is 1."""
+    """Return the world directions (R, 3) of the rays through image positions. Each direction has the component 1 along
+    the viewing axis."""
     local = np.concatenate([points, np.ones((len(points), 1))], 1) @ np.linalg.inv(camera.intrinsics).T
     return local @ camera.rotation
 

@@ -19,8 +19,8 @@ from fourd.ops.rays.discs import DiscTree
 Array = NDArray[np.float64]
 
 MAX_BOUNCES = 3
-"""Maximum number of inserts (mirrors or glass balls) that a ray meets one after another. If a ray meets another insert
-after that, the background is drawn in place of the insert."""
+"""Maximum number of inserts (mirrors or glass balls) that a ray meets on its way. If the ray would meet one more
+insert, the background is drawn in place of that insert."""
 RAYS_PER_CHUNK = 1 << 18
 """Number of rays that are traced at once. The number is limited to save memory."""
 MIN_SHARE = 1 / 512

@@ -96,7 +96,7 @@ def parse_screen(text: str) -> ScreenColour:
     """Parse a screen colour ``R,G,B``: three integers from 0 to 255.
 
     Raises:
-        UserError: if the text has another format or the colour is nearly grey.
+        UserError: if the text does not have this format, or the colour is nearly grey.
     """
     parts = text.split(",")
     if len(parts) != 3 or not all(part.strip().isdecimal() and int(part) <= 255 for part in parts):

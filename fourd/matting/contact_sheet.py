@@ -151,7 +151,7 @@ def _pad(picture: Picture, width: int) -> Picture:
 def _stack(pictures: Sequence[Picture], axis: int) -> Picture:
     """Concatenate images along ``axis``, with gaps between the images.
 
-    The images' sizes along the other axis must be equal.
+    Along the other image axis, all images must have the same size.
     """
     parts = []
     for picture in pictures:

@@ -1,4 +1,4 @@
-"""Check that mattes belong to the images: the contour of a matte follows edges of the image.
+"""Check whether mattes belong to their images: the contour of a matte should follow edges in its image.
 
 The mean image gradient along a matte's contour is compared with the gradient along the same contour shifted in eight
 directions. If the matte belongs to the image, the gradient is largest without a shift. If the matte belongs to another

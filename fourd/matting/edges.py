@@ -29,19 +29,20 @@ The variance accounts for camera noise and image compression.
 SUBJECT_VARIANCE = np.float32(60.0)
 """Variance added to the subject's local colour variance, because shading changes the colours towards the edge."""
 NEARBY_VARIANCE = np.float32(12.0)
-"""Variance added to the local colour variance of a background that is estimated from nearby pixels."""
+"""Variance added to the background's local colour variance where the background's colour is estimated from nearby
+pixels."""
 PLATE_VARIANCE = np.float32(9.0)
 SHADING_DEVIATION = np.float32(0.1)
-"""Standard deviation of the light at the edge of the subject, as a share of the light nearby. The deviation accounts
-for curved surfaces, which become darker towards their contour. Without this deviation, a dark pixel of the subject
-would look like a mixture with a dark background."""
+"""Standard deviation of the light on the edge of the subject, as a share of the light on nearby parts of the subject.
+The deviation accounts for curved surfaces, which become darker towards their contour. Without this deviation, a dark
+pixel of the subject would look like a mixture with a dark background."""
 CHROMA_VARIANCE = np.float32(0.1)
 """Variance of a pixel's chroma, as a share of the squared difference in chroma between subject and background. JPEG
 images and videos store chroma at half the resolution, so that chroma is blurred across the edge."""
 NORMALISER_WEIGHT = np.float32(0.3)
 """Weight of the logarithm of the variance in the log-likelihood of a pixel's colour. The variance of the subject's
-colours is a rough estimate that is larger than the variance of the background's colours. With weight 1, the larger
-variance would move the edge into the subject."""
+colours is a rough estimate that is larger than the variance of the background's colours. With weight 1, this
+overestimate would move the edge into the subject."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
 """Standard deviation of alpha around the blurred mask, for each pass that estimates alpha. The first passes correct the
 position of the mask. The following passes estimate the colours of both sides from the corrected mask. The last pass
@@ -49,7 +50,8 @@ reduces noise."""
 ALPHAS = 11
 """Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
 SHARPENING_SIGMA = 0.6
-"""Standard deviation of the Gaussian that averages alpha along the edge, in multiples of the radius."""
+"""Standard deviation of the Gaussian that averages alpha along the edge, as a multiple of half the width of the soft
+edge."""
 SHARPENING_GAIN = np.float32(2.0)
 """Factor that increases the contrast of the averaged alpha. Without this factor, the edge would be too soft, because
 alpha is the mean of a posterior."""
@@ -92,10 +94,10 @@ def refine_matte(log_odds: Floats, rgb: Picture, background: Floats | None = Non
 def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background: Floats | None = None) -> Floats:
     """Estimate alpha (H, W) in [0, 1] near the edge of a binary mask (H, W) uint8, 1 = subject.
 
-    An edge pixel's colour is a mixture of the subject's and the background's colour, which have Gaussian distributions.
-    Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al. 2001). The prior of alpha is a Gaussian
-    around the blurred mask. If subject and background have similar colours, the mask therefore determines alpha. The
-    likelihood also allows for the shading of the subject and for blurred chroma.
+    The colour of an edge pixel is modelled as a mixture of the subject's colour and the background's colour. Both
+    colours have Gaussian distributions. Alpha is the mean of its posterior, as in Bayesian matting (Chuang et al.
+    2001). The prior of alpha is a Gaussian around the blurred mask. If subject and background have similar colours, the
+    mask therefore determines alpha. The likelihood also allows for the shading of the subject and for blurred chroma.
 
     The subject's colour is a local mean inside the mask. The background's colour is a local mean outside the mask, or
     the colour in ``background`` (H, W, 4) where the confidence is high. Alpha differs from the mask only at pixels
@@ -116,8 +118,8 @@ def estimate_edge_alpha(rgb: Picture, subject: Picture, radius: int, background:
 def _mean_alpha(
     rgb: Picture, mask: Picture, edge: Flags, radius: int, background: Floats | None, deviation: float
 ) -> Floats:
-    """Alpha (H, W): its posterior mean in the pixels ``edge`` (H, W) near the edge of a binary mask, and the mask in
-    all other pixels.
+    """Alpha (H, W). Where ``edge`` (H, W) is true, near the edge of a binary mask, alpha is the mean of its posterior.
+    In all other pixels, alpha equals the mask.
 
     ``deviation`` is the standard deviation of alpha around the blurred mask.
     """
@@ -150,8 +152,8 @@ def _posterior_alpha(
 ) -> Floats:
     """Posterior mean (N,) of alpha for the colours ``value`` (N, 3).
 
-    ``front`` and ``back`` are the means and the variances (N, 3) of the colours of subject and background.
-    ``deviation`` is the standard deviation of alpha around ``prior`` (N,).
+    ``front`` contains the mean and the variance (N, 3) of the subject's colour at each pixel, and ``back`` contains the
+    same values for the background's colour. ``deviation`` is the standard deviation of alpha around ``prior`` (N,).
 
     The light on the subject has a Gaussian distribution. The covariance of a colour is therefore the sum of a diagonal
     matrix and the outer product of one vector with itself. The inverse and the determinant of the covariance follow

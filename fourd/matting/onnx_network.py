@@ -62,7 +62,7 @@ class OnnxNetwork:
         size, the images are resized to this size, and the mattes are resized to the size of the images.
 
         Raises:
-            UserError: if the network fails on an image, or its mask has another shape or values outside [0, 1].
+            UserError: if the network fails on an image, or its mask has a wrong shape or values outside [0, 1].
         """
         states = [np.zeros((1, 1, 1, 1), np.float32)] * 4
         for rgb in pictures:

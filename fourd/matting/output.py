@@ -67,8 +67,8 @@ class MatteOutput:
     """The folder MATTES of a capture, and the keys (hashes of inputs and settings) that its mattes and models should
     have.
 
-    Mattes with another key are replaced only when all new mattes are written, so that an error or an interruption
-    loses no mattes. Incomplete new mattes are in the folder NEW.
+    Outdated mattes are replaced only when all new mattes are written, so that an error or an interruption loses no
+    mattes. Incomplete new mattes are in the folder NEW.
     """
 
     capture: Path

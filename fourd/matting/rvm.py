@@ -124,7 +124,8 @@ def load_rvm(path: Path | str, device: str | None = None) -> RVM:
         device: "cpu" or "cuda", or None to select the GPU if there is one.
 
     Raises:
-        UserError: if the file is missing or damaged, contains another network, or the device is not available.
+        UserError: if the file is missing or damaged, if it contains a network other than Robust Video Matting, or if
+            the device is not available.
     """
     import torch
 

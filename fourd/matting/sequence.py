@@ -70,8 +70,8 @@ def make_mattes(selection: Selection, settings: MatteSettings, workers: int, tra
 
     The models are learned from the whole recording, even if only some frames are selected. Mattes from an earlier call
     with the same inputs and settings are kept, including the mattes of frames that are not selected. If the inputs or
-    settings differ, all mattes are computed again. The old mattes are replaced only when all new mattes are written. If
-    the call fails or is interrupted, the old mattes are therefore not lost.
+    settings have changed, all mattes are computed again. The old mattes are replaced only when all new mattes are
+    written. If the call fails or is interrupted, the old mattes are therefore not lost.
 
     Args:
         selection: the capture. Evidence is combined over all selected cameras.
@@ -143,7 +143,8 @@ def _make_modelled_mattes(
 
 
 def matte_key(capture: Capture, settings: MatteSettings) -> str:
-    """Hash of all inputs of the mattes: settings, selection, and the sizes and modification times of input files."""
+    """Hash of all inputs of the mattes: settings, selection and files. For each file, the name, the size and the
+    modification time are hashed."""
     digest = hashlib.sha256(
         json.dumps([VERSION, asdict(settings), capture.names, capture.frame_names], default=str).encode()
     )
@@ -187,10 +188,10 @@ def chosen_method(capture: Path) -> str | None:
 
 
 def forget_choice(capture: Path) -> None:
-    """Forget the settings that the user chose for the mattes, so that mattes with other settings can replace them.
+    """Forget the settings that the user chose for the mattes, so that mattes made with different settings can replace
+    the existing mattes.
 
-    The contact sheet of the mattes is removed, because the stage of the mattes runs again if one of its outputs is
-    missing.
+    The contact sheet of the mattes is removed, because a missing output makes the matting stage run again.
     """
     state = MatteState.read(capture)
     if state.chosen is not None:

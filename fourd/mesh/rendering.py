@@ -25,7 +25,7 @@ class MeshImage:
     """A rendered image.
 
     Attributes:
-        rgb: (H, W, 3) float32 colours on black, in [0, 1].
+        rgb: (H, W, 3) float32 colours in [0, 1], with a black background.
         alpha: (H, W) float32 share of each pixel that the mesh covers, in [0, 1].
     """
 

@@ -43,8 +43,8 @@ def mesh_capture(capture: Capture, folder: Path, settings: MeshSettings, track: 
     """Make one mesh for each frame of a capture. Write FRAME.glb or FRAME.ply for each frame, and animation.glb.
 
     FRAME is the six-digit number of the frame in the capture. Files are written atomically, and memory does not grow
-    with the number of frames. If neither the capture nor the settings have changed since the last call, finished frames
-    are kept. After a change, all frames are made again.
+    with the number of frames. If the capture and the settings are the same as in the last call, finished meshes are
+    kept. Otherwise, the meshes of all frames are made again.
 
     Args:
         capture: cameras, images and mattes. The capture must not contain held-out views.
@@ -115,7 +115,8 @@ def _make_frame(capture: Capture, frame: int, path: Path, settings: MeshSettings
 
 
 def _key(capture: Capture, settings: MeshSettings) -> str:
-    """Hash of all inputs of the meshes: settings, cameras, and the sizes and times of the files."""
+    """Hash of all inputs of the meshes: settings, frame rate, cameras and files. For each file, the name, the size and
+    the modification time are hashed."""
     return hashlib.sha256(f"{VERSION} {capture.fps} {settings_key(capture, settings)}".encode()).hexdigest()
 
 

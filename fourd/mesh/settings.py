@@ -18,9 +18,9 @@ class MeshSettings:
         cells: number of cubes of the grid along the longest side of the subject, at least 8.
         texture_size: side of the texture in texels, at least 16.
         format: "glb" for textured meshes in GLB files and an animation, "ply" for meshes with vertex colours.
-        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that
-            see it.
-        least_views: a share in (0, 1]. At least this share of all views must see a hull point.
+        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least the share ``agreement`` of the
+            views that see it.
+        least_views: a share in (0, 1]. At least the share ``least_views`` of all views must see a hull point.
         trim: whether to remove protruding parts of the hull before fitting. The remaining hull still covers all mattes.
         remesh: edge length after isotropic remeshing, as a multiple of the side of a grid cell. With 0, the triangles
             of the grid are kept.

@@ -12,16 +12,16 @@ from fourd.ops.blend.op import blend_logits
 from fourd.ops.blend.reference import LOGIT_RANGE
 
 MIN_VISIBILITY = 1e-3
-"""Visibility weights below this value are set to 0. This limits the ratio between the weights of two views, so that a
-baked scene can store the weights in float16."""
+"""Visibility weights below this value are set to 0. This threshold limits the ratio between the weights of two views,
+so that a baked scene can store the weights in float16."""
 
 
 class ImageEncoder(nn.Module):
     """Feature pyramid over the source images. The three levels of the pyramid have 8, 16 and 32 channels.
 
     The encoder maps V images (V, 3, H, W) in [0, 1] to features (V, image_features, H / stride, W / stride). H and W
-    must be multiples of 4 * stride. No layer normalises with statistics of the whole image, so the features of an image
-    crop equal those of the whole image, except near the crop's border.
+    must be multiples of 4 * stride. No layer normalises with statistics of the whole image, so an image crop has the
+    same features as the whole image, except near the crop's border.
     """
 
     def __init__(self, out_features: int, stride: int) -> None:
@@ -36,7 +36,8 @@ class ImageEncoder(nn.Module):
         self.out = nn.Conv2d(16, out_features, 3, padding=1)
 
     def forward(self, images: Tensor) -> Tensor:
-        # The channels of a pixel are stored together, because the kernel that samples the features reads them at once.
+        # The channels of a pixel are stored together, because the kernel that samples the features reads all channels
+        # together.
         images = images.contiguous(memory_format=torch.channels_last)
         full = self.at_full(functional.avg_pool2d(images, self.stride) if self.stride > 1 else images)
         half = self.at_half(full)
@@ -97,7 +98,7 @@ class HarmonicsHead(nn.Module):
 
 def harmonics_colour(sh: Tensor, directions: Tensor, colour_range: float, base: float) -> Tensor:
     """Compute colours (N, 3) from the SH coefficients ``sh`` (N, 3, 16) and the unit directions d (N, 3). The colour is
-    ``base + colour_range * tanh(sh . Y(d))``, where Y are the 16 SH basis functions."""
+    ``base + colour_range * tanh(sum_i sh_i * Y_i(d))``, where Y_i are the 16 SH basis functions."""
     return base + colour_range * torch.tanh((sh * sh_basis(directions)[:, None]).sum(-1))
 
 

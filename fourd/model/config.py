@@ -57,10 +57,10 @@ class ModelConfig:
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH that is added to the image-based colour."""
     high_sh_share: float = 0.6
-    """Factor from 0 to 1 that multiplies the SH coefficients of degrees 2 and 3 in rendered and exported scenes.
-    Training does not use it. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors that the
-    image-based colours have in single training views. New views have other errors, so smaller coefficients give a
-    higher PSNR. With `appearance: sh`, the key has no effect, because all colour comes from SH."""
+    """Factor from 0 to 1 that multiplies the SH coefficients of degrees 2 and 3 in rendered and exported scenes, but
+    not in training. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors of the image-based
+    colours in single training views. In new views, these corrections are wrong, so a smaller factor gives a higher
+    PSNR. With `appearance: sh`, the key has no effect, because all colour comes from SH."""
     own_colour: float = 0.6
     """Share of a point's own colour in the point's image-based colour, at least 0 and less than 1. Each point of each
     frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a point
@@ -72,9 +72,9 @@ class ModelConfig:
     neighbours: int = 4
     """Number N' of source views that are blended for a viewing camera."""
     fade_views: bool = True
-    """Multiply the blend weights of each source view by 1 - a / b. The angle a is between the viewing camera and the
-    source view. The angle b is between the viewing camera and the nearest view that is not selected. The factor makes
-    images change smoothly along a camera path."""
+    """Multiply the blend weights of each source view by 1 - a / b, so that images change smoothly along a camera path.
+    Angles are measured at the scene's focus point, between the directions to the viewing camera and to a source view.
+    In the factor, a is the angle of the source view, and b is the smallest angle of the views that are not blended."""
     image_features: int = 8
     """Number of channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2
@@ -87,7 +87,7 @@ class ModelConfig:
     radius_start: float = 1.3
     """Radius of every point before training, as a multiple of the mean distance between neighbouring points."""
     residual: bool = False
-    """Displace points by a learnt residual field (a small K-Planes). Export adds the displacement to the point
+    """Displace points by a learnt residual field (a small K-Planes model). Export adds the displacement to the point
     positions."""
     residual_range: float = 0.1
     """Maximum displacement of a point by the residual field, as a share of the longest side of the bounds."""

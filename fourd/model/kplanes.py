@@ -23,7 +23,7 @@ class KPlanes(nn.Module):
 
     def __init__(self, config: PlanesConfig, sides: tuple[float, float, float], frame_count: int) -> None:
         """``sides`` are the side lengths of the bounds, in any unit. Along the longest side of the bounds, the planes
-        have the full resolution. Along the other sides, the resolution is proportional to their lengths."""
+        have the full resolution. Along each other side, the resolution is proportional to the length of the side."""
         super().__init__()
         self.config = config
         pairs = SPACE_PAIRS + (TIME_PAIRS if config.time else ())
@@ -39,7 +39,7 @@ class KPlanes(nn.Module):
     @property
     def out_features(self) -> int:
         """Number of output channels. With the reduction "concat", the output has the channels of all planes of all
-        levels. With the other reductions, the output has the channels of one plane of each level."""
+        levels. With the reductions "sum" and "product", the output has the channels of one plane of each level."""
         planes = len(self.pairs) if self.config.reduction == "concat" else 1
         return self.config.levels * self.config.features * planes
 

@@ -72,7 +72,8 @@ class PointModel(nn.Module):
     """The networks of the point model, which all frames share. The points of each frame are stored outside this model.
 
     Point positions are (N, 3) float32 in world units. Time is in [0, 1] over the whole capture. ``shadow`` is the field
-    with the foreground's shadows on the background, and only the model of a background has it.
+    of the shadows that the foreground casts on the background. The attribute ``shadow`` is None except in the model of
+    a background.
     """
 
     lower: Tensor
@@ -95,8 +96,8 @@ class PointModel(nn.Module):
             upper: (3,) upper corner of the bounds.
             spacing: mean distance between neighbouring points in world units.
             frame_count: number of frames of the whole capture, which is the number of rows of the time planes.
-            contraction: function that maps unbounded space into the volume of the planes. If None, the planes cover
-                only the scene's bounds.
+            contraction: function that maps unbounded space into the volume of the planes. If it is None, the planes
+                cover only the scene's bounds.
         """
         super().__init__()
         self.config = config
@@ -185,8 +186,8 @@ class PointModel(nn.Module):
                 as bytes.
             train_encoder: whether the image encoder gets a gradient. Without a gradient of the encoder, a training step
                 takes a third less time.
-            is_training: whether the colours are those of a training step. If false, the SH coefficients are those of an
-                exported scene; see :meth:`harmonics`.
+            is_training: whether the colours are used in a training step. If false, the colours are computed with the SH
+                coefficients of an exported scene; see :meth:`harmonics`.
         """
         colour: Tensor | None = None
         if self.blend_head is not None:

@@ -17,8 +17,8 @@ HIDDEN = 32
 MARGIN = 0.5
 """Margin of the field around the foreground's bounds, as a share of the bounds' longest side."""
 FADE = 0.25
-"""Shadows fade out towards the border of the field. This is the width of the zone in which they fade, as a share of the
-distance from the centre to the border. Without a fade-out, shadows would end in a sharp edge at the border."""
+"""Shadows fade out in a zone at the border of the field. The width of the zone is this share of the distance from the
+centre to the border. Without a fade-out, shadows would end in a sharp edge at the border."""
 GAIN = 3.0
 """Factor that multiplies the MLP's output, so that the field learns faster. Fast learning is needed because each frame
 is rendered in only a few training steps."""

@@ -15,7 +15,7 @@ def shared_linear(features: Tensor, layers: Sequence[nn.Linear]) -> list[Tensor]
     """Outputs of all ``layers`` for ``features`` (N, F). The output of a layer of width M is a view (N, M) of one array
     that contains the outputs of all layers.
 
-    The outputs equal those of separate layers, up to rounding errors from the order of summation. The outputs are
+    The outputs equal the outputs of separate layers, up to rounding errors from the order of summation. The outputs are
     differentiable in features, weights and biases. Second derivatives are not supported.
     """
     parameters = [parameter for layer in layers for parameter in (layer.weight, layer.bias)]

@@ -41,7 +41,7 @@ class SourceViews:
     weights: Tensor | None = None
 
     def weighted(self, weights: NDArray[np.float32]) -> SourceViews:
-        """The same views with the view weights (V,)."""
+        """Return the same views with the view weights ``weights`` (V,)."""
         return replace(self, weights=torch.from_numpy(weights))
 
 

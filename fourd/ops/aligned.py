@@ -14,7 +14,7 @@ CACHE_LINE = 64
 """Size of a cache line in bytes, on all common processors. A row of 16 pixels of 4 bytes fills one cache line."""
 
 HUGE_PAGE = 2 << 20
-"""Size of a huge page in bytes on Linux, on x86-64 processors and on arm64 processors whose normal pages have 4 KiB."""
+"""Size in bytes of a huge page on Linux, for x86-64 processors, and for arm64 processors with normal pages of 4 KiB."""
 
 
 def zeros_aligned(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number]:
@@ -22,7 +22,8 @@ def zeros_aligned(shape: tuple[int, ...], dtype: type[Number]) -> NDArray[Number
 
     NumPy aligns large arrays to 16 bytes. The renderers draw tiles of 16 x 16 pixels in parallel. If an image with 4
     bytes per pixel is not aligned to cache lines, each row of a tile shares two cache lines with the neighbouring
-    tiles. Other threads may draw the neighbouring tiles at the same time.
+    tiles. Threads that draw neighbouring tiles at the same time would then write to the same cache lines, and slow each
+    other down.
 
     The memory of an array of at least :data:`HUGE_PAGE` bytes starts and ends at multiples of :data:`HUGE_PAGE`. NumPy
     asks Linux for huge pages for large arrays, and with this alignment, Linux can use huge pages for the whole array.

@@ -12,7 +12,8 @@ from scipy.spatial import cKDTree
 from fourd.ops.loading import thread_count
 
 BLOCK = 4096
-"""Number of queried positions per search. On Ctrl-C, running searches are finished, and the others are cancelled."""
+"""Number of queried positions per search. On Ctrl-C, running searches are finished, and searches that have not started
+are cancelled."""
 
 
 def nearest_neighbours(

@@ -23,8 +23,8 @@ def has_masks(capture: Path) -> bool:
 
 
 def is_usable(source: Path) -> bool:
-    """Whether a folder is a capture that needs no import. A capture without masks must be writable, because its mattes
-    are stored in its folder."""
+    """Whether a folder is a capture that needs no import. A capture without masks must be writable, because fourd
+    stores the mattes in the capture's folder."""
     is_capture = (source / INTRINSICS_NAME).is_file() and any((source / name).is_dir() for name in ("images", VIDEOS))
     return is_capture and (has_masks(source) or os.access(source, os.W_OK))
 

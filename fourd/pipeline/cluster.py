@@ -23,7 +23,7 @@ RETRIES = 3
 """Maximum number of restarts of a stage. A stage is restarted if its worker or its node is lost. A restarted stage
 resumes its work."""
 MAX_REASON = 200
-"""Maximum number of characters of Ray's message in an error message."""
+"""An error message quotes at most this number of characters of Ray's message."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class Job:
 
     Attributes:
         stage: the stage.
-        cores: number of cores, which is the number of threads and of processes.
+        cores: number of cores. The stage may use this number of threads and this number of processes.
         folder: folder to which relative paths of the stage refer. None for a portable stage.
         version: the version of fourd that created the stage.
     """
@@ -74,8 +74,8 @@ def run_job(job: Job) -> Outcome:
     except UserError as error:
         return Outcome(node, tuple(text.getvalue().splitlines()), str(error))
     except KeyboardInterrupt:
-        # If the user stops the work on the page of fourd serve, the stage gets a KeyboardInterrupt. Without this
-        # handler, Ray would report a cancelled task.
+        # If the user stops the work on the web page of ``fourd serve``, the stage gets a KeyboardInterrupt. Without
+        # this handler, the user would get Ray's message about a cancelled task instead of the message below.
         stopped = "expected a stage that finishes, got one that was stopped; run the command again to resume"
         return Outcome(node, tuple(text.getvalue().splitlines()), stopped)
     return Outcome(node, tuple(text.getvalue().splitlines()))
@@ -88,7 +88,7 @@ class Cluster:
         """Use the cluster to which the module ``ray`` is connected.
 
         Args:
-            ray: the module ray, after ``ray.init``.
+            ray: the module ray. The caller must have called ``ray.init``.
             segment_cores: number of cores of each parallel stage. A stage that is not parallel uses all cores of a
                 node.
 
@@ -138,7 +138,8 @@ class Cluster:
 
     def _start(self, stage: AnyStage) -> Any:
         cores = self._segment_cores if stage.is_parallel else self._node_cores
-        # With max_calls=1, each stage runs in a new process, which has its own number of threads and frees its memory.
+        # With max_calls=1, each stage runs in a new process. The process has its own number of threads, and its memory
+        # is freed when the stage ends.
         task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=1)(run_job)
         folder = None if stage.is_portable else Path.cwd()
         return task.options(name=stage.name).remote(Job(stage, cores, folder, __version__))

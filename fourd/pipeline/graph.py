@@ -40,7 +40,7 @@ class RunRequest:
             If None, the points are carved.
         lpips_weights: file or folder with the weights of LPIPS. If None, the default locations are searched; see
             :func:`~fourd.training.losses.lpips.load_lpips`.
-        still: whether nothing moves in the scene. A scene without motion has no foreground; see
+        still: true if nothing moves in the scene. A scene without motion has no foreground; see
             :mod:`fourd.pipeline.stages.still`.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
     """

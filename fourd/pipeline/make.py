@@ -41,22 +41,23 @@ REPAIRED = "repaired"
 STILL = "still"
 RUN = "run"
 SCENE = "scene.4dv"
-"""Name of the scene file in a folder for intermediate results in an object store. The name does not depend on -o."""
+"""Name of the scene file if the folder for intermediate results is in an object store. The name does not depend on the
+option -o."""
 UPLOADED = "uploaded.json"
 """File that records the last upload: the state of the local scene file, and the state of the object in the store."""
 
 
 @dataclass(frozen=True)
 class MatteChoice:
-    """Settings of the mattes. If ``keep_chosen`` is true, mattes that the user made with options of fourd matte are
+    """Settings of the mattes. If ``keep_chosen`` is true, mattes that the user made with options of ``fourd matte`` are
     kept."""
 
     settings: MatteSettings
     keep_chosen: bool = False
 
     def settings_for(self, capture: Path, context: Context) -> MatteSettings | None:
-        """The settings for making mattes of ``capture``, or None if its mattes are kept. A log line reports kept
-        mattes."""
+        """The settings for making mattes of ``capture``, or None if its mattes are kept. If the mattes are kept, a log
+        line reports this."""
         method = chosen_method(capture) if self.keep_chosen and not has_masks(capture) else None
         if method is None:
             if not self.keep_chosen:
@@ -116,12 +117,12 @@ def make_scene(
         imports: options of the import. If the options contain a frame rate, the rate is stored in ``source`` even if
             ``source`` needs no import. If None, the default options are used.
         accept_mattes: whether to carve even if the hull covers less than a third of the mattes' area.
-        keep_chosen_mattes: whether to keep mattes that the user made with options of fourd matte. Otherwise, such
-            mattes are replaced by mattes with the settings ``mattes``.
+        keep_chosen_mattes: whether to keep mattes that the user made with options of ``fourd matte``. If false, these
+            mattes are replaced by mattes with the settings in ``mattes``.
         cluster: the cluster on which the stages run. If None, the stages run in this process.
-        work: the folder for intermediate results. If None, the folder is named after ``out``: for ``scene.4dv``, it is
-            ``scene.work/``. It is beside ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a URL,
-            each machine works in a local copy, and publishes the results of each stage; see
+        work: the folder for intermediate results. If None, the folder has the name of ``out`` with the suffix
+            ``.work``. This folder is beside ``out``, or in the current folder if ``out`` is a URL. If ``work`` is a
+            URL, each machine works in a local copy, and publishes the results of each stage; see
             :mod:`fourd.pipeline.stored`.
 
     Raises:
@@ -223,7 +224,7 @@ def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path,
         else:
             set_rate(given, options.fps)
     runner.run(to_capture)
-    # The other stages depend on the contents of the imported capture, so the import runs first.
+    # All later stages depend on the contents of the imported capture, so the import runs first.
     capture = work / CAPTURE if to_capture else given
     runner.run((check_stage(capture), repair_stage(capture, work / REPAIRED)))
     capture = repaired_capture(capture, work / REPAIRED)
@@ -266,7 +267,8 @@ def create_run(
         context: console, and number of processes. If None, the stages use one process and print nothing.
 
     Raises:
-        UserError: if the input is invalid, or if ``folder`` is already a run or contains other files.
+        UserError: if the input is invalid, or if ``folder`` is already a run or contains files that are not from an
+            earlier call.
     """
     require_new_run(folder)
     Runner(context or Context()).run(stages_to_first_points(RunRequest(capture, folder, train, points_from)))

@@ -23,9 +23,10 @@ IMPORT_S_PER_MP = 1.2
 """Seconds to index, sample and match one megapixel of the sampled images. Measured: 32 s for 3 frames of 8.3
 megapixels."""
 MATTE_S_PER_MP = 0.66
-"""Core seconds to make the mattes of one megapixel. Measured: 273 s on 2 cores for 400 images of 2.1 megapixels."""
+"""Seconds on one core to make the mattes of one megapixel of images. Measured: 273 s on 2 cores for 400 images of 2.1
+megapixels."""
 CARVE_S_PER_FRAME = 0.7
-"""Core seconds to carve one frame. Measured: 0.70 s for 20 cameras and 65,536 points."""
+"""Seconds on one core to carve one frame. Measured: 0.70 s for 20 cameras and 65,536 points."""
 BACKGROUND_S = 170.0
 """Seconds to compute the background points of a full scene. Measured: 171 s for 20 plates of 512 x 512 pixels."""
 TRAIN_S_PER_STEP = 0.3
@@ -78,7 +79,7 @@ def describe_plan(source: Path, train: TrainConfig, workers: int, has_points: bo
 
 
 def _stage_durations(facts: SourceFacts, train: TrainConfig, workers: int, has_points: bool) -> list[tuple[str, float]]:
-    """Names of the stages in the order in which they run, and their expected seconds."""
+    """Names of the stages in the order in which they run, and the expected duration of each stage in seconds."""
     frames = facts.frames or 1
     pictures_mp = facts.cameras * frames * facts.megapixels
     stages = []

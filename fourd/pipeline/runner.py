@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 AnyStage = Stage[Any, Any]
 Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
-"""Function that runs the work of stages that do not depend on each other. Each stage is yielded when its outputs are
-written."""
+"""Function that runs the work of stages that do not depend on each other. The function yields each stage when the
+outputs of the stage are written."""
 
 
 def run_here(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]:
@@ -128,7 +128,7 @@ class Runner:
 
 
 def _split(stages: Sequence[AnyStage]) -> list[list[AnyStage]]:
-    """Split stages into groups, in order. The stages of a group can run at the same time."""
+    """Split stages into groups of consecutive stages. The stages of a group can run at the same time."""
     groups: list[list[AnyStage]] = []
     for stage in stages:
         before = groups[-1] if groups else []

@@ -132,8 +132,8 @@ def run_segment(files: SegmentFiles, config: TrainConfig, context: Context) -> N
             _prepare_segment(files, config)
         group.barrier()
         train_run(files.segment, files.lpips_weights, config, context)
-    # The trainer contains reference cycles. Without this call, its memory would stay allocated while the next segments
-    # are trained.
+    # The trainer contains reference cycles. Without this call, the trainer's memory would stay allocated while the next
+    # segments are trained.
     gc.collect()
 
 
@@ -159,8 +159,8 @@ def _start_segment(whole: Run, folder: Path, config: TrainConfig) -> None:
 
 
 def _link(source: Path, target: Path) -> None:
-    """Create a hard link to a file, or copy the file if the file system has no hard links. No stage changes the file in
-    place."""
+    """Create a hard link to a file, or copy the file if the file system has no hard links. A hard link is safe, because
+    no stage changes the file in place."""
     with atomic_path(target) as temporary:
         temporary.unlink()
         try:

@@ -69,8 +69,9 @@ class Artefact:
     patterns: tuple[str, ...] = ()
 
     def fingerprint(self, root: Path | None = None) -> str:
-        """A hash of the path and of the name, size and modification time of every file. The contents of the files are
-        not read. If the path is in the folder ``root``, only its relative path is part of the hash."""
+        """A hash of two things: the path, and a list of all files with their names, sizes and modification times. The
+        contents of the files are not read. If the path is in the folder ``root``, the path relative to ``root`` is
+        hashed."""
         files = [file for pattern in self.patterns for file in sorted(self.path.glob(pattern))]
         if not self.patterns and self.path.exists():
             files = [self.path]
@@ -78,7 +79,7 @@ class Artefact:
         for file in files:
             try:
                 status = file.stat()
-            except OSError:  # The file is a link to a missing file or to itself. The stage reports the link.
+            except OSError:  # A link to a missing file or to itself. The stage reports the broken link.
                 status = file.lstat()
             entries.append(f"{file.relative_to(self.path)} {status.st_size} {status.st_mtime_ns}")
         return _digest(entries)
@@ -148,7 +149,8 @@ class Stage(Generic[Files, Settings]):
         """A hash of everything on which the result of the stage depends.
 
         Args:
-            keys: name of each earlier stage -> its key. Names in ``after`` that are missing in ``keys`` are ignored.
+            keys: maps the name of each earlier stage to its key. Names in ``after`` that are missing in ``keys`` are
+                ignored.
             root: folder for intermediate results, or None. The folder may have a different path on each machine, so the
                 key does not depend on its path.
         """

@@ -28,8 +28,8 @@ def stands_still(capture: Path, train: TrainConfig) -> bool:
     """Whether a capture has no mattes and shows no motion. Captures with only one selected frame show no motion.
 
     Raises:
-        UserError: if the capture cannot be opened, or if nothing moves and ``train.scene`` is ``object``. Object scenes
-            need mattes.
+        UserError: if the capture cannot be opened, or if nothing moves and ``train.scene`` is ``object``. A scene of
+            the kind ``object`` needs mattes.
     """
     if has_masks(capture) or (capture / MATTES).is_dir():
         return False

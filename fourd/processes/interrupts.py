@@ -8,8 +8,8 @@ from types import FrameType, TracebackType
 
 
 class DeferredInterrupt:
-    """A context manager. Inside it, the first Ctrl-C only sets :attr:`is_pending`, and the second Ctrl-C raises
-    KeyboardInterrupt.
+    """A context manager. Inside the ``with`` block, the first Ctrl-C only sets :attr:`is_pending`, and the second
+    Ctrl-C raises KeyboardInterrupt.
 
     Signals are deferred only in the main thread, because Python handles signals only in the main thread. If the process
     ignores Ctrl-C or has its own handler for Ctrl-C, the context manager has no effect.

@@ -1,5 +1,5 @@
-"""Runs parsers of other libraries in a child process, so that a crash, a hang or a lack of memory leads to an error
-message.
+"""Runs parsers of third-party libraries in a child process, so that a crash, a hang or a lack of memory leads to an
+error message.
 
 The child process runs :mod:`fourd.processes.worker`. Requests and replies are JSON, followed by plain bytes. A reply
 never contains pickled objects, because a damaged file may have changed the memory of the child process.
@@ -36,8 +36,8 @@ directory."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that limit libraries to 1 thread, because the buffers of idle threads count as used memory."""
 WAIT_FACTOR = 20.0
-"""Ratio of the maximum duration of a call to the call's limit of processor time. After this duration, the child process
-is ended. The factor is large because other programs may use the processor, and disks may be slow."""
+"""If a call takes longer than its limit of processor time multiplied by this factor, the child process is ended. The
+factor is large because other programs may use the processor, and disks may be slow."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ if sys.platform != "win32":
     import fcntl
 
 MAX_COMMAND = 80
-"""Maximum number of characters of a command line in an error message."""
+"""An error message quotes at most this number of characters of a command line."""
 IN_USE = (errno.EWOULDBLOCK, errno.EACCES)
 
 
@@ -44,8 +44,8 @@ def locked_folder(folder: Path) -> Iterator[None]:
     """Lock ``folder`` for this process while the ``with`` block runs. A missing folder is created.
 
     The lock is an flock on the folder itself, so no lock file is needed. The system releases the lock when the process
-    ends, even if the process is killed. If the block leaves a created folder empty, the folder is removed. On Windows,
-    and on file systems without flock, nothing is locked.
+    ends, even if the process is killed. If this function has created the folder, and the folder is still empty after
+    the block, the folder is removed. On Windows, and on file systems without flock, nothing is locked.
 
     Raises:
         UserError: if another process holds the lock. The message names the process and the time at which the process

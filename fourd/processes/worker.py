@@ -97,7 +97,7 @@ def _limit_memory(max_bytes: int) -> None:
 
 
 def _limit_time(seconds: float) -> None:
-    """Let the system end this process after further ``seconds`` of processor time."""
+    """Let the system end this process after it has used ``seconds`` more seconds of processor time."""
     if sys.platform == "win32":
         return
     import resource
@@ -108,8 +108,8 @@ def _limit_time(seconds: float) -> None:
 
 
 def _end_with_parent(parent: int) -> None:
-    """Let Linux end this process when its parent process ends. On other systems, this process ends when its input
-    ends."""
+    """Let Linux end this process when its parent process ends. On systems other than Linux, this process ends when its
+    input ends."""
     if sys.platform == "linux":
         import ctypes
 

@@ -20,10 +20,10 @@ from fourd.storage.url import StorageUrl
 CONNECTIONS = 8
 """Number of objects that are read or written at the same time."""
 MAX_REASON = 200
-"""Maximum number of characters of a store's own message in an error message."""
+"""An error message quotes at most this number of characters of the store's own message."""
 LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
-"""Packages whose exceptions count as errors of the store in a :func:`storage_errors` block. Other exceptions are
-bugs."""
+"""Packages whose exceptions count as errors of the store in a :func:`storage_errors` block. Exceptions of other
+packages are bugs."""
 INSTALL = {
     "s3": ("s3fs", "pip install 'fourd[storage]'"),
     "gs": ("gcsfs", "pip install 'fourd[storage]' gcsfs"),
@@ -64,8 +64,8 @@ def connect(url: StorageUrl) -> Any:
 
 @contextmanager
 def storage_errors(url: StorageUrl) -> Iterator[None]:
-    """Raise a UserError that names ``url`` if a request to the store fails in the block. The block must contain only
-    requests to the store."""
+    """Raise a UserError that names ``url`` if a request to the store fails in the ``with`` block. The block must
+    contain only requests to the store."""
     try:
         yield
     except (UserError, ImportError, MemoryError):

@@ -31,7 +31,8 @@ MAX_OBJECTS = 1_000_000
 MIN_FREE_BYTES = 1 << 30
 """Number of bytes that a copy leaves free on the disk."""
 RECORD = ".fetched.jsonl"
-"""File beside a copied folder. The file has one line for each copied object: the object's key, size and version."""
+"""Name of the record file in the folder that contains a copy. The file has one line for each copied object: the
+object's key, size and version."""
 MAX_RECORD_LINE = 1 << 16
 
 
@@ -116,7 +117,7 @@ def download(url: StorageUrl, files: Mapping[str, Path]) -> Iterator[StoredObjec
 
     Args:
         url: the folder.
-        files: key of each object, relative to the folder -> path of its copy.
+        files: maps the key of each object, relative to the folder, to the path of its copy.
 
     Raises:
         UserError: if an object is missing, or if :func:`fetch` would raise an error.
@@ -139,8 +140,9 @@ def _existing(path: Path) -> Path:
 def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
     """Copy an object or a folder into the folder ``parent``, under its own name. Returns the path of the copy.
 
-    A second call copies only new and changed objects, and removes copies of objects that no longer exist. Other files
-    in the copy are kept. Memory use does not depend on the size of objects: each connection holds one piece in memory.
+    A second call copies only new and changed objects, and removes copies of objects that no longer exist. Files in the
+    copy that were not copied from the store are kept. Memory use does not depend on the size of objects: each
+    connection holds one piece in memory.
 
     Args:
         url: an object, or a folder of objects.
@@ -149,7 +151,7 @@ def fetch(url: StorageUrl, parent: Path, track: Track = untracked) -> Path:
 
     Raises:
         UserError: if the store returns an error, an object changes while it is read, the disk has too little space, or
-            ``parent`` contains other files.
+            ``parent`` contains files that are not from an earlier copy.
     """
     listing = list_objects(url)
     known = _open_record(url, parent)

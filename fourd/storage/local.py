@@ -16,9 +16,10 @@ from fourd.storage.url import Location, StorageUrl
 
 @contextmanager
 def local_copy(location: Location, track: Track = untracked) -> Iterator[Path]:
-    """Yield a local path with the content of ``location``. Local paths are yielded unchanged.
+    """Yield the path of a local file or folder with the content of ``location``. Local paths are yielded unchanged.
 
-    The copy of a URL is in a temporary folder, which is removed when the block ends. Errors in the block name the URL.
+    The copy of a URL is in a temporary folder, which is removed when the block ends. If the block raises a UserError,
+    its message names the URL instead of the copy.
 
     Raises:
         UserError: see :func:`fourd.storage.downloading.fetch`.
@@ -35,7 +36,8 @@ def local_output(location: Location, track: Track = untracked) -> Iterator[Path]
     """Yield the path of a local file. If ``location`` is a URL, the file is uploaded when the block ends.
 
     Before the block starts, an upload is started and aborted, to test whether the store accepts uploads. If the block
-    raises an exception, nothing is uploaded. Local paths are yielded unchanged. Errors in the block name the URL.
+    raises an exception, nothing is uploaded. Local paths are yielded unchanged. If the block raises a UserError, its
+    message names the URL instead of the local file.
 
     Raises:
         UserError: see :func:`fourd.storage.uploading.upload`.

@@ -1,4 +1,4 @@
-"""Small objects that are read whole, and the removal of objects."""
+"""Reading of small objects as a whole, and removal of objects."""
 
 from __future__ import annotations
 

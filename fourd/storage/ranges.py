@@ -12,7 +12,8 @@ from fourd.storage.url import StorageUrl, require_object
 from fourd.storage.versions import object_version
 
 READ_AHEAD_BYTES = 256 << 10
-"""Minimum number of bytes that one request reads. A read of more bytes is a single request."""
+"""A read of fewer bytes requests this number of bytes, and keeps the rest for the next reads. A read of more bytes is a
+single request."""
 
 
 def open_object(url: StorageUrl) -> BinaryIO:
@@ -33,7 +34,8 @@ def open_object(url: StorageUrl) -> BinaryIO:
 
 
 class _Ranges(io.RawIOBase):
-    """The bytes of one version of an object. Several threads may use one instance, one after another."""
+    """The bytes of one version of an object. Several threads may share one instance, but the caller must ensure that
+    only one thread uses the instance at a time."""
 
     def __init__(self, url: StorageUrl, store: Any, stream: Any, version: str) -> None:
         self._url = url
@@ -57,8 +59,8 @@ class _Ranges(io.RawIOBase):
     def readinto(self, buffer: Any) -> int:
         with self._lock, storage_errors(self._url):
             content = self._stream.read(len(buffer))
-            # S3 itself rejects a read if the object has another version. For other stores, the version is compared
-            # here.
+            # S3 itself rejects a read if the object has changed since it was opened. For stores other than S3, this
+            # code compares the versions.
             if self._url.scheme != "s3" and object_version(self._store.info(str(self._url))) != self._version:
                 raise changed(self._url)
         buffer[: len(content)] = content

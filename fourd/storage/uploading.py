@@ -1,7 +1,7 @@
 """Uploads to object stores. An object is replaced atomically when all its parts have been sent.
 
-Stores cannot rename objects. A file is therefore sent in the parts of a multipart upload, which are invisible until the
-upload is completed. If the process is killed or the connection is lost, the old object stays.
+Stores cannot rename objects. A file is therefore sent as the parts of a multipart upload. The parts are invisible until
+the upload is completed. If the process is killed or the connection is lost, the old object stays.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def upload_all(files: Mapping[str, Path], url: StorageUrl, track: Track = untrac
     """Write local files to objects in the folder ``url``, several at the same time.
 
     Args:
-        files: key of each object, relative to the folder -> the local file.
+        files: maps the key of each object, relative to the folder, to its local file.
         url: the folder.
         track: reports progress.
 
@@ -93,7 +93,8 @@ def upload_changed(path: Path, url: StorageUrl, record: Path, track: Track = unt
     Args:
         path: the local file.
         url: the object.
-        record: JSON file with the state of the file and of the object after the last upload.
+        record: JSON file that stores two states after the last upload: the state of the local file, and the state of
+            the object.
         track: reports progress.
 
     Raises:

@@ -48,7 +48,7 @@ class StorageUrl:
         return self.path.suffix
 
     def join(self, key: str) -> StorageUrl:
-        """The URL of an object in the folder at this URL, from the object's key relative to the folder."""
+        """Treat this URL as a folder, and return the URL of the object whose key relative to the folder is ``key``."""
         return StorageUrl(f"{self.text.rstrip('/')}/{key}")
 
 
@@ -56,7 +56,8 @@ def local_path(location: Location | str, use: str) -> Path:
     """Return the path of a file or folder on this machine.
 
     Raises:
-        UserError: if the text is a URL of a store. ``use`` says what the caller cannot do with URLs.
+        UserError: if the text is a URL of a store. In the error message, ``use`` says what the local path is needed
+            for.
     """
     found = parse_location(location)
     if isinstance(found, Path):

@@ -1,4 +1,4 @@
-"""Versions of objects, from the description that fsspec returns for them."""
+"""The version of an object, computed from the description of the object that fsspec returns."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ def object_version(info: dict[str, Any]) -> str:
     """The identifiers of an object's content: size, ETag or another hash, and time of the last change."""
     tag = next((str(info[name]) for name in ("ETag", "etag", "md5Hash", "generation") if info.get(name)), "")
     seconds = changed_seconds(info)
-    # The times from listings and from single requests can differ by fractions of a second. The fractions are kept only
-    # for stores without hashes.
+    # A listing of a folder and a request for a single object can report times that differ by fractions of a second. The
+    # fractions are kept only if the store reports no hash.
     time = "" if seconds is None else str(int(seconds) if tag else seconds)
     return f"{info['size']} {tag} {time}".strip()
 

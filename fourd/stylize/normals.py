@@ -43,10 +43,11 @@ Normals = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """Which cameras see which points.
+    """Visibility of points: which cameras see which points.
 
     Attributes:
-        weights: (N, V) weights, such as blend weights, 0 or more. A weight is 0 if the camera does not see the point.
+        weights: (N, V) weight of each camera at each point, for example its blend weight, at least 0. A weight is 0 if
+            the camera does not see the point.
         centres: (V, 3) centres of the cameras.
     """
 
@@ -112,7 +113,7 @@ def encode_octahedral(normals: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def decode_octahedral(stored: NDArray[np.uint8]) -> Normals:
-    """The unit normals (N, 3) that :func:`encode_octahedral` stored."""
+    """Decode the unit normals (N, 3) that :func:`encode_octahedral` has encoded."""
     plane = (stored.astype(np.float32) - 128) / 127
     z = 1 - np.abs(plane).sum(1, keepdims=True)
     plane = plane - np.where(plane > 0, 1, -1) * np.maximum(-z, 0)
@@ -129,7 +130,7 @@ def _least_spread(positions: NDArray[np.float32], near: NDArray[np.intp]) -> Nor
 
 def _turn_to_cameras(normals: Normals, positions: NDArray[np.float32], seen: Visibility) -> Normals:
     """Rotate each normal towards the cameras that see its point, until the cosine between the normal and the direction
-    to the camera is LEAST_COSINE."""
+    to each of these cameras is at least about LEAST_COSINE."""
     least = _SEES * np.asarray(seen.weights, np.float32).max(1, initial=0)
     for _ in range(TURNING_ROUNDS):
         turned = normals

@@ -43,8 +43,9 @@ class Ramp:
         stops: lists of four numbers in [0, 1]: the tone at which a colour begins, and the red, green and blue of the
             colour. The first stop has the tone 0.
         softness: range of tones, from 0 to 1, over which one colour changes to the next.
-        map: path of a PNG that replaces ``stops``. The columns of the PNG are tones, and its rows are details, starting
-            with the detail 0. Toon shading has 1 row, X-Toon shading has 1 to 64 rows.
+        map: path of a PNG that replaces ``stops``. Each column of the PNG belongs to a tone, and each row to a value of
+            the detail (see :class:`DetailAxis`), starting with 0 in the first row. Toon shading has 1 row, X-Toon
+            shading has 1 to 64 rows.
         gain: factor by which the colours are multiplied.
     """
 
@@ -65,7 +66,7 @@ class Ramp:
 
 @dataclass(frozen=True)
 class DetailAxis:
-    """The second axis of X-Toon shading.
+    """The second axis of X-Toon shading: a colour depends on the tone and on the detail, which this class defines.
 
     Attributes:
         by: the quantity that determines the detail. With "depth", the detail is 0 at ``near`` and 1 at ``far``. With
@@ -74,8 +75,8 @@ class DetailAxis:
             the normal and the direction to the camera.
         near, far, focus: depths, in multiples of the distance from the camera to the centre of the scene.
         power: exponent of N.V.
-        fade: share of ``fade_colour`` in the colours where the detail is 1. If ``by`` is "facing", it is the share at
-            silhouettes. With a map, ``fade`` has no effect.
+        fade: share of ``fade_colour`` in the colours where the detail is 1, or at silhouettes if ``by`` is "facing". If
+            the ramp has a ``map``, ``fade`` has no effect.
         fade_colour: colour that ``fade`` mixes into the colours.
     """
 
@@ -136,7 +137,7 @@ class Angle:
 
 @dataclass(frozen=True)
 class LineSettings:
-    """The outlines and the inner lines.
+    """The lines of a drawing: the outlines of surfaces, and the lines inside the outlines.
 
     Attributes:
         filter: none, sobel (nine taps) or cross (five taps).
@@ -170,7 +171,8 @@ class Hatching:
     Attributes:
         width: largest share of ink in a layer of lines, 0 for no hatching.
         spacing: distance between the lines in pixels of a picture with 1080 rows.
-        levels: brightness below which the first and the second layer begin.
+        levels: brightness below which the first layer of lines begins, and brightness below which the second layer
+            begins.
         colour: red, green and blue of the ink.
     """
 
@@ -188,16 +190,16 @@ class Hatching:
 
 @dataclass(frozen=True)
 class Style:
-    """A style. All parts can be combined.
+    """A style. The settings of the sections can be combined freely.
 
     Attributes:
         shading: how a colour depends on the light.
-        albedo: share of the captured colours in the surface colours, 0 to 1. The rest is white, or ``base`` if the
-            shading is none.
+        albedo: share of the captured colours in the surface colours, 0 to 1. The remaining share is white, or ``base``
+            if the shading is none.
         base: if the shading is none, this colour has the share ``1 - albedo`` in the surface colours.
         paper: colour behind the scene, or None for the background colour of the picture.
-        persistence: from 0 to 0.95. While the camera does not move, this is the weight of the previous picture's depth,
-            normals and fainter lines.
+        persistence: weight of the previous picture while the camera does not move, from 0 to 0.95. The weight applies
+            to the depth, to the normals, and to lines that were fainter in the previous picture.
         hysteresis: share by which the thresholds of lines are reduced where the previous picture has a line.
     """
 

@@ -1,4 +1,4 @@
-"""Shade tables: (R, 256, 3) uint8 arrays whose columns are tones and whose rows are details."""
+"""Shade tables: (R, 256, 3) uint8 arrays. Each column belongs to a tone, and each row to a value of the detail."""
 
 from __future__ import annotations
 

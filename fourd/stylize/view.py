@@ -1,4 +1,4 @@
-"""Converts a style to the stylizer's numbers for one camera."""
+"""Converts a style to the stylizer's numeric parameters for one camera."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from fourd.stylize.styles import Style
 
 REFERENCE_ROWS = 1080
-"""Number of rows of the picture to which the lengths in a style refer. Lengths are in pixels of this picture."""
+"""The lengths in a style are in pixels of a picture with this number of rows."""
 
 
 def view_style(

@@ -32,8 +32,8 @@ def find_late_cameras(path: Path | str, track: Track = untracked) -> list[str]:
         track: callback that reports progress.
 
     Returns:
-        one line of text for each camera that is early or late. The list is empty for captures of fewer than 36 frames
-        or 3 cameras.
+        one line of text for each camera that is early or late. The list is empty for captures with fewer than 36 frames
+        or with fewer than 3 cameras.
 
     Raises:
         UserError: if the capture cannot be opened, or an image cannot be decoded.

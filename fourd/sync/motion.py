@@ -20,9 +20,9 @@ Grey = NDArray[np.uint8]
 
 NOISE_SIGMAS = 3.0
 ENERGY_FLOOR = 0.1
-"""Constant that is added to the motion energy before its logarithm is taken, as a share of the median energy.
+"""Before the logarithm of the motion energy is taken, this share of the median energy is added to the energy.
 
-The constant limits the changes of the logarithm at frames without motion.
+The added constant limits the changes of the logarithm at frames without motion.
 """
 FINE_SIGMA_FRAMES, COARSE_SIGMA_FRAMES = 1.0, 6.0
 """Standard deviations in frames of the two Gaussians whose difference is the band-pass filter."""
@@ -35,10 +35,10 @@ PEAK_RADIUS_FRAMES = 3
 WIDTH_PX = 200
 """Width in pixels to which images are reduced before the motion energy is computed."""
 MIN_CONFIDENCE = 0.5
-"""Minimum confidence of an offset that is applied or reported."""
+"""An offset is applied or reported only if its confidence is at least this value."""
 UNRELIABLE_FRAMES = 3
-"""Maximum error, in frames, of offsets that are estimated from motion. Smaller offsets are neither applied nor
-reported."""
+"""Offsets that are estimated from motion can be wrong by up to this number of frames. Offsets of at most this size are
+therefore neither applied nor reported."""
 MIN_OVERLAP = 12
 MAX_LAG_ERROR_FRAMES = 1.0
 LAG_TOLERANCE_FRAMES = 0.2
@@ -78,14 +78,16 @@ class Offsets:
 
 
 def motion_energy(pictures: Iterable[Grey]) -> Array:
-    """Compute the motion energy (F,) of F images: the mean absolute difference of consecutive images in grey levels.
+    """Compute the motion energy (F,) of F images: the mean absolute difference, in grey levels, between consecutive
+    images.
 
     Changes of the whole image, such as exposure flicker, are fitted by a gain and an offset, and then removed.
     Differences below 3 standard deviations of the noise are set to 0. The noise is estimated from the median of the
     differences. The first image gets the energy of the second image.
 
     Args:
-        pictures: F grey images (H, W) uint8, which are read one after the other. A width of 200 pixels is enough.
+        pictures: F grey images (H, W) uint8, which are read one after the other. An image width of 200 pixels is
+            enough.
 
     Raises:
         ValueError: if the images differ in size.
@@ -134,7 +136,8 @@ def estimate_offsets(energies: Sequence[Array], max_offset: int) -> Offsets:
     The logarithm of each motion energy is band-pass filtered with a difference of Gaussians. The filter removes gains
     and slow trends. The filtered signals of every pair of cameras are correlated, which gives one lag per pair. The
     offsets are fitted to the lags by iteratively reweighted least squares, which approximates least absolute
-    deviations. In the fit, pairs whose correlation is flat, ambiguous or inconsistent have little weight.
+    deviations. In the fit, a pair has little weight if its correlation is flat or ambiguous, or if its lag is
+    inconsistent with the lags of other pairs.
 
     Each camera records a different part of the motion. For slow and smooth motion, the best lag can therefore be wrong
     by some frames, even if the confidence is high. In a recording of a balancing man from four sides at 60 Hz, the
@@ -218,8 +221,8 @@ def plot_offsets(path: Path | str, names: Sequence[str], energies: Sequence[Arra
     """Write a PNG plot of all motion energies, atomically. The left panel shows the energies as recorded. The right
     panel shows the energies shifted by the offsets.
 
-    Each camera has a row with its name, offset and confidence. Confidences below 0.1 are red. Each row has a separate
-    vertical scale. The grey lines mark the same frame numbers in both panels.
+    Each camera has a row with its name, offset and confidence. Confidences below 0.1 are printed in red. Each row has a
+    separate vertical scale. The grey lines mark the same frame numbers in both panels.
     """
     height = 3 * MARGIN + ROW * len(names) + MARGIN
     canvas = np.full((height, LABEL + 2 * (PANEL + MARGIN) + MARGIN, 3), 255, np.uint8)

@@ -13,8 +13,8 @@ Array = NDArray[np.float64]
 def solve_offsets(
     pairs: Sequence[tuple[int, int]], lags: Array, pair_weights: Array, count: int, tolerance: float
 ) -> Array:
-    """Fit one offset per camera, as an array of shape (count,), to the lags of the pairs. The first camera's offset is
-    0.
+    """Fit one offset per camera to the lags of the pairs, and return the offsets as an array (count,). The first
+    camera's offset is 0.
 
     The fit uses iteratively reweighted least squares, which approximates least absolute deviations. A camera whose
     pairs all have weight 0 gets offset 0.
@@ -25,7 +25,7 @@ def solve_offsets(
         pair_weights: (P,) weights in [0, 1].
         count: number of cameras.
         tolerance: a pair has its full weight if its lag deviates from the fitted offsets by at most this value. The
-            unit is that of the lags.
+            tolerance has the unit of the lags.
     """
     if not pairs:
         return np.zeros(count)

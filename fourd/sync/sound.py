@@ -1,7 +1,7 @@
 """Time offsets between cameras, estimated from their soundtracks by GCC-PHAT.
 
 GCC-PHAT (C. Knapp and G. Carter, "The generalized correlation method for estimation of time delay", 1976) uses only the
-phase of the cross-spectrum. Different levels and microphones therefore have no effect.
+phase of the cross-spectrum. Cameras with different recording levels or microphones can therefore be compared.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ MAX_SECONDS = 300.0
 """Maximum duration, in seconds, of the part of a soundtrack that is used. The limit bounds the memory to 10 MB per
 camera."""
 LOW_HZ, HIGH_HZ = 200.0, 3000.0
-"""Lower and upper frequency of the pass band in Hz. Wind and handling noise have lower frequencies, and much of the
-noise of phones has higher frequencies."""
+"""Lower and upper frequency of the pass band in Hz. Wind and handling noise are mostly below the pass band, and much of
+the noise of phones is above it."""
 MAX_LAG_SECONDS = 60.0
 MIN_OVERLAP_SECONDS = 0.25
 MAX_GAP_SECONDS = 0.005
@@ -48,8 +48,8 @@ For short clips without common sound, the highest value of the correlation was b
 MAX_LAG_ERROR_SECONDS = 0.003
 LAG_TOLERANCE_SECONDS = 2e-4
 MAX_ALL_PAIRS = 6
-"""Maximum number of cameras for which all pairs of cameras are correlated. With more cameras, each camera is correlated
-with the first camera and with the next camera."""
+"""Maximum number of cameras for which all pairs of cameras are correlated. If there are more cameras, each camera is
+correlated with the first camera and with the next camera."""
 SPEED_OF_SOUND = 343.0
 """Speed of sound in air at 20 degrees Celsius in m/s."""
 
@@ -97,7 +97,7 @@ def read_soundtrack(path: Path, video_start: float) -> Soundtrack | None:
 
     Args:
         path: the video file.
-        video_start: presentation time of the first frame of the video in seconds.
+        video_start: presentation time, in seconds, of the first frame of the video.
 
     Raises:
         UserError: if the soundtrack is damaged.
@@ -169,7 +169,7 @@ def travel_times(centres: Mapping[str, Array], source: Array) -> dict[str, float
     """Time in seconds that sound travels from ``source`` to each camera, at 343 m/s.
 
     Args:
-        centres: camera name -> (3,) position of the camera in metres.
+        centres: maps the name of each camera to its position (3,) in metres.
         source: (3,) position of the source of the sound in metres.
     """
     return {name: float(np.linalg.norm(centre - source)) / SPEED_OF_SOUND for name, centre in centres.items()}

@@ -50,7 +50,8 @@ class BoardRenderer:
     """Renders one board as seen by one camera.
 
     The ray of each sample is undistorted numerically, and then intersected with the plane of the board. The only error
-    of the image comes from the resolution of the board's pattern, which is 1/96 of a square.
+    of the image comes from the limited resolution of the board's pattern: one pixel of the pattern is 1/96 of a square
+    wide.
     """
 
     def __init__(self, board: CalibrationBoard, camera: Camera, optics: Optics) -> None:

@@ -82,7 +82,7 @@ def make_board_videos(out: Path, settings: BoardSettings, track: Track) -> None:
     translation from board to world coordinates.
 
     Raises:
-        UserError: if ``out`` contains other files.
+        UserError: if ``out`` contains files but no synthetic board videos.
     """
     _prepare_folder(out)
     names = [f"cam{index:02d}" for index in range(settings.cameras)]

@@ -57,7 +57,7 @@ class Figure:
         girth: factor that scales the width of trunk and limbs.
         head: factor that scales the head.
         swing: factor that scales the swing angles of arms and legs.
-        start: phase of the gait in frame 0. The unit is one gait cycle.
+        start: phase of the gait in frame 0, as a number of gait cycles.
         wardrobe: patterns of the parts.
     """
 

@@ -99,7 +99,7 @@ def make_synthetic(
         fps: frame rate in frames per second, which is stored in capture.json.
 
     Raises:
-        UserError: if a number is out of range or ``out`` contains other files.
+        UserError: if a number is out of range, or if ``out`` contains files but no synthetic capture.
     """
     out = Path(out)
     settings = SynthSettings(frames, cameras, size, seed, gloss, fps)
@@ -168,8 +168,8 @@ def _phase(frame: int, frames: int) -> float:
 
 
 def _make_cameras(figure: Figure, settings: SynthSettings) -> list[Camera]:
-    """Create cameras that face the figure. All cameras have the same focal length: the longest with which the figure is
-    inside all images."""
+    """Create cameras that face the figure. All cameras have the same focal length: the longest focal length with which
+    the figure is inside all images."""
     unit = np.eye(3)
     poses = [pose_figure(figure, step / 48) for step in range(48)]
     target, up = np.array([0.0, 0.0, 0.88]), np.array([0.0, 0.0, 1.0])

@@ -201,8 +201,8 @@ def _normals(part: Part, local: Array) -> Array:
 def _bounding_box(part: Part, camera: Camera) -> Box:
     """Pixel bounds (left, top, right, bottom) of the part's projection, clipped to the image.
 
-    The bounds ``right`` and ``bottom`` are exclusive. The bounds are computed from the exact bounds of the projections
-    of the part's two spheres.
+    The bounds ``right`` and ``bottom`` are exclusive. The bounds contain the exact projections of the part's two
+    spheres.
     """
     k = camera.intrinsics
     edges: list[list[float]] = [[], []]

@@ -25,8 +25,8 @@ from fourd.training.points.spacing import point_spacings
 SIZE_STEP_PX = 32
 """The width and the height of padded plates are rounded up to a multiple of this number of pixels."""
 CACHED_STEPS = 100
-"""Number of training steps after which the cached depth and image features of a plate are computed again. Until then
-they are reused, because they change only slowly during training."""
+"""Number of training steps after which the cached depth and image features of a plate are computed again. Until then,
+the cached values are reused, because depth and features change only slowly during training."""
 MAX_DEPTH_BEHIND = 9.0
 """Tolerance of the occlusion test, as a multiple of a point's spacing. A point is occluded in a plate if it lies behind
 the plate's occlusion depth by more than the tolerance."""
@@ -68,8 +68,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # The planes start at zero, not at random values. Cells that no plate observes get no gradient, so random values
-        # would remain there as noise.
+        # The K-Planes start at zero, not at random values. Cells that no plate observes get no gradient, so random
+        # values would remain there as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)
@@ -80,8 +80,8 @@ def create_background(
 def outside_all_images(xyz: Tensor, cameras: Sequence[Camera]) -> Tensor:
     """(N,) bool, true for the points of ``xyz`` (N, 3) that lie outside the images of all ``cameras``.
 
-    Training never renders these points, so they never get a gradient. Densification must not remove them for this
-    reason.
+    Training never renders these points, so they never get a gradient. Densification must keep these points, although it
+    removes other points that never get a gradient.
     """
     outside = np.ones(xyz.shape[0], np.bool_)
     for camera in cameras:

@@ -109,8 +109,8 @@ def latest_checkpoint(folder: Path) -> tuple[Path | None, str]:
 
     Returns:
         The pair (path, note). The path is None if the folder is missing or contains no intact checkpoint. The note is
-        one line about newer checkpoints that were skipped because they are damaged. If none was skipped, the note is an
-        empty string.
+        one line about newer checkpoints that were skipped because they are damaged. If no checkpoint was skipped, the
+        note is an empty string.
     """
     damaged: list[str] = []
     found = None
@@ -358,7 +358,7 @@ def _new_hash() -> hashlib.blake2b:
 
 
 def _checksum(tensors: Mapping[str, Tensor]) -> int:
-    """CRC-32 of the tensors' names and bytes, which checkpoints of older versions of fourd contain."""
+    """CRC-32 of the tensors' names and bytes. Checkpoints of older versions of fourd contain this checksum."""
     value = 0
     for name in sorted(tensors):
         value = zlib.crc32(name.encode(), value)

@@ -22,7 +22,7 @@ class LossConfig:
     perceptual: float = 1e-3
     """Weight of the LPIPS loss (VGG-16). LPIPS is used only if its network weights are installed."""
     stand_in: float = 1e-2
-    """Weight of 1 - SSIM, which replaces LPIPS if the network weights of LPIPS are missing."""
+    """Weight of the loss 1 - SSIM. This loss replaces LPIPS if the network weights of LPIPS are missing."""
     mask: float = 1e-1
     """Weight of the mean squared difference between rendered alpha and matte."""
     residual: float = 1e-3
@@ -83,7 +83,7 @@ class BackgroundConfig:
     in the directions that no plate shows."""
     seeding: Literal["ngp", "sfm"] = "ngp"
     """Source of the background points. With `ngp`, the points come from a radiance field that is fitted to the plates
-    and to stereo depths. With `sfm`, the points come only from stereo."""
+    and to stereo depths. With `sfm`, the points come only from multi-view stereo, without a radiance field."""
     seeds: Path | None = None
     """PLY file with background points in world units. If a file is given, no points are computed from the plates."""
     radiance: RadianceConfig = field(default_factory=RadianceConfig)
@@ -92,20 +92,20 @@ class BackgroundConfig:
     """K-Planes of the background, in contracted space."""
     joint: bool = True
     """Render foreground and background together in steps on frames. If false, steps on frames render and train only the
-    foreground, on black. The background is then trained only by steps on plates."""
+    foreground. The background is then trained only by steps on plates."""
     share: float = 0.35
     """Share of the training steps that use a clean plate as ground truth. The other steps use a frame."""
     window_px: int = 256
     """Steps on clean plates render a square window of the image with this side length in pixels."""
     margin_px: int = 64
-    """Steps on frames render the matte's bounding box, extended by at most this margin in pixels."""
+    """Steps on frames render the matte's bounding box, extended on each side by at most this number of pixels."""
     xyz_rate: float = 0.02
     """Learning rate of the positions of background points, as a share of the point spacing."""
     least_layers: int = 12
     """Minimum number K of points that are composited at each pixel of a full scene. Each step samples K between
     `background.least_layers` and `layers`. At a grazing angle, many points of a floor overlap at each pixel. If K is
-    too small, the farthest of them are missing. Training then enlarges the discs to compensate. As a result, even more
-    points overlap at each pixel, and the image becomes blurred."""
+    too small, the farthest of these points are missing in the image. Training then enlarges the discs to compensate. As
+    a result, even more points overlap at each pixel, and the image becomes blurred."""
     encoder_every: int = 8
     """The background's image encoder is updated only in training steps that use a clean plate, and only if the step
     number is divisible by `encoder_every`."""
@@ -227,8 +227,8 @@ class TrainConfig:
     loss: LossConfig = field(default_factory=LossConfig)
     rates: RateConfig = field(default_factory=RateConfig)
     scene: Literal["object", "full"] = "object"
-    """Part of the images to reconstruct. With `object`, only the foreground that the mattes cover is reconstructed, on
-    black. With `full`, the whole image is reconstructed, with a static background."""
+    """Part of the images to reconstruct. With `object`, only the foreground that the mattes cover is reconstructed,
+    without a background. With `full`, the whole image is reconstructed, with a static background."""
     background: BackgroundConfig = field(default_factory=BackgroundConfig)
     """Settings of the background of a full scene."""
     densify: DensifyConfig = field(default_factory=DensifyConfig)
@@ -257,8 +257,8 @@ class TrainConfig:
     """Number of samples in each pixel along rows and along columns while training, from 1 to 4. A pixel is the mean of
     all its samples. With one sample, contours are ragged, and new views have a lower PSNR than with 2 x 2."""
     pixel_filter: float = 0.1
-    """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. Training takes several samples
-    per pixel, see `samples`. When a trained or exported scene is rendered, this filter is used instead. The weights of
+    """Weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. When a trained or exported scene
+    is rendered, this filter replaces the several samples per pixel that training takes (see `samples`). The weights of
     the filter are `pixel_filter`, 1 - 2 * `pixel_filter` and `pixel_filter`, along rows and along columns. With 0,
     images are not filtered."""
     crop: Literal["mask", "full"] = "mask"
@@ -274,16 +274,16 @@ class TrainConfig:
     """Minimum compositing weight of a point in the target view. In each step, points that are below this minimum at all
     pixels are skipped. With 0, no points are skipped."""
     keep_in_hull: bool = True
-    """Move a point back if a step moves it out of the silhouette in the target view or in a source view. This prevents
-    stray points."""
+    """To prevent stray points, move a point back if a step moves it out of the silhouette in the target view or in a
+    source view."""
     smoothing: float = 0.5
     """Strength of surface smoothing, which moves each point towards a plane through its neighbours. Points that are
     closer to their plane than a quarter of the point spacing are not moved. With 0, smoothing is switched off."""
     neighbour_pool: int = 5
     """Size of the pool of views from which each step samples its source views. The pool contains the views nearest to
     the target view. If the pool is larger than the number of source views, some steps use source views that are farther
-    from the target view. Training then covers wide baselines, which also occur between novel views and their source
-    views."""
+    from the target view. Training then includes source views at wide baselines. Such baselines also occur when novel
+    views are rendered."""
     image_scale: float = 1.0
     """Scale of the images. A scale of 0.5 halves width and height."""
     views: tuple[str, ...] | None = None

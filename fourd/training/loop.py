@@ -162,7 +162,8 @@ class Trainer:
     def _answer(
         self, session: LiveSession | NoSession, interrupt: DeferredInterrupt, show: Callable[[str], None]
     ) -> None:
-        """Pause, continue or end the training, as requested. All ranks call this method after they have saved."""
+        """Pause, continue or end the training, as requested. All ranks call this method after they have saved a
+        checkpoint."""
         is_paused = False
         while True:
             if self.group.any(interrupt.is_pending or session.wanted == "stop"):
@@ -260,7 +261,7 @@ class Trainer:
     def _save_points(self, folder: Path) -> None:
         is_first, count = self.group.is_first, self.run.capture.frame_count
         # If an earlier checkpoint of the same step was damaged, its folder can contain a pipe or a folder in place of a
-        # file. Atomic writing does not replace pipes and folders.
+        # file. The folder is then removed, because atomic writing does not replace pipes and folders.
         if is_first and any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
             shutil.rmtree(folder)
         self.group.barrier()

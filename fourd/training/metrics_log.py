@@ -42,7 +42,7 @@ class MetricsLog:
         Args:
             folder: the run's folder; created if missing.
             resume_step: number of completed steps of the checkpoint from which the run resumes. Records of steps after
-                ``resume_step`` are removed. Incomplete lines, which a killed process leaves, are also removed.
+                ``resume_step`` are removed. Incomplete lines that a killed process has left are also removed.
                 TensorBoard hides the events of steps after ``resume_step`` that were written before the run was
                 resumed.
 

@@ -91,7 +91,8 @@ def composite_samples(
 
 def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, min_weight: float) -> list[Tensor]:
     """For each cloud, the indices of its visible points. A point is visible if its compositing weight exceeds
-    ``min_weight`` in at least one pixel of the view. Further points are added as in :func:`select_heaviest`.
+    ``min_weight`` in at least one pixel of the view. As in :func:`select_heaviest`, the number of returned indices is
+    rounded up to a multiple of COUNT_STEP.
 
     Occlusion between the clouds is taken into account. If ``min_weight`` is 0, all points are visible.
     """

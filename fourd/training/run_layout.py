@@ -30,8 +30,8 @@ SEGMENTS = "segments"
 """Folder with one run per segment. The runs are named 000, 001 and so on. Runs without segments do not have this
 folder."""
 PREPARATION = (HULL, BACKGROUND, CALIBRATION, SOURCE)
-"""Folders that are written before training. They may already exist when ``config.yaml`` is still missing. A folder is a
-run only if it contains ``config.yaml``."""
+"""Subfolders that are written before training. These subfolders can exist before ``config.yaml`` is written. A folder
+is a run only if it contains ``config.yaml``."""
 
 
 def checkpoint_files(folder: Path) -> list[Path]:

@@ -103,7 +103,7 @@ class StepSampler:
 def source_pool(
     cameras: tuple[Camera, ...], target: int, training: list[int], count: int, focus: np.ndarray
 ) -> list[int]:
-    """Indices of the ``count`` training cameras that are nearest to a target camera. The target itself is excluded."""
+    """Indices of the ``count`` other training cameras that are nearest to the target camera."""
     others = [camera for camera in training if camera != target]
     nearest = nearest_views(cameras[target], [cameras[camera] for camera in others], count, focus)
     return [others[i] for i in nearest]

@@ -81,7 +81,7 @@ class Stepper:
                 steps.
 
         Raises:
-            UserError: a loss term is not finite. Models and points are then unchanged.
+            UserError: a loss term is not finite. If this error is raised, models and points are unchanged.
         """
         target = self.scene.target(sample)
         evaluated = self.scene.evaluate_step(points, time, sample, target.camera, number)

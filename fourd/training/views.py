@@ -75,8 +75,8 @@ class ViewStore:
         )
 
     def view(self, camera: int, frame: int) -> View:
-        """The view of a camera at a frame. Both arguments are indices, into the selected cameras and the selected
-        frames."""
+        """The view of a camera at a frame. ``camera`` is an index into the selected cameras, and ``frame`` is an index
+        into the selected frames."""
         key = (camera, frame)
         if key not in self._cache:
             self._cache[key] = self._decode(camera, frame, None)

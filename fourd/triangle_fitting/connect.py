@@ -51,8 +51,8 @@ class OrientedPoints:
 
 @torch.no_grad()
 def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints:
-    """Centres and normals of the visible triangles. ``corners`` (T, 3, 3) are all triangles. For this test, all
-    triangles are drawn opaque, and a triangle is visible if at least one view shows it."""
+    """Centres and normals of the visible triangles. ``corners`` (T, 3, 3) contains the visible and the hidden
+    triangles. All triangles are drawn opaque, and a triangle is visible if at least one view shows it."""
     count = len(corners)
     xyz, tri = corners.reshape(-1, 3), torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
     centres, normals = corners.mean(dim=1), unit_normals(corners)
@@ -108,8 +108,8 @@ def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[n
     tree = cKDTree(points.xyz)
     away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
     away, index = np.asarray(away).reshape(len(xyz), -1), np.asarray(index).reshape(len(xyz), -1)
-    # The weights are computed relative to the weight of the nearest point. Without this, all weights would underflow to
-    # 0 far from the surface.
+    # The weights are divided by the weight of the nearest point. Otherwise, all weights would underflow to 0 far from
+    # the surface.
     weight = np.exp(-(away**2 - away[:, :1] ** 2) / (2 * (SMOOTHING_CELLS * side) ** 2)) * points.weights[index]
     height = ((points.xyz[index] - xyz[:, None]) * points.normals[index]).sum(axis=2)
     return np.asarray((weight * height).sum(axis=1) / weight.sum(axis=1))

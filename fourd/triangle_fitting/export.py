@@ -30,10 +30,9 @@ def write_mesh(path: Path, mesh: ColouredMesh, up: Array) -> None:
     """Write a mesh with vertex colours, atomically.
 
     Args:
-        path: the file. Its suffix, .glb or .ply, determines the format.
+        path: the file, whose suffix (.glb or .ply) determines the format.
         mesh: the mesh, with at least one triangle.
-        up: (3,) up direction of the scene in world coordinates. The direction must not be zero. In GLB files, the up
-            direction becomes +y.
+        up: (3,) up direction of the scene in world coordinates, not zero. In GLB files, the up direction becomes +y.
     """
     normals = vertex_normals(torch.from_numpy(mesh.xyz), torch.from_numpy(mesh.triangles).long()).numpy()
     normals = normals.astype(np.float32)

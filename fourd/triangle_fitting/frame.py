@@ -37,7 +37,7 @@ START_SHARE = 0.5
 PERCENT = 100
 
 Picture = Callable[[Camera], NDArray[np.float32]]
-"""Function that renders an image for a camera: (H, W, 3) colours on black in [0, 1]."""
+"""Function that renders the image of a camera on a black background: (H, W, 3) colours in [0, 1]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,8 +107,8 @@ class _FrameFit:
         self._surface: SurfaceFit | None = None
 
     def run(self) -> Iterator[int]:
-        """Fit until the budget is spent. Yields the spent share of the budget, in whole percent, each time that it has
-        grown by one percent."""
+        """Fit until the budget is spent. Yields the spent share of the budget, as a whole percentage, after each
+        increase by one percent."""
         percent, is_scored = 0, False
         while (share := self.budget.share) < 1:
             if not is_scored and share >= self._settings.soft_share:

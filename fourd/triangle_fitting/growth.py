@@ -16,11 +16,11 @@ pruning."""
 MIN_OPACITY = 0.014
 GROWTH = 1.3
 SPLIT_PX = 24.0
-"""Each triangle that is chosen for growth is either split in four or duplicated. It is split if its longest edge
-exceeds this length, in pixels, in a training view."""
+"""A triangle that is chosen for growth is split in four if its longest edge exceeds this length, in pixels, in a
+training view. Otherwise, the triangle is duplicated."""
 CLONE_OFFSET = 0.2
-"""The copy of a duplicated triangle is shifted at random in its plane. This is the standard deviation of the shift, as
-a fraction of the edge length."""
+"""The copy of a duplicated triangle is shifted at random along two of its edges. CLONE_OFFSET is the standard deviation
+of each shift, as a fraction of the edge's length."""
 
 
 @torch.no_grad()
@@ -84,7 +84,7 @@ def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
 
 
 def _in_four(corners: Tensor) -> Tensor:
-    """Split triangles (M, 3, 3) at the midpoints of their edges into triangles (4 M, 3, 3)."""
+    """Split triangles (M, 3, 3) at the midpoints of their edges into triangles (4 * M, 3, 3)."""
     a, b, c = corners.unbind(1)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2
     parts = [(a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca)]

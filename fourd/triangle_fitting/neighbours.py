@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 NEIGHBOURS = 8
-"""Number of neighbours of each triangle."""
+"""Maximum number of neighbours of each triangle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +41,8 @@ class Neighbours:
 
 
 def unit_normals(corners: Tensor) -> Tensor:
-    """Unit normals (T, 3) of triangles (T, 3, 3), which are counter-clockwise seen from outside. The normal of a
-    triangle without area is 0."""
+    """Unit normals (T, 3) of triangles (T, 3, 3), which are counter-clockwise seen from outside. For a triangle without
+    area, the result is the zero vector."""
     a, b, c = corners.unbind(1)
     return functional.normalize(torch.linalg.cross(b - a, c - a), dim=1, eps=1e-20)
 
@@ -51,8 +51,8 @@ def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> 
     """Measure how much neighbouring triangles (T, 3, 3) deviate from a common plane.
 
     Returns:
-        two losses. The first is the mean Huber loss of the distances of the neighbours' centres from the planes of the
-        triangles, in units of the spacing. The second is the mean of 1 - cos(angle between the normals of two
+        two losses. The first loss is the mean Huber loss of the distances of the neighbours' centres from the planes of
+        the triangles, measured in spacings. The second loss is the mean of 1 - cos(angle between the normals of two
         neighbours). Without neighbours, both losses are 0.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)

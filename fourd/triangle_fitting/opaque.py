@@ -36,7 +36,7 @@ class ColouredMesh:
 def render_opaque(
     xyz: Tensor, rgb: Tensor, tri: Tensor, camera: Camera, topology: Topology | None = None, samples: int = SAMPLES
 ) -> tuple[Tensor, Tensor]:
-    """Render a mesh with a depth buffer and antialiased edges, on black.
+    """Render a mesh on a black background, with a depth buffer and antialiased edges.
 
     Args:
         xyz: (V, 3) float32 vertices in world units.
@@ -47,8 +47,8 @@ def render_opaque(
         samples: number of samples per pixel along each axis.
 
     Returns:
-        rgb (H, W, 3) and alpha (H, W), differentiable in vertices and colours. At the silhouette, the gradient passes
-        through the antialiased edges.
+        rgb (H, W, 3) and alpha (H, W), differentiable with respect to vertices and colours. At the silhouette, the
+        gradient passes through the antialiased edges.
     """
     fine = camera.resize(camera.width * samples, camera.height * samples)
     clip = clip_positions(xyz, fine)[None].contiguous()
@@ -61,7 +61,7 @@ def render_opaque(
 
 @torch.no_grad()
 def mesh_image(mesh: ColouredMesh, camera: Camera, samples: int = 3) -> NDArray[np.float32]:
-    """Image (H, W, 3) of a mesh on black, with values in [0, 1]."""
+    """Image (H, W, 3) in [0, 1] of a mesh on a black background."""
     rgb = torch.from_numpy(mesh.rgb).float() / 255
     tri = torch.from_numpy(mesh.triangles)
     topology = antialias_construct_topology(tri)

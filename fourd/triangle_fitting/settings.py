@@ -11,19 +11,20 @@ class TriangleSettings:
     """Settings of the fit of the triangles of one frame.
 
     Attributes:
-        triangles: maximum number of soft triangles, at least 16. The fit starts with half as many.
-        cells: number of grid cubes along the longest side of the subject, at least 8. The number determines the
+        triangles: maximum number of soft triangles, at least 16. The fit starts with half of this number.
+        cells: number of grid cubes along the longest side of the subject, at least 8. This number determines the
             resolution of connected meshes.
         connect: whether the opaque triangles are joined into a closed mesh. If false, the triangles remain separate.
         max_steps: maximum number of steps; None means no limit.
         max_seconds: maximum number of seconds of fitting; None means no limit. At least one of ``max_steps`` and
             ``max_seconds`` must be set.
-        interval: steps between two rounds of pruning and growth, at least 1.
+        interval: number of steps between two rounds of pruning and growth, at least 1.
         soft_share: share of the budget, in [0, 1], after which the soft triangles gradually become opaque.
         hard_share: share of the budget, at least ``soft_share``, after which triangles are opaque.
         plane: weight of the loss on the distances of triangles from the planes of their neighbours.
         normal: weight of the loss on the angles between neighbouring triangles.
-        laplacian: weight of the squared Laplacian of connected meshes. The unit of length is the side of a grid cube.
+        laplacian: weight of the squared Laplacian of connected meshes. The Laplacian is measured in sides of a grid
+            cube.
         crease: weight of the normal-consistency loss of connected meshes.
         agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that
             see it.

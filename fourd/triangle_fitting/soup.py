@@ -27,8 +27,8 @@ class Soup:
     Attributes:
         corners: (T, 3, 3) vertices in world units.
         colours: (T, 3) RGB, where 0 is black and 1 is white.
-        logits: (T,) parameters of the opacity. With a lower limit of 0, the opacity is the sigmoid of the logit; see
-            :meth:`opacity`.
+        logits: (T,) parameters of the opacity. Without a lower limit of the opacity, the opacity is the sigmoid of the
+            logit; see :meth:`opacity`.
         spacing: initial distance between neighbouring triangles in world units. The learning rate of positions is
             proportional to the spacing.
     """
@@ -49,7 +49,7 @@ class Soup:
         return floor + (1 - floor) * torch.sigmoid(self.logits.value)
 
     def render(self, camera: Camera, phase: Phase) -> TriangleRender:
-        """Render the triangles on black. The result is differentiable in all parameters."""
+        """Render the triangles on a black background. The result is differentiable with respect to all parameters."""
         return splat_triangles(
             self.corners.value.reshape(-1, 3),
             triangle_indices(len(self)),

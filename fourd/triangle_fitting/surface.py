@@ -39,8 +39,8 @@ class SurfaceFit:
         settings: TriangleSettings,
         generator: torch.Generator,
     ) -> None:
-        """Start with a mesh: vertices (V, 3), colours (V, 3) and triangles (M, 3). ``side`` is the mesh's resolution in
-        world units."""
+        """Start with a mesh: vertices (V, 3), colours (V, 3) and triangles (M, 3). ``side`` is the mesh's resolution,
+        as a length in world units."""
         xyz, rgb, self.tri = mesh
         self.xyz, self.rgb = AdamRows(xyz, POSITION_RATE * side), AdamRows(rgb, COLOUR_RATE)
         self._side, self._settings = side, settings

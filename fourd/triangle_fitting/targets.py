@@ -23,7 +23,7 @@ class Target:
 
     Attributes:
         camera: pinhole camera of the crop.
-        rgb: (H, W, 3) float32 image on black, in [0, 1].
+        rgb: (H, W, 3) float32 image in [0, 1], black outside the subject.
         matte: (H, W) float32 matte in [0, 1].
     """
 
@@ -38,8 +38,8 @@ class Target:
         return Target(view.camera, torch.from_numpy(view.rgb) * matte[..., None], matte)
 
     def loss(self, rgb: Tensor, alpha: Tensor) -> Tensor:
-        """Loss of an image on black (H, W, 3) and its alpha (H, W). The loss is the sum of the image's mean absolute
-        error, the image's structural dissimilarity and the alpha's mean absolute error."""
+        """Loss of a rendered image (H, W, 3) with a black background, and of its alpha (H, W). The loss is the sum of
+        the image's mean absolute error, the image's structural dissimilarity and the alpha's mean absolute error."""
         colours, matte = (rgb - self.rgb).abs().mean(), (alpha - self.matte).abs().mean()
         loss = (1 - SIMILARITY_WEIGHT) * colours + MATTE_WEIGHT * matte
         if min(rgb.shape[:2]) < WINDOW_PX:

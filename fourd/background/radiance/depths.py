@@ -46,9 +46,10 @@ def add_field_depths(
     them.
 
     A cell is confirmed under two conditions: the surface of at least one other plate agrees with the cell's depth, and
-    the cell does not occlude more surfaces than agree with it. Confirmed cells get support 1. Unconfirmed cells take
-    the extrapolated depth of ``continued``. Colours do not determine the depth of a surface that only one plate sees.
-    Where only one plate sees a surface, the field's depth is noise around the extrapolated depth.
+    the number of surfaces that the cell occludes is at most the number of surfaces that agree. Confirmed cells get
+    support 1. Unconfirmed cells take the extrapolated depth of ``continued``. Colours do not determine the depth of a
+    surface that only one plate sees. Where only one plate sees a surface, the field's depth is noise around the
+    extrapolated depth.
 
     Args:
         field: the optimised field.

@@ -25,9 +25,9 @@ pixel."""
 class OccupancyGrid:
     """Densities on a grid over contracted space. Dense cells get more samples than empty cells.
 
-    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. In contrast, this class
-    computes the volume rendering weights along each ray from the grid's densities. The weights form a histogram, from
-    which a fixed number of samples is drawn.
+    Instant-NGP (sec. 5.4 and appendix C) marches through occupied cells in equal steps. This class instead computes the
+    volume rendering weights along each ray from the grid's densities. The weights form a histogram, from which a fixed
+    number of samples is drawn.
     """
 
     def __init__(self, contraction: Contraction, cells: int) -> None:

@@ -73,7 +73,7 @@ class Pixels:
             plates: the plates at the size used for stereo.
             measured: surfaces from stereo, one per plate.
             continued: the same surfaces with extrapolated depths in unknown cells.
-            unit: the contraction's radius in world units, which is the unit of distance along rays.
+            unit: the contraction's radius in world units. Distances along rays are in multiples of this radius.
         """
         parts = [_plate_pixels(*each, unit) for each in zip(plates, measured, continued, strict=True)]
         plate = torch.repeat_interleave(torch.tensor([len(part.xy) for part in parts]))

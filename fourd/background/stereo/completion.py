@@ -51,7 +51,7 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
 
     Args:
         surfaces: one surface per image.
-        views: the images. Interpolation weights are lower across grey edges in the images.
+        views: the images. Interpolation weights are lower across edges in the images.
         seed: random seed of the search for planes.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])
@@ -101,7 +101,7 @@ def _complete(
         prefers_planes: whether interpolated depths are used only for cells whose ray hits no plane.
 
     Returns:
-        the completed surface, and (N,) bool, true for cells with an interpolated depth.
+        the completed surface, and a mask (N,) of the cells with an interpolated depth.
     """
     grid = surface.depths.grid
     (rows, columns), pad = grid.shape, round(MARGIN * max(grid.shape))
@@ -154,7 +154,8 @@ def interpolate_inverse_depths(
 ) -> Array:
     """Interpolate harmonically: each unknown cell (R, C) gets the weighted mean of its neighbours' values.
 
-    The weights are lower across grey edges. Each mean also includes the value 0 with weight ``zero_weight``.
+    The weights are lower across edges in the image ``grey``. Each mean also includes the value 0 with weight
+    ``zero_weight``.
     """
     numbers = np.arange(known.size).reshape(known.shape)
     first, second, weights = [], [], []

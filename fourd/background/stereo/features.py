@@ -26,13 +26,13 @@ MAX_SIDE_PX = 1600
 detection."""
 MIN_CONTRAST = 0.003
 """SIFT's peak threshold. The threshold is lower than COLMAP's default of 0.0067 because walls have low contrast. The
-lower threshold also gives more wrong matches. These matches are rejected because they lie off the epipolar lines of the
-known poses."""
+lower threshold also gives more wrong matches, which are rejected because they lie off the epipolar lines of the known
+poses."""
 HOLE_MARGIN_PX = 6
 """Minimum distance in pixels between a feature and the holes of a plate. Near holes, plates are blurred."""
 RATIO_TEST_THRESHOLD = 0.8
-"""Maximum ratio of the distance to the nearest descriptor to the distance to the second nearest descriptor (Lowe, IJCV
-2004)."""
+"""Maximum ratio d1 / d2 in Lowe's ratio test (IJCV 2004): d1 and d2 are the distances to the nearest and to the second
+nearest descriptor."""
 MAX_EXHAUSTIVE_CAMERAS = 8
 """Maximum number of cameras for which all pairs are matched."""
 MIN_COSINE = 0.4

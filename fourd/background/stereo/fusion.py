@@ -61,7 +61,7 @@ class Surface:
         return np.asarray((rays / inverse_depth[:, None] - self.camera.translation) @ self.camera.rotation, np.float64)
 
     def points(self, cells: NDArray[np.intp]) -> Array:
-        """(M, 3) world points at the centres of cells (M,)."""
+        """World points (M, 3) at the centres of the cells with the indices ``cells`` (M,)."""
         xy = self.depths.grid.pixels[cells, :2].astype(np.float64)
         return self.world(xy, self.depths.inverse_depth[cells].astype(np.float64))
 

@@ -19,8 +19,8 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight of the value 0 in the interpolation of the correction. The value 0 makes the correction decay with the
-distance from known cells. The weight is divided by the square of the share of known cells. If almost all cells are
+"""Weight with which the interpolation pulls the correction towards 0. The correction therefore decays with the distance
+from known cells. The weight is divided by the square of the share of known cells. If almost all cells are
 known, the correction decays to one half over seven cells. If few cells are known, they are unreliable, and the
 correction decays over a shorter distance."""
 MIN_GUIDE_FACTOR = 0.25
@@ -31,7 +31,7 @@ correction could make the inverse depth negative."""
 def complete_with_guidance(
     surfaces: Sequence[Surface], views: Sequence[GreyView], guides: Sequence[Array]
 ) -> list[Surface]:
-    """Complete the unknown cells of surfaces from guides.
+    """Complete the unknown cells of surfaces with guides, which are coarse depth estimates.
 
     In known cells, the correction is the known inverse depth minus the inverse depth of the guide. In unknown cells,
     the correction is extrapolated and added to the guide. Cells that would occlude a known surface of another image
@@ -39,7 +39,7 @@ def complete_with_guidance(
 
     Args:
         surfaces: one surface per image.
-        views: the images. Extrapolation weights are lower across grey edges in the images.
+        views: the images. Extrapolation weights are lower across edges in the images.
         guides: inverse depths (N,) of the cells, one array per image.
     """
     xyz = np.concatenate([surface.points(np.flatnonzero(surface.known)) for surface in surfaces])

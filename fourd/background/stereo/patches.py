@@ -191,8 +191,8 @@ class _PlaneWarp:
         return _PlaneWarp(matrix.astype(np.float32), shift.astype(np.float32))
 
     def is_inside(self, pixels: Floats, planes: Floats, shape: tuple[int, ...]) -> NDArray[np.bool_]:
-        """(n,) bool, true for cells that project into the other image of shape (H, W). The projected points are the
-        points of the planes (n, 3) at the cell centres ``pixels`` (n, 3)."""
+        """Mask (n,) of the cells that project into the other image, which has the shape (H, W). The projected points
+        are the points of the planes (n, 3) at the cell centres ``pixels`` (n, 3)."""
         x, y, depth = self._warp_centres(pixels, planes)
         height, width = shape
         return (depth > 0) & (x >= 0) & (y >= 0) & (x <= (width - 1) * depth) & (y <= (height - 1) * depth)
@@ -271,7 +271,7 @@ def _masked_correlations(first: Floats, second: Floats) -> Floats:
 
 
 def _count_and_std(windows: Floats) -> tuple[NDArray[np.intp], Floats]:
-    """Number and standard deviation (n,) of the visible samples of windows (o, n)."""
+    """For each of n windows of o samples: the number of visible samples (n,), and their standard deviation (n,)."""
     known = np.isfinite(windows)
     count = known.sum(axis=0)
     share = np.maximum(count, 1)

@@ -64,7 +64,7 @@ class DepthMap:
 
 
 def _slope(values: Array, axis: int) -> Array:
-    """Derivative (N,) per cell of values (R, C) along an axis."""
+    """Finite differences (N,), per cell, of values (R, C) along an axis."""
     return np.gradient(values, axis=axis).ravel() if values.shape[axis] > 1 else np.zeros(values.size)
 
 

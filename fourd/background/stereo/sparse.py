@@ -34,7 +34,8 @@ Array = NDArray[np.float64]
 EPIPOLAR_PX = 1.5
 """Maximum distance, in pixels, of a matched feature from the epipolar line."""
 RATIO_TEST_THRESHOLD = 0.85
-"""Maximum ratio of the distance to the nearest descriptor to the distance to the second nearest descriptor."""
+"""Maximum ratio d1 / d2 in Lowe's ratio test: d1 and d2 are the distances to the nearest and to the second nearest
+descriptor."""
 MIN_SIMILARITY = 0.5
 """Minimum cosine similarity of matched descriptors."""
 MIN_ANGLE_DEG = 2.0

@@ -23,9 +23,9 @@ EDGE_TOLERANCE = 0.05
 """Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth
 edge if the errors at the neighbours on both sides exceed this maximum."""
 MAX_PARTS = 2
-"""Maximum number of parts into which a square is divided along each axis. More parts would close all gaps between
-points on steep surfaces. However, each point of a floor would then hide the lower half of the points behind it. As a
-result, the texture of the floor would appear half a point too high in the image."""
+"""Maximum number of parts into which a square is divided along each axis. With more parts, all gaps between
+points on steep surfaces are closed. However, each point of a floor then hides the lower half of the points behind it,
+and the texture of the floor appears half a point too high in the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ def _sample_at(sloped: Sequence[_SlopedSurface], seen: Sequence[Bools], side: fl
 
 
 def _part_samples(sloped: _SlopedSurface, seen: Bools, tiling: _Tiling) -> Samples:
-    """Sample the surface at the centres of all parts whose centre lies on a known cell."""
+    """Sample the surface at the centre of each part, if this centre lies on a known cell."""
     surface = sloped.surface
     xy = tiling.centres()
     last = (surface.camera.width - 1, surface.camera.height - 1)
@@ -169,7 +169,7 @@ class _Squares:
 
 @dataclass(frozen=True, eq=False)
 class _Tiling:
-    """Squares of an image, divided into parts where the surface is seen at a grazing angle.
+    """Squares of an image. Squares in which the surface is seen at a grazing angle are divided into parts.
 
     Attributes:
         squares: the tiling with N squares.
@@ -216,7 +216,7 @@ class _Tiling:
 def _part_counts(sloped: _SlopedSurface, xy: Array) -> NDArray[np.intp]:
     """Number of parts (M, 2) along x and y, for squares centred on pixel indices (M, 2).
 
-    The number of parts is proportional to the square root of the surface's slope.
+    The number of parts grows with the square root of the surface's slope.
     """
     surface = sloped.surface
     cells = np.maximum(surface.depths.grid.cells_at(xy), 0)

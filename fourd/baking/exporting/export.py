@@ -36,8 +36,8 @@ SUFFIXES: dict[Format, str] = {
     "ply": ".ply",
 }
 Y_UP: tuple[Format, ...] = ("spz", "glb", "usd")
-"""File formats in which the up direction is +y. In the other formats of splats, it is -y. The format "ply" keeps the
-axes of the scene."""
+"""File formats in which the up direction is +y. In the other formats of splats, the up direction is -y. The format
+"ply" keeps the axes of the scene."""
 MEASURED_VIEWS, MEASURED_FRAMES = 4, 3
 """Maximum numbers of viewpoints and of frames for which the PSNR of an export is measured."""
 
@@ -111,8 +111,8 @@ def export_scene(scene: Scene, out: Path, settings: ExportSettings, track: Track
 
 
 def list_files(out: Path, settings: ExportSettings, manifest: SceneManifest) -> list[Path]:
-    """The files of the frames. If ``out`` has the suffix of the format, the only file is ``out``. Otherwise, the files
-    are in the folder ``out``, or in ``out/frames`` for USD.
+    """The files of the frames. If ``out`` has the suffix of the format, the only file is ``out``. Without this
+    suffix, ``out`` is a folder, and the files are in ``out``, or in ``out/frames`` for USD.
 
     Each file name ends in the frame's number in the capture, so that other programs recognise the sequence.
     """

@@ -35,9 +35,9 @@ class CloudEncoding:
         radius_steps: number of codes for each doubling of the radius.
         density_levels: code that encodes the density 1, at most 255.
         sh_basis: (K, 48) float32, orthonormal basis vectors as rows. The spherical-harmonics coefficients of a point
-            are ``sh_mean`` plus a weighted sum of the rows. The weights of the sum are called factors, and the scene
-            stores the factors of each point. The 48 numbers of a row are 16 coefficients for red, then 16 for green,
-            then 16 for blue.
+            are ``sh_mean`` plus a weighted sum of the basis vectors. The weights of the sum are called factors, and
+            the scene stores the factors of each point. The 48 numbers of a row are 16 coefficients for red, then 16 for
+            green, then 16 for blue.
         sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
         weight_steps: number of codes for each doubling of the blend weight. Code 1 is the largest blend weight of the

@@ -18,7 +18,7 @@ def smooth_normals(mesh: Mesh, rounds: int = ROUNDS) -> Mesh:
     """Return the mesh with smoothed normals. Positions do not change.
 
     Vertices of equal position and normal, such as those at the border of two texture charts, count as one vertex.
-    Vertices of equal position and different normals are a sharp edge, which stays sharp.
+    Vertices of equal position and different normals form a sharp edge, which stays sharp.
     """
     assert mesh.normals is not None
     rows = np.concatenate([mesh.xyz, np.round(mesh.normals, 3)], 1)

@@ -22,10 +22,10 @@ def mean_colours(frame: BakedFrame) -> NDArray[np.uint8]:
 
 
 def fill_unseen_colours(frame: BakedFrame) -> BakedFrame:
-    """Return the frame, where each point has its mean colour in all views in which its blend weight is 0.
+    """Return the frame with new colours: each point has its mean colour in all views in which its blend weight is 0.
 
     A view with a blend weight of 0 does not see the point. The stored colour in this view belongs to another surface.
-    Shading uses such a colour only where the blend weights of all selected views are 0.
+    Shading uses this stored colour only if the blend weights of the point in all selected views are 0.
     """
     if frame.view_count == 0:
         return frame

@@ -126,7 +126,8 @@ def decode_image(content: bytes, camera: Camera, scale: float) -> ViewImage:
 
 
 def sample_differences(image: ViewImage, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the differences of red, green and blue (N,) at the positions x (N,) and y (N,) of the grid.
+    """Return the differences from the mean colours, in red, green and blue (N,), at the positions x (N,) and y (N,) of
+    the grid.
 
     The planes are sampled bilinearly. Positions beyond the border of a plane get the value of the nearest border texel.
     """
@@ -162,8 +163,8 @@ def bilinear(planes: Sequence[NDArray[Any]], x: Floats, y: Floats) -> list[Float
 
 
 def _frame_size(frame: bytes) -> tuple[int, int]:
-    """Return the width and the height that a VP9 frame declares. The frame must be the only frame of its packet. The
-    frame must be a visible key frame of profile 0. Otherwise StreamError is raised."""
+    """Return the width and the height that a VP9 frame declares. Raises StreamError unless the frame is the
+    only frame of its packet and a visible key frame of profile 0."""
     if frame[:1] not in _KEY_FRAME or frame[1:4] != _SYNC_CODE or len(frame) < 10:
         raise StreamError(f"expected a key frame of VP9, got other content ({frame[:4].hex() or 'nothing'})")
     if _is_superframe(frame):

@@ -63,7 +63,8 @@ def view_member(view: int) -> str:
 
 
 def optional_member(attribute: str) -> str:
-    """Return the name of the member of an optional attribute, which is compressed without quantisation."""
+    """Return the name of the member that stores an optional attribute. The content of this member is compressed
+    without quantisation."""
     return f"optional/{attribute}"
 
 

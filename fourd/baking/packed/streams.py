@@ -39,7 +39,8 @@ def compress(content: bytes, compression: Compression = "zstd") -> bytes:
 
 
 def stored(content: bytes) -> bytes:
-    """Compress a member's content fast, with little reduction in size. Checks in memory use this function."""
+    """Compress a member's content fast, with little reduction in size. This function serves checks that encode and
+    decode members in memory."""
     return zstandard.ZstdCompressor(level=-5, write_content_size=True).compress(content)
 
 

@@ -44,7 +44,7 @@ class CloudSamples:
 
 
 def merge_samples(samples: Iterable[CloudSamples]) -> CloudSamples:
-    """Return the samples of all frames of a cloud. There must be at least one frame."""
+    """Merge the samples of single frames into the samples of all frames. There must be at least one frame."""
     parts = list(samples)
     return CloudSamples(
         np.min([part.lower for part in parts], axis=0),

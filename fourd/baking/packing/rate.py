@@ -1,4 +1,5 @@
-"""Chooses the tier and the level of a packed scene that a network connection can play without pauses."""
+"""Chooses the tier and the level of a packed scene, such that the scene plays without pauses over a network
+connection."""
 
 from __future__ import annotations
 
@@ -20,7 +21,7 @@ MARGIN = 0.95
 """Maximum estimated data rate of a level, as a share of the connection's data rate. The remaining data rate is for
 frames that are larger than the mean."""
 WEB_MARGIN = 0.9
-"""The same share for web pages. It is lower because web pages request several frames at the same time."""
+"""The value of MARGIN for web pages, which is lower because web pages request several frames at the same time."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,8 @@ CANDIDATES: tuple[tuple[Tier, int], ...] = (
 def choose_tier(
     source: Path, max_mbps: float, name: Path, track: Track = untracked, *, for_web: bool = False
 ) -> Choice:
-    """Return the best level that a connection of ``max_mbps`` megabits per second can play without pauses for one
-    viewer.
+    """Return the best level that one viewer can play without pauses over a connection of ``max_mbps`` megabits per
+    second.
 
     Args:
         source: a `.4dv` of any version.

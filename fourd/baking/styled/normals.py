@@ -22,7 +22,7 @@ def add_normals(frame: BakedFrame, manifest: SceneManifest, *, is_background: bo
 
     Args:
         is_background: whether the points surround the cameras. The normals of background points that no source camera
-            sees face all source cameras.
+            sees are turned towards the source cameras.
     """
     return replace(frame, normals=_estimate(frame.xyz, frame.blend_weights, manifest, is_background))
 

@@ -33,13 +33,13 @@ class _Picture:
 
 
 class StyledPlayer:
-    """Draws baked frames in a style. Only one thread may use an instance.
+    """Draws baked frames in a style. An instance is not thread-safe: only one thread may use it.
 
-    While the camera does not move, depths and normals are averaged over successive pictures. Lines fade in, and a line
-    disappears only when it is clearly below its threshold. The noise of the points makes lines flicker. The averages
-    and the hysteresis reduce this flicker. No average is computed where a surface moves, which shows as a clear
-    difference in depth or normal from the previous picture. The first picture in a style has all its lines at full
-    strength.
+    While the camera does not move, depths and normals are averaged over successive pictures. Lines fade in. Where the
+    previous picture has a line, the thresholds for lines are lower (hysteresis). The noise of the points makes lines
+    flicker. The averages and the hysteresis reduce this flicker. No average is computed at pixels whose depth or normal
+    clearly differs from the previous picture, because a surface moves there. The first picture in a style has all its
+    lines at full strength.
 
     Attributes:
         style_seconds: duration of the stylizer in the last call of :meth:`draw`, without the drawing of the surface.
@@ -107,7 +107,8 @@ class StyledPlayer:
         threads: int = 0,
         out: NDArray[np.uint8] | None = None,
     ) -> NDArray[np.uint8]:
-        """Draw a frame in a style as an (H, W, 4) uint8 image. The channels are RGB over the paper, and alpha.
+        """Draw a frame in a style as an (H, W, 4) uint8 image. The channels are RGB, composited over the
+        paper, and alpha.
 
         The arguments are those of :meth:`fourd.baking.player.Player.draw`. ``background`` is the paper colour for
         styles that define no paper. Raises UserError if the style's shade map cannot be read.

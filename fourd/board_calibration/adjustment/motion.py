@@ -57,7 +57,7 @@ def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
 
 
 def _derivative_weights(times: Array) -> Array:
-    """Weights of values at ``times``.
+    """Finite-difference weights for values at ``times``.
 
     The weighted sum of the values is the derivative at time 0 of the polynomial through the values.
     """

@@ -176,8 +176,7 @@ def estimate_noise(
 
 
 def _independent(views: Views, grams: Array, before: Array) -> Array:
-    """Standard deviations (C,), in pixels, of the independent errors. They are computed from the views' Gram
-    matrices."""
+    """Standard deviations (C,), in pixels, of the independent errors, computed from the views' Gram matrices."""
     pose, last = slice(0, BOARD_PARAMETERS), BOARD_PARAMETERS + SHARED
     damped = grams[:, pose, pose] + 1e-9 * np.eye(BOARD_PARAMETERS)
     explained = np.linalg.solve(damped, grams[:, pose, last, None])[..., 0]

@@ -22,7 +22,7 @@ STEPS = 2
 DAMPING = 1e-6
 """Initial damping factor of each round."""
 HUBER = 1.0
-"""Scale of the Huber loss in standard deviations of the corners."""
+"""Scale of the Huber loss, as a multiple of the corners' standard deviation."""
 TURN_STD, SHIFT_STD, JITTER_STD = 1e-3, 2e-4, 0.05
 """Initial standard deviations of the shared errors of a view: of the rotation in radians, of the shift as a share of
 the board's size, and of the delay in frames."""
@@ -52,7 +52,7 @@ def refine_rig(start: RigState, corners: Corners, frames: Sequence[int], free: F
     Each round estimates the motion of the board and the standard deviations of the errors again.
 
     Args:
-        start: a rig that is correct up to a few pixels.
+        start: a rig whose reprojection errors are at most a few pixels.
         corners: observations without gross errors.
         frames: frame number of each position of the board.
         free: parameters that are adjusted.

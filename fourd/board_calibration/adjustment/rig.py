@@ -47,7 +47,7 @@ class Corners:
     back: NDArray[np.bool_]
 
     def select(self, kept: NDArray[np.bool_]) -> Corners:
-        """The corners in a mask (N,)."""
+        """Select the corners for which the mask (N,) is true."""
         return Corners(
             self.camera[kept], self.board[kept], self.xyz[kept], self.pixels[kept], self.ids[kept], self.back[kept]
         )
@@ -120,8 +120,7 @@ class BoardShape:
     """Differences between a real board and a flat, regular board in the plane z = 0.
 
     Attributes:
-        offsets_m: (K, 3) displacements of the corners. They describe a board that is not exactly flat and a print that
-            is not exactly regular.
+        offsets_m: (K, 3) displacements of the corners of a board that is not exactly flat or not exactly regular.
         thickness_m: distance between the front and the back of a double-sided board. The back is at z = -thickness.
     """
 
@@ -238,7 +237,8 @@ def _shaped(state: RigState, corners: Corners) -> Array:
 
 
 def _apply_lenses(cameras: Sequence[Camera], camera: NDArray[np.intp], in_camera: Array) -> tuple[Array, Array, Array]:
-    """Pixels (N, 2) of points, and their derivatives with respect to points (N, 2, 3) and lenses (N, 2, 9)."""
+    """Pixels (N, 2) of points, and two arrays of derivatives of the pixels: (N, 2, 3) with respect to the points, and
+    (N, 2, 9) with respect to the lenses."""
     count = len(in_camera)
     safe = in_camera.copy()
     safe[:, 2] = np.maximum(in_camera[:, 2], MIN_DEPTH)

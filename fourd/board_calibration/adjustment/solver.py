@@ -202,7 +202,7 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     The covariance is H^-1 G H^-1. H is the matrix of the reduced normal equations. G is the sum of the outer products
     of the frames' gradients, plus the precision of the prior (sandwich estimate with clusters, Liang and Zeger 1986).
     The estimate remains valid if errors are correlated within a frame, or larger than the error model assumes. H is
-    multiplied by the mean curvature of the Huber loss divided by the mean weight (Huber, Robust Statistics, 1981, sec.
+    multiplied by the ratio of the Huber loss's mean curvature to the mean weight (Huber, Robust Statistics, 1981, sec.
     7.6).
     """
     views = group_views(corners)

@@ -157,7 +157,8 @@ def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
 
 
 def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: NDArray[np.intp], extra: int) -> None:
-    """Add the Gram matrices (V, Q, Q) of views, whose columns are shape, camera, board and residual."""
+    """Add the Gram matrices (V, Q, Q) of views to ``system``. The columns of a Gram matrix are the unknowns of the
+    board's shape, of the camera and of the board's pose, and the residual."""
     own = slice(extra, extra + PARAMETERS)
     pose = slice(own.stop, own.stop + BOARD_PARAMETERS)
     last, shape = pose.stop, slice(0, extra)

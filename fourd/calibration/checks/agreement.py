@@ -118,10 +118,10 @@ def match_capture(path: Path | str, track: Track | None = None) -> CaptureMatche
 def _match_unmatched(
     pictures: Sequence[Picture], cameras: Sequence[Camera], matches: Mapping[Pair, Matches]
 ) -> dict[Pair, Matches]:
-    """Match each camera without matches again, with all other cameras. Such a camera may have a wrong calibration, so
-    that its neighbours were chosen wrongly.
+    """Match each camera without matches again, with all other cameras. A camera without matches may have a wrong
+    calibration, so that its neighbours were chosen wrongly.
 
-    Nothing is done if only one camera or more than a quarter of all cameras have no matches.
+    Nothing is done if exactly one camera has no matches, or if more than a quarter of all cameras have no matches.
     """
     used = {index for pair, found in matches.items() if len(found) >= MIN_MATCHES for index in pair}
     lone = [index for index in range(len(cameras)) if index not in used]

@@ -62,7 +62,7 @@ class MatteOptions:
         return self.method is not None or bool(self.paint)
 
     def settings(self, seed: int) -> MatteSettings:
-        """Settings of the matting stage. Raises UserError if an option belongs to another method."""
+        """Settings of the matting stage. Raises UserError if an option belongs to a method that is not selected."""
         chosen = self.method or "motion"
         for name, method in (("screen", "chroma"), ("rvm", "rvm"), ("onnx", "onnx"), ("masks", "masks")):
             if getattr(self, name) is not None and chosen != method:

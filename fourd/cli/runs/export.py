@@ -62,7 +62,7 @@ class Arguments:
     frames: Frames = None
     """With --to: frames to export, by their numbers in the capture."""
     degree: int = 2
-    """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply have only degree 0."""
+    """With --to: largest degree of the spherical harmonics, 0 to 3. The formats splat and ply support only degree 0."""
     keep_axes: bool = False
     """With --to: keep the scene's coordinates. Otherwise, the scene is rotated to the up axis that other programs
     expect: +y for spz, glb and usd, and -y for the other formats of splats. The format ply always keeps the

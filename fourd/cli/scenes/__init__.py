@@ -1,1 +1,1 @@
-"""Commands that show, render, time and describe scenes."""
+"""Commands that show, render, pack, verify and describe scenes, and a benchmark."""

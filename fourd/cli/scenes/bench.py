@@ -1,4 +1,4 @@
-"""Time kernels and stages on this machine, and compare them with reference code and other installed packages."""
+"""Measure the run time of kernels and stages, and compare it with reference code and other installed packages."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Arguments:
 
 
 def run(arguments: Arguments) -> None:
-    """Time all cases and print the table."""
+    """Measure the run time of all cases, and print the table."""
     console = Terminal()
     machine = this_machine()
     console.print(str(machine), soft_wrap=True)

@@ -45,7 +45,7 @@ class LensOptions:
 
     @property
     def is_used(self) -> bool:
-        """Whether images are traced."""
+        """Whether images are ray-traced."""
         return self.lens is not None or self.mirror_floor or self.glass_ball is not None
 
 

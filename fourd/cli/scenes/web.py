@@ -23,7 +23,7 @@ class Arguments:
     """Writes a folder of static files: a page, a poster image, the player and the scene."""
 
     scene: ScenePath
-    """The .4dv file to show, of any version. Packed scenes keep their tier."""
+    """The .4dv file to show, of any version. A packed scene keeps its tier, and --tier has no effect."""
     out: Annotated[Path, tyro.conf.arg(aliases=["-o"])]
     """The folder to write. An earlier site in this folder is replaced."""
     tier: Annotated[Tier, describe(*TIER_HELP)] = "stream"
@@ -32,8 +32,8 @@ class Arguments:
     max_mbps: MaxMbps = None
     style: PageStyles = ()
     normals: bool = True
-    """Store normals, which styles need. If the scene has none, normals are estimated. With --no-normals, the page shows
-    no styles."""
+    """Store normals, which styles need. If the scene has no normals, they are estimated. With --no-normals, the page
+    shows no styles."""
 
 
 def run(arguments: Arguments) -> None:

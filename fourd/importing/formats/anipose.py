@@ -60,7 +60,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 
 def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
-    """Read a calibration TOML. Returns the cameras, keyed by name, and notes. Raises UserError as :func:`read` does."""
+    """Read a calibration TOML. Returns the cameras, keyed by name, and notes. Raises UserError in the same cases as
+    :func:`read`."""
     data = read_toml(path)
     cameras: dict[str, Camera] = {}
     for key, table in data.items():
@@ -96,7 +97,8 @@ def _make_camera(where: str, table: dict[str, object]) -> Camera:
 
 
 def _guess_unit(cameras: list[Camera]) -> tuple[float, str]:
-    """Estimate the file's unit, in metres, from the distances between cameras. Returns the unit and a note."""
+    """Guess from the distances between cameras whether the file's unit is the metre or the millimetre. Returns the
+    unit, as a length in metres, and a note."""
     centres = np.stack([camera.centre for camera in cameras])
     distances = np.linalg.norm(centres[:, None] - centres[None], axis=2)[np.triu_indices(len(centres), 1)]
     if not len(distances):

@@ -60,8 +60,8 @@ def read_cameras(path: Path) -> tuple[dict[str, Camera], list[str]]:
     ignores are left out.
 
     Raises:
-        UserError: if the TOML is invalid, contains no camera or one camera twice, or if a camera has a missing or
-            invalid value, intrinsics without a pose, or a fisheye lens.
+        UserError: if the TOML is invalid, if it contains no camera or the same camera twice, or if a camera has a
+            missing or invalid value, has intrinsics but no pose, or has a fisheye lens.
     """
     data = read_toml(path)
     tables = data.get("cameras")

@@ -96,7 +96,7 @@ def read(source: Path) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a model folder. Returns the cameras, keyed by name. Raises UserError as :func:`read` does."""
+    """Read a model folder. Returns the cameras, keyed by name. Raises UserError in the same cases as :func:`read`."""
     lenses, photos = _read_model(path)
     images: dict[str, list[_Photo]] = defaultdict(list)
     for image in photos:
@@ -129,7 +129,7 @@ def _find_photos(source: Path, calibrations: Mapping[str, Camera]) -> dict[str, 
 
 
 def _make_camera(where: str, lenses: dict[str, _Lens], images: list[_Photo], rig_size: float) -> Camera:
-    """Make a camera from its first image. Raises UserError if the camera's other images differ in pose or
+    """Make a camera from its first image. Raises UserError if the camera's images differ from each other in pose or
     intrinsics."""
     lens, pose = lenses[images[0].lens], images[0].pose
     for image in images[1:]:
@@ -187,7 +187,8 @@ def _read_model(path: Path) -> tuple[dict[str, _Lens], list[_Photo]]:
 
 
 def read_in_child(name: str) -> dict[str, Any]:
-    """Read a model with pycolmap, in this process. Returns JSON values. Raises UserError as :func:`read` does."""
+    """Read a model with pycolmap, in this process. Returns JSON values. Raises UserError in the same cases as
+    :func:`read`."""
     model = _load_model(Path(name))
     registered = [model.images[number] for number in model.reg_image_ids()]
     return {

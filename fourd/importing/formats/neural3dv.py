@@ -36,7 +36,7 @@ PARSER_ERRORS = (
     MemoryError,
     RecursionError,
 )
-"""NumPy parses headers as Python literals. An invalid header therefore raises one of these errors."""
+"""Errors that NumPy raises for a file with an invalid header, because it parses the header as a Python literal."""
 MAX_PIXELS = 1 << 20
 MAX_BYTES = 1 << 20
 """Maximum size of the file in bytes. A camera has 136 bytes."""

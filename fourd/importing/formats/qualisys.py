@@ -69,8 +69,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 
 
 def read_cameras(path: Path) -> dict[str, Camera]:
-    """Read a .qca.txt file. Returns the cameras, in metres, keyed by serial number. Raises UserError as :func:`read`
-    does."""
+    """Read a .qca.txt file. Returns the cameras, in metres, keyed by serial number. Raises UserError in the same cases
+    as :func:`read`."""
     try:
         root = ElementTree.fromstring(read_limited(path))
     except (ElementTree.ParseError, ValueError, LookupError) as error:

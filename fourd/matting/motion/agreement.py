@@ -26,8 +26,8 @@ OUTLIER_SHARE = 0.05
 MIN_SEEING_SHARE = 0.75
 """A voxel gets a score only if it is inside the images of at least this share of the views."""
 REJECT_LOG_ODDS = np.float32(-2.0)
-"""A view rejects a voxel if the voxel's log-odds in the view are below this value. Rejection removes most voxels before
-the log-odds are sorted."""
+"""A view rejects a voxel if the voxel's log-odds in the view are below this value. Voxels that too many views reject
+are removed, so that the log-odds of only a few voxels must be sorted."""
 NO_CELL_LOG_ODDS = np.float32(-9.0)
 """Log-odds of pixels onto which no voxel projects."""
 
@@ -112,8 +112,8 @@ class VoxelGrid:
         return Scores.from_evidence(self, alive[keep], stacked, outliers)
 
     def max_projection(self, chosen: NDArray[np.intp], values: Floats, index: int) -> Floats:
-        """Project the ``chosen`` voxels into camera ``index``. Each pixel gets the largest of the ``values`` of its
-        voxels.
+        """Project the ``chosen`` voxels into camera ``index``. Each pixel gets the largest of the ``values`` of the
+        voxels that project onto it.
 
         Returns an array (h, w). Pixels onto which no voxel projects have the value NO_CELL_LOG_ODDS.
         """
@@ -172,7 +172,7 @@ class Scores:
 
 
 def dilate(picture: Floats, width: int) -> Floats:
-    """Apply a maximum filter over squares of ``width`` pixels, the size of a voxel's projection.
+    """Apply a maximum filter over squares with a side of ``width`` pixels, the width of a voxel's projection.
 
     The maximum is used because a voxel counts as occupied if the subject is anywhere in the voxel's projection.
     """

@@ -21,7 +21,7 @@ MIN_SHARE = 0.002
 The limit is above 0, because some deviations do not occur in the frames from which the shares are learned.
 """
 PRIOR_PIXELS = 500.0
-"""When the shares are learned, the default shares count as much as this number of pixels."""
+"""Weight of the default shares when the shares are learned, as a number of pixels."""
 SHARE_ITERATIONS = 3
 MIN_LOG_LIKELIHOOD = np.float32(-20.0)
 CONFIDENT_FRAMES = 3.0
@@ -72,8 +72,8 @@ class BackgroundModel:
         return np.maximum(np.maximum(plain, shaded + np.float32(np.log(shaded_share))), MIN_LOG_LIKELIHOOD)
 
     def plain_and_shaded(self, rgb: Picture) -> tuple[Floats, Floats]:
-        """Two log densities (h, w) of each pixel's colour in an image (h, w, 3): for an unshaded and for a shaded
-        background.
+        """Two log densities (h, w) of each pixel's colour in an image (h, w, 3): one for an unshaded background and one
+        for a shaded background.
 
         The light on a shaded pixel is unknown and has a uniform prior from SHADOW_DARKEST to SHADOW_BRIGHTEST. The
         density of a shaded pixel is therefore an integral over the light, which is computed by Laplace's approximation.
@@ -139,9 +139,9 @@ def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
     """Fit a background model to frames.
 
-    At each pixel, the colour of each frame is compared with all frames. The frame whose matching frames have the
-    largest total weight is chosen. The model consists of the weighted mean and variance of the colours of these
-    matching frames.
+    At each pixel, the colour in each frame is compared with the colours in all frames. The frame whose matching frames
+    have the largest total weight is chosen. The model consists of the weighted mean and variance of the colours in the
+    matching frames of the chosen frame.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

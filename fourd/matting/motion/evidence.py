@@ -1,5 +1,5 @@
-"""Log-odds that a pixel shows the subject. They are computed from the image of the pixel's camera and from the visual
-hull of the other views."""
+"""Log-odds that a pixel shows the subject. The log-odds of a pixel are computed from the image of its camera and from
+the visual hull of the other views."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ is unknown."""
 MAX_MOTION_LOG_ODDS = np.float32(2.0)
 OFF_HULL_LOG_ODDS = np.float32(-4.0)
 HULL_THRESHOLD = np.float32(-1.5)
-"""A voxel belongs to the other views' hull if its score is above this value. The score is nearly the lowest log-odds
-among these views. The threshold is below 0, because single views often give slightly negative log-odds on the
-subject."""
+"""A voxel belongs to the other views' hull if its score is above this value. The score is about the lowest log-odds
+that the voxel has in the other views. The threshold is below 0, because single views often give slightly negative
+log-odds on the subject."""
 HULL_RANGE = np.float32(4.0)
 """The evidence of the hull grows with the score of a voxel, from 0 at HULL_THRESHOLD to its maximum at HULL_THRESHOLD +
 HULL_RANGE."""
@@ -89,7 +89,7 @@ class Appearance:
         return np.asarray(cv2.GaussianBlur(odds.astype(np.float32), (3, 3), 0.6), np.float32)
 
     def with_background(self, background: BackgroundModel) -> Appearance:
-        """Resize the appearance to the size of ``background`` and replace its background model."""
+        """Resize the appearance to the size of ``background``, and use ``background`` as its background model."""
         height, width = background.frames.shape
         region = cv2.resize(self.region.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR) > 0.25
         zoom = width / self.region.shape[1]
@@ -138,8 +138,8 @@ def combine_views(
         motions: length (h, w) of the optical flow in pixels in each camera, or None for a capture of one frame.
         grid: voxels of the hull, or None for a single camera or parallel cameras. Without a grid, each camera is
             processed independently.
-        local: local colours of the background. If local colours are given, a second pass follows the first. The first
-            pass determines the local colours of the subject. In the second pass, a second hull is carved with evidence
+        local: local colours of the background, or None for a single pass. With local colours, there are two passes. The
+            first pass determines the local colours of the subject. The second pass carves another hull with evidence
             from the local colours of subject and background.
         painted: for each camera, the log-odds (h, w) that the user painted; 0 where nothing is painted.
     """
@@ -180,8 +180,8 @@ def _add_hull(
     else:
         scores = grid.scores(own)
         priors = [scores.prior(index) for index in range(len(own))]
-    # The evidence of reliable voxels is estimated from all views together. In a single view that misses a part of the
-    # subject, the estimate would be biased.
+    # The evidence of reliable voxels is estimated from all views together. An estimate from a single view that misses a
+    # part of the subject would be biased.
     reliable_own = [
         odds[(prior > RELIABLE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
     ]
@@ -204,8 +204,9 @@ def _add_hull(
 def _inside_hull_log_odds(own: Floats, limit: float) -> np.float32:
     """Log-odds, at most ``limit``, that a pixel inside the other views' visual hull shows the subject.
 
-    The result is estimated from the camera's ``own`` log-odds (N,) inside the hull. The hull of many views is tight and
-    gives strong evidence. The hull of a few views is wide and gives weak evidence.
+    The result is estimated from ``own`` (N,), the log-odds of pixels inside the hull, each computed from one camera
+    only. The hull of many views is tight and gives strong evidence. The hull of a few views is wide and gives weak
+    evidence.
     """
     subject, other = np.count_nonzero(own > CONFIDENT_LOG_ODDS), np.count_nonzero(own < -CONFIDENT_LOG_ODDS)
     return np.float32(np.clip(np.log((subject + 1) / (other + 1)), 0, limit))

@@ -34,8 +34,8 @@ MIN_BACKGROUND_WEIGHT = np.float32(0.02)
 CONFIRMED_FRAMES = 1.5
 """A pixel's colour is confirmed as background if the total weight of matching frames exceeds this value.
 
-A frame matches if, in this frame, the pixel is outside the other views' hull and its colour is near the background
-model's.
+A frame matches if, in this frame, the pixel is outside the other views' hull and its colour is near the colour of the
+background model.
 """
 CLEAR_PX = 8
 """Distance in pixels from the hull of the other views.
@@ -131,10 +131,10 @@ class Learner:
         self._fit_deviations(off_hull)
 
     def _fit_deviations(self, off_hull: Flags) -> None:
-        """Learn two shares of the known background: how much is in shadow, and how much changes. Only pixels far from
-        the hull are used.
+        """Learn two shares of the known background: the share in shadow, and the share whose colour changes. Only
+        pixels far from the hull are used.
 
-        ``off_hull`` (T, h, w) is True outside the other views' visual hull. Frames without a hull do not count.
+        ``off_hull`` (T, h, w) is True outside the other views' visual hull. Frames without a hull are ignored.
         """
         rows, columns = _bounding_window(self.appearance.region)
         background = self.appearance.background.crop(rows, columns)
@@ -193,8 +193,8 @@ class Learner:
 
 
 def _background_weight(odds: Floats) -> Floats:
-    """Weight in (0, 1] with which a pixel counts as background, computed from the log-odds that its colour is the
-    subject's.
+    """Weight in (0, 1] with which a pixel counts as background, computed from the log-odds that its colour belongs to
+    the subject.
 
     Typical subject colours have a low background weight.
     """
@@ -202,8 +202,8 @@ def _background_weight(odds: Floats) -> Floats:
 
 
 def _background_confirmation(odds: Floats) -> Floats:
-    """Weight in (0, 1] with which a colour confirms the background, computed from the log-odds that the colour is the
-    subject's.
+    """Weight in (0, 1] with which a colour confirms the background, computed from the log-odds that the colour belongs
+    to the subject.
 
     Typical background colours have a high weight.
 

@@ -81,7 +81,8 @@ class LocalColours:
 
 
 def _interpolation(size: int, points: int, step_px: int) -> tuple[NDArray[np.intp], Floats]:
-    """Linear interpolation along one image axis of ``size`` pixels with ``points`` grid points, ``step_px`` apart.
+    """Prepare linear interpolation along an image axis that has ``size`` pixels and ``points`` grid points. The grid
+    points are ``step_px`` pixels apart.
 
     Returns:
         For each pixel, the index of the grid point before the pixel, and the weight in [0, 1] of the next grid point.

@@ -73,9 +73,9 @@ class MatteMaker:
             small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
             if other is not None:
-                # The frames between the two frames of the optical flow are also read, in ascending order, so that they
-                # are cached. Reading these frames later would require seeking backwards in the video and decoding from
-                # the previous keyframe.
+                # The frames between the two frames from which optical flow is computed are also read, in ascending
+                # order, so that they are cached. Reading these frames later would require seeking backwards in the
+                # video and decoding from the previous keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))
@@ -91,7 +91,8 @@ class MatteMaker:
 
 
 def _sharp_background(appearance: Appearance, picture: Picture) -> Floats | None:
-    """The background's colours and confidence (H, W, 4), or None if the background is smaller than the image."""
+    """The background's colours and their confidence, together (H, W, 4); None if the background model does not have the
+    size of the image."""
     background = appearance.background
     if background.frames.shape != picture.shape[:2]:
         return None
@@ -107,8 +108,8 @@ def matting_cameras(capture: Capture) -> tuple[Camera, ...]:
 def refine_background(capture: Capture, index: int, coarse: BackgroundModel, camera: Camera) -> BackgroundModel:
     """Recompute a background model at the image size of ``camera``.
 
-    The mean of the new model is a weighted mean of frames. A pixel's weight is its similarity to the ``coarse``
-    background.
+    The mean of the new model is a weighted mean of frames. The weight of a pixel in a frame is the similarity of its
+    colour to the background model ``coarse``.
     """
     height, width = coarse.frames.shape
     large = coarse.resize(camera.width, camera.height)

@@ -46,9 +46,9 @@ class MotionExtent:
         noise = 1.48 * float(np.median(change)) + 1
         threshold = max(MIN_CHANGE, NOISE_FACTOR * noise)
         still = float(np.median(sample.motion_px)) + MIN_MOTION_PX
-        # Of a pixel's changes over the frames, the second largest counts, because a flash that lasts one frame affects
-        # only the largest change. Where the optical flow is large, such as at a swinging foot, a change in one frame is
-        # enough.
+        # For each pixel, the second largest change over the frames is used, because a flash that lasts one frame
+        # affects only the largest change. In frames with large optical flow at the pixel, for example of a swinging
+        # foot, the largest change is used as well.
         largest = np.partition(change, -2, axis=0)[-2] if len(change) > 2 else change.max(axis=0)
         largest = np.maximum(largest, np.where(sample.motion_px > MOVING_FACTOR * still, change, 0).max(axis=0))
         region = (largest > threshold).astype(np.uint8)

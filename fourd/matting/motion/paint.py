@@ -70,7 +70,7 @@ def parse_paint(text: str) -> Paint:
     """Parse ``CAM:FRAME=FILE``.
 
     Raises:
-        UserError: if the text has another format.
+        UserError: if the text does not have this format.
     """
     place, _, path = text.partition("=")
     camera, _, frame = place.rpartition(":")
@@ -88,7 +88,8 @@ def read_strokes(paints: Sequence[Paint], capture: Capture, cameras: Sequence[Ca
         cameras: undistorted cameras of the size at which log-odds are computed.
 
     Raises:
-        UserError: if a camera or frame is unknown, or a file is missing, damaged, of another size, or without strokes.
+        UserError: if a camera or frame is unknown, or a file is missing, is damaged, has a wrong size, or has no
+            strokes.
     """
     strokes = []
     for paint in paints:

@@ -28,7 +28,7 @@ MAX_OTHER_BYTES = 256 << 20
 
 
 def save_subject(path: Path, subject: Subject, backgrounds: Sequence[BackgroundModel]) -> None:
-    """Write the appearance of the subject and the background of each camera, atomically."""
+    """Write each camera's models of the subject and of the background to one file, atomically."""
     arrays: dict[str, Any] = {"box": np.zeros((0, 3)) if subject.box is None else np.stack(subject.box)}
     for index, (appearance, fine) in enumerate(zip(subject.appearances, backgrounds, strict=True)):
         arrays |= {
@@ -49,7 +49,7 @@ def load_matte_maker(path: Path, cameras: Sequence[Camera]) -> MatteMaker:
     """Load a matte maker for ``cameras``. The image sizes of ``cameras`` must equal the sizes of the saved backgrounds.
 
     Raises:
-        UserError: if the file is damaged or belongs to other cameras.
+        UserError: if the file is damaged, or belongs to cameras other than ``cameras``.
     """
     try:
         require_regular(path)

@@ -56,12 +56,12 @@ def fit_mesh(start: DistanceGrid, views: Sequence[MeshView], settings: FitSettin
     distances on the border of the grid keep their signs, so that the surface stays closed.
 
     Args:
-        start: signed distances at the start, for example those of the visual hull.
+        start: signed distances at the start, for example the distances to the visual hull.
         views: views of the frame, at least 2.
         settings: steps, rates and weights.
 
     Raises:
-        ValueError: if there are fewer than 2 views, or the start has no surface.
+        ValueError: if there are fewer than 2 views, or the distances ``start`` contain no surface.
     """
     if len(views) < 2:
         raise ValueError(f"views: expected at least 2, got {len(views)}")

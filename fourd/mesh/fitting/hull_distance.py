@@ -62,9 +62,9 @@ def hull_distance_grid(
         cameras: undistorted pinhole cameras.
         bounds: box that contains the hull.
         cells: number of cubes along the longest side of ``bounds``, at least 1.
-        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that
-            see it.
-        least_views: a share in (0, 1]. At least this share of all views must see a hull point.
+        agreement: a share in (0, 1]. A hull point must be inside the mattes of at least the share ``agreement`` of the
+            views that see it.
+        least_views: a share in (0, 1]. At least the share ``least_views`` of all views must see a hull point.
         trim: whether to remove protruding parts of the hull (see :mod:`fourd.carving.excess`). The remaining hull still
             covers all mattes.
         names: names of the cameras for error messages.
@@ -101,11 +101,12 @@ def hull_distance_grid(
 
 @dataclass(frozen=True, eq=False)
 class _RemovedParts:
-    """Excess parts of a hull, stored as the removed share of the neighbourhood of each cell.
+    """Excess parts of a hull. For each cell, the class stores which share of the cell's neighbourhood is removed.
 
     Attributes:
         hull: the grid of cells.
-        share: array with the shape of the grid: the removed share of the neighbourhood of each cell, in [0, 1].
+        share: array with the shape of the grid. For each cell, it contains the share in [0, 1] of the cell's
+            neighbourhood that is removed.
         surface: (3, N) centres of cells next to the remaining surface, relative to the origin of the silhouettes.
     """
 

@@ -16,8 +16,8 @@ MIN_COSINE = 0.25
 not compared."""
 
 DEPTH_TOLERANCE_PX = 3.0
-"""A visible point may lie slightly behind the depth image of a view. The tolerance is the length that this number of
-pixels covers on the surface at the point."""
+"""A point counts as visible even if it lies slightly behind the depth image of a view. The maximum depth difference is
+the length that this number of pixels covers on the surface at the point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,8 @@ def photo_loss(xyz: Tensor, normals: Tensor, pixels: Tensor, target: PhotoView, 
 
 
 def _sample_view(xyz: Tensor, normals: Tensor, view: PhotoView) -> tuple[Tensor, Tensor]:
-    """Colours (P, 3) of the points in a view, and (P,) bool, true for points that the view sees."""
+    """For one view: the colours (P, 3) that its image shows at the points, and a mask (P,) that is true for the points
+    that the view sees."""
     in_camera = xyz @ view.rotation.T + view.translation
     depth = in_camera[:, 2].clamp(min=1e-6)
     projected = in_camera @ view.intrinsics.T

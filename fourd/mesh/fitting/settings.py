@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class FitSettings:
-    """Settings for the fit of the surface of a frame to its views.
+    """Settings for fitting the surface of a frame to the views of the frame.
 
     Attributes:
-        steps: number of gradient steps, 0 or more. If 0, the surface is that of the visual hull.
+        steps: number of gradient steps, 0 or more. With 0 steps, the mesh has the surface of the visual hull.
         rate: initial learning rate of distances and offsets, in units of a cube's side, more than 0. At the last step,
             the rate is a tenth of the initial rate.
         silhouette: weight of the squared difference between rendered and given mattes.

@@ -15,7 +15,7 @@ class MeshTopology:
     Attributes:
         edges: (E, 2) int64 vertex indices of each edge, the smaller index first. Each edge occurs once.
         neighbours: (P, 2) int64 indices of two triangles that share an edge. An edge that n triangles share gives n - 1
-            pairs.
+            pairs of triangles.
         vertex_count: number of vertices.
     """
 
@@ -39,8 +39,7 @@ class MeshTopology:
 
 
 def laplacian_loss(xyz: Tensor, topology: MeshTopology) -> Tensor:
-    """Mean square of the uniform Laplacian. The uniform Laplacian of a vertex is its distance from the mean of its
-    neighbours.
+    """Mean squared length of the uniform Laplacian, which is the vector from a vertex to the mean of its neighbours.
 
     Minimising the uniform Laplacian (Desbrun et al. 1999) moves vertices along the normal, which smooths the surface.
     The loss also moves vertices in the tangent plane, which makes triangles regular. Vertices without neighbours are

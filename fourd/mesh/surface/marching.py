@@ -54,8 +54,8 @@ def marching_tetrahedra(xyz: Tensor, sdf: Tensor, tetrahedra: Tensor) -> Surface
     """Extract the surface where the linear interpolation of ``sdf`` is zero.
 
     If an edge with the ends a and b is cut, its vertex is at (x_a * s_b - x_b * s_a) / (s_b - s_a), where x are
-    positions and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share its vertex. The
-    surface is therefore closed if it does not reach the border of the grid.
+    positions and s are signed distances (DMTet, eq. 1). Tetrahedra that share a cut edge also share the vertex on this
+    edge. The surface is therefore closed if it does not reach the border of the grid.
 
     Args:
         xyz: (V, 3) floating-point positions of the grid's vertices, differentiable.

@@ -15,8 +15,8 @@ from fourd.mesh.views import MeshView
 Floats = NDArray[np.float32]
 
 ANGLE_POWER = 6
-"""The weight of a view contains the cosine between the normal and the direction to the camera, raised to this power. A
-high power gives sharp textures, because few views are mixed. A low power makes differences between the views less
+"""One factor of a view's weight is the cosine between the normal and the direction to the camera, raised to this power.
+A high power gives sharp textures, because few views are mixed. A low power makes differences between the views less
 visible."""
 
 MIN_COSINE = 0.1
@@ -32,8 +32,8 @@ def blend_views(xyz: Floats, normals: Floats, views: Sequence[MeshView], occlude
 
     The weight of a view is cos^p * m^2, where cos is the cosine between the normal and the direction to the camera, p
     is ANGLE_POWER, and m is the smallest matte value of the 3 x 3 pixels around the point. The factor m^2 gives little
-    weight to pixels at the contour, which mix subject and background. The weight is 0 if the mesh hides the point from
-    the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
+    weight to pixels at the contour, because these pixels mix subject and background. The weight is 0 if the mesh hides
+    the point from the camera (:class:`fourd.mesh.texturing.visibility.Occluder`).
 
     Args:
         xyz: (P, 3) points on the mesh.

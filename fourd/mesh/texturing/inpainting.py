@@ -18,8 +18,8 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
     """Compute the colours of all vertices from the known colours of some vertices.
 
     The other vertices get harmonic colours: each colour is the mean of the neighbours' colours (membrane inpainting on
-    the surface). Two vertices are neighbours if they are neighbours on the mesh. Neighbours in the texture do not
-    count, because charts that are side by side may belong to different parts of the surface.
+    the surface). Two vertices are neighbours if an edge of the mesh connects them. Closeness in the texture is not
+    used, because charts that are side by side may belong to different parts of the surface.
 
     Args:
         rgb: (N, 3) colours.

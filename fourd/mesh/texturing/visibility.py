@@ -18,9 +18,9 @@ OFFSET_EDGES = 0.5
 distance prevents small dents around a point from hiding the point."""
 
 CORNERS_PX = ((-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5))
-"""Four rays are traced for each point. These are their image positions in pixels, relative to the point: the corners of
-a pixel around it. One ray is not enough, because a bilinear sample reads neighbouring pixels, which must not show a
-surface in front of the point."""
+"""Image positions of the four rays that are traced for each point, in pixels relative to the projected point. The
+positions are the corners of a square with the side length of one pixel around the point. One ray is not enough, because
+a bilinear sample reads neighbouring pixels, which must not show a surface in front of the point."""
 
 
 @dataclass(frozen=True, eq=False)

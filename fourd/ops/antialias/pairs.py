@@ -77,8 +77,8 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
-    """Return the clip coordinates (along, across, w) of the vertices (N, K), as (N, K, 3). The owner's centre is the
-    origin."""
+    """Return the clip coordinates (along, across, w), (N, K, 3), of the vertices with the indices (N, K). The origin is
+    the centre of the pair's owner."""
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)
     return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)
@@ -97,8 +97,8 @@ def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 
 def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
-    """For each pair, return the number (0 to 2) of the edge of the owner's triangle that is a silhouette and crosses
-    the pair, or -1 if there is no such edge."""
+    """For each pair, find the edge of the owner's triangle that is a silhouette edge and crosses the pair. Return the
+    number of this edge (0 to 2), or -1 if no edge is found."""
     seen = see(pairs, clip, tri.long()[pairs.triangle])
     lines = [line_of(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
     value, along, across = (torch.stack(parts, 1) for parts in zip(*lines, strict=True))

@@ -15,8 +15,8 @@ def opposite_vertices(tri: Tensor) -> Tensor:
     edge.
 
     Column i belongs to the edge opposite to vertex i. The value is -1 if the edge belongs to only one triangle, or to
-    more than two triangles. Two triangles share an edge if both have its two vertices, in any order. The function is
-    not differentiable.
+    more than two triangles. Two triangles share an edge if both contain the edge's two vertices, in any order. The
+    function is not differentiable.
 
     Args:
         tri: (T, 3) int32 vertex indices.

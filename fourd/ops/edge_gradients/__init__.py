@@ -1,1 +1,1 @@
-"""Gradients of moving visibility edges. The image itself does not change (``csrc/edge_gradients``)."""
+"""Gradients of moving visibility edges (``csrc/edge_gradients``). The forward pass returns the image unchanged."""

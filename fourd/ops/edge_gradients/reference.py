@@ -1,4 +1,4 @@
-"""Gradients of moving visibility edges in plain torch. The image itself does not change."""
+"""Gradients of moving visibility edges in plain torch. The forward pass returns the image unchanged."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class _MovingEdges(torch.autograd.Function):
     """Returns ``color`` unchanged.
 
     The backward pass treats each crossing as an edge that moves between two pixel centres. If the edge moves away from
-    the owner by dt, either the owner or the other pixel changes its colour by ``dt * (c_owner - c_other)``. The
-    gradient is the mean of both cases.
+    the owner by dt, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``. It is not known which
+    pixel changes, so the gradient is the mean of the gradients of the two cases.
     """
 
     @staticmethod
@@ -62,8 +62,8 @@ def _finite(crossing: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Planes:
-    """The depths z/w of N triangles, one for each pair. Each depth is a linear function of the image position, and the
-    centre of the pair's owner is the origin.
+    """For each of N pairs of pixels, the depth z/w of one triangle as a linear function of the image position. The
+    origin is the centre of the pair's owner.
 
     Attributes:
         contains_pair: (N,) whether the triangle contains the centres of both pixels.
@@ -97,10 +97,10 @@ def _dot(one: Tensor, two: Tensor) -> Tensor:
 def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
     """Return whether the triangles of each pair intersect between the pixel centres.
 
-    The triangles of a pair intersect if both contain both pixel centres, and if the nearer triangle changes between the
-    centres. An intersection line is ignored if its angle to the segment between the centres is below 45 degrees. The
-    same rule holds for silhouette edges. Triangles that share an edge are not tested, because they intersect only along
-    the edge.
+    The triangles of a pair intersect if each of them contains both pixel centres, and if one triangle is nearer at one
+    centre and the other triangle is nearer at the other centre. An intersection line is ignored if its angle to the
+    segment between the centres is below 45 degrees. The same rule holds for silhouette edges. Triangles that share an
+    edge are not tested, because they intersect only along the edge.
     """
     corners = tri.long()
     own, other = corners[pairs.triangle], corners[pairs.other_triangle.clamp(min=0)]
@@ -116,7 +116,7 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
 
 def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
     """Return the distance in pixels from the owner to the point where both triangles have the same z/w. The depth z/w
-    is linear in the image."""
+    of a triangle is a linear function of the image position."""
     one = _planes_of(pairs, clip, tri, pairs.triangle)
     two = _planes_of(pairs, clip, tri, pairs.other_triangle)
     return (one.depth - two.depth) / (one.fall - two.fall)

@@ -25,7 +25,8 @@ def draw_attributes(
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
 
     Returns:
-        the values (H, W, C), and a mask (H, W) of the pixels that have a triangle. The values of other pixels are 0.
+        the values (H, W, C), and a mask (H, W) of the pixels that have a triangle. Pixels without a triangle have the
+        value 0.
 
     Raises:
         ImportError: if the native module is not built.

@@ -19,8 +19,8 @@ def select_backend(backend: str, name: str, value: Tensor) -> Literal["reference
     Args:
         backend: "reference" for plain torch on any device (float32 or float64), "cpu" or "cuda" for the float32
             kernels, or "auto" for the kernels of the tensors' device.
-        name, value: name and value of the argument whose device and dtype are checked. All other tensors must have the
-            device and dtype of this argument.
+        name, value: name and value of the argument whose device and dtype are checked. All tensors of the operator must
+            have the same device and dtype.
 
     Raises:
         TypeError: if the kernels do not support the dtype of ``value``.

@@ -32,9 +32,9 @@ def check_tensor(
         value: the argument. Its values are not checked.
         shape: expected shape. A letter stands for any size, including 0. Axes with the same letter may have different
             sizes.
-        like: name and value of another argument. ``value`` must be on the same device as this argument. If this
-            argument has a floating-point dtype, ``value`` must have the same dtype.
-        dtypes: accepted dtypes. They are ignored if the argument ``like`` has a floating-point dtype.
+        like: name and value of a reference argument. ``value`` must be on the device of the reference argument. If the
+            reference argument has a floating-point dtype, ``value`` must have the same dtype.
+        dtypes: accepted dtypes. They are ignored if the reference argument ``like`` has a floating-point dtype.
 
     Raises:
         TypeError: for a wrong type or dtype.

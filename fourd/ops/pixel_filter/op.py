@@ -25,7 +25,7 @@ def filter_pixels(
         image: C-contiguous (H, W, 4) uint8 image.
         side: weight of a neighbouring pixel, from 0 to 0.25. With 0, the image is copied.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
-        out: C-contiguous (H, W, 4) uint8 array that does not overlap ``image``. With ``out`` None, a new array is
+        out: C-contiguous (H, W, 4) uint8 array that does not overlap ``image``. If ``out`` is None, a new array is
             allocated.
 
     Returns:

@@ -64,7 +64,7 @@ class PointPlayer:
             near: points with a camera depth below this number of world units are culled. background: red, green and
                 blue behind the points, in [0, 1].
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
-            out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
+            out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is allocated.
 
         Returns:
             (H, W, 4) uint8 image. The channels of the image are RGB, composited over the background, and alpha. If
@@ -116,13 +116,13 @@ class PointPlayer:
 
         Args:
             normals: (N, 2) uint8 octahedral normals (:func:`fourd.stylize.normals.encode_octahedral`) in world axes.
-            persistence: weight of the previous picture, at least 0 and below 1. Before the call, ``out`` contains the
-                depths and normals of the previous picture. The previous values are used only at pixels where the
+            persistence: weight of the previous picture, at least 0 and below 1. Before the call, ``out`` must contain
+                the depths and normals of the previous picture. The previous values are used only at pixels where the
                 inverse depths of the two pictures differ by at most 2% and their normals differ by at most 37 degrees.
                 Use 0 for the first picture from a camera.
-            out: the surface to draw into. It must have the image size of ``camera``.
+            out: the surface to draw into. The surface must have the image size of ``camera``.
 
-        The other arguments and the errors are those of :meth:`draw`.
+        For the other arguments and the errors, see :meth:`draw`.
         """
         check_points({"xyz": xyz, "radius": xyz[:, 0], "density": xyz[:, 0]}, camera, layers, near)
         if out.size != (camera.height, camera.width):

@@ -63,7 +63,7 @@ def sort_points_reference(
 ) -> NDArray[np.uint32]:
     """Compute the result of :meth:`fourd.ops.play.op.PointSorter.sort` with a stable sort of float32 depths.
 
-    The float32 operations and their order are those of ``csrc/points/maths.h``.
+    The float32 operations and their order are the same as in ``csrc/points/maths.h``.
     """
     k, r, t = (value.astype(np.float32) for value in (camera.intrinsics, camera.rotation, camera.translation))
     radius_float, density_float = radius.astype(np.float32), density.astype(np.float32)

@@ -29,7 +29,7 @@ def render_points_numpy(
 ) -> tuple[Floats, Floats, Floats]:
     """Render points given as float32 arrays.
 
-    The arguments are those of :func:`fourd.raster.render_points`. The results are bit-identical to the results of that
+    For the arguments, see :func:`fourd.raster.render_points`. The results are bit-identical to the results of that
     function's CPU backend.
 
     With ``threads`` = 0, the environment variable FOURD_THREADS sets the number of threads. If the variable is not set,

@@ -15,8 +15,8 @@ from torch import Tensor
 from fourd.cameras import Camera
 
 CHUNK = 1 << 23
-"""Maximum product of the number of pixels and the number of points per chunk. The maximum limits memory to about 100
-MB."""
+"""Maximum product of the number of pixels and the number of points per chunk. This limit bounds the memory use to about
+100 MB."""
 
 
 class Splats(NamedTuple):
@@ -133,9 +133,9 @@ def _composite(
     alphas = torch.where(chosen.valid, _alpha(local, pixels), 0)
     zero = pixels[:, 0] * 0
     transmittance, total, offset, colour = zero + 1, zero, zero, zero[:, None].expand(-1, features.shape[1])
-    # The mean depth is computed from differences to the nearest depth. The nearest depth is a constant in autograd and
-    # changes neither the mean nor its gradient. In pixels with one layer, this subtraction avoids a rounding error,
-    # which the division by a small weight would amplify.
+    # The mean depth is computed from the differences between the depths and the nearest depth. The nearest depth is
+    # treated as a constant in autograd. This changes neither the mean depth nor its gradient. In pixels with one layer,
+    # this subtraction avoids a rounding error, which the division by a small weight would amplify.
     nearest = torch.where(chosen.valid, local.z, 0)[:, :1].detach().sum(dim=1)
     weights = []
     for k in range(alphas.shape[1]):

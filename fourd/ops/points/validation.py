@@ -13,8 +13,8 @@ MAX_POINTS = 2**31 - 1
 MAX_SIDE_PX = 2**18
 """Maximum width or height of an image.
 
-The kernels count tiles of 16 x 16 pixels in signed 32-bit integers. The largest allowed image has one eighth as many
-tiles as a signed 32-bit integer can count.
+The kernels count tiles of 16 x 16 pixels in signed 32-bit integers. An image with this width and height has 2^28 tiles,
+which is one eighth of the integers' limit.
 """
 
 

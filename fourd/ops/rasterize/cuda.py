@@ -10,8 +10,8 @@ from fourd.ops.gpu import contiguous, load_gpu
 def rasterize(
     pos: Tensor, tri: Tensor, ranges: Tensor | None, previous: Tensor | None, rast: Tensor, rast_db: Tensor | None
 ) -> None:
-    """Write the nearest triangles to ``rast`` (B, H, W, 4) and their derivatives to ``rast_db``. ``ranges`` is on the
-    CPU."""
+    """Write the nearest triangles to ``rast`` (B, H, W, 4) and the derivatives of their barycentric weights to
+    ``rast_db``. ``ranges`` is on the CPU."""
     gpu = load_gpu(pos.device)
     images, height, width, _ = rast.shape
     longest_range = tri.shape[0]

@@ -31,8 +31,8 @@ def rasterize_triangles(
     """Rasterize triangles. The vertices ``pos`` are (B, V, 4), or (1, V, 4) if ``ranges`` is given. ``ranges`` (B, 2)
     is a CPU tensor with the first triangle and the number of triangles of each image.
 
-    ``previous`` is the ``rast`` of the previous depth layer. Returns rast (B, H, W, 4) and rast_db. The shape of
-    rast_db is that of rast, or (B, H, W, 0) if ``output_db`` is false.
+    ``previous`` is the ``rast`` of the previous depth layer. Returns rast (B, H, W, 4) and rast_db. rast_db has the
+    shape of rast, or (B, H, W, 0) if ``output_db`` is false.
     """
     rast, rast_db = _empty_images(pos, ranges, height, width, output_db)
     inputs = (pos, tri, ranges, previous)

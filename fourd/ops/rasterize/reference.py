@@ -166,7 +166,7 @@ def _distances(reference: Tensor, column: Tensor, row: Tensor, dtype: torch.dtyp
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:
-    """Return the cross product in the kernels' order of operations."""
+    """Return the cross product, computed in the same order of operations as in the kernels."""
     return torch.stack(
         [
             a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],

@@ -14,13 +14,14 @@ from fourd.ops.rays.discs import MAX_LAYERS, DiscTree
 class GpuDiscTree:
     """A tree of boxes over N discs in device memory. For CPU tensors, the emulated kernel runs.
 
-    Colours equal those of :class:`fourd.ops.rays.discs.DiscTree`, bit for bit.
+    The colours are bit-identical to the colours that :class:`fourd.ops.rays.discs.DiscTree` computes.
     """
 
     def __init__(self, xyz: Tensor, radius: Tensor, density: Tensor, *, threads: int = 0) -> None:
         """Build the tree on the CPU and copy it to the device of ``xyz``.
 
-        The arguments are those of :class:`fourd.ops.rays.discs.DiscTree`, as float32 tensors on one device.
+        The arguments have the same meaning as for :class:`fourd.ops.rays.discs.DiscTree`, but the arrays are float32
+        tensors on one device.
 
         Raises:
             TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.

@@ -13,7 +13,7 @@ MAX_LAYERS = 64
 
 
 class DiscTree:
-    """An immutable tree of boxes over N discs. Several threads may use one tree.
+    """An immutable tree of boxes over N discs, which several threads can use at the same time.
 
     Attributes:
         nodes, blocks: the tree. Each row has the bytes of one struct of csrc/rays/discs.h, viewed as float32.

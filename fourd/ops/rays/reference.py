@@ -56,7 +56,7 @@ def trace_rays_reference(
 
 
 def _intersect(corners: Tensor, origins: Tensor, directions: Tensor, t_min: Tensor, t_max: Tensor) -> Tensor:
-    """For each ray and triangle, return t (R, T). It is NaN where there is no hit."""
+    """For each ray and triangle, return t (R, T), which is NaN where there is no hit."""
     valid_triangle = (corners.abs() <= MAX_MAGNITUDE).flatten(1).all(1)
     kept = corners[valid_triangle]
     magnitude = kept.abs().max() if len(kept) > 0 else corners.new_zeros(())

@@ -16,7 +16,7 @@ from fourd.ops.soft_triangles.softness import Softness
 from fourd.ops.splat_triangles.reference import edges_of, pixel_centres, project_corners, triangles_in_range
 
 CHUNK = 1 << 21
-"""Maximum product of the number of pixels and the number of triangles per chunk. The maximum limits memory."""
+"""Maximum product of the number of pixels and the number of triangles per chunk. This limit bounds the memory use."""
 
 
 def rasterize_soft_reference(

@@ -30,8 +30,8 @@ def sample_sources(
 
     Args:
         xyz: (N, 3) world points.
-        features: (V, C, h, w) image features, or None. The resolution of the features may differ from that of
-            ``images``. Features in torch's channels_last format are not copied.
+        features: (V, C, h, w) image features, or None. The features and ``images`` may have different resolutions.
+            Features in torch's channels_last format are not copied.
         images: (V, 3, H, W) colours in [0, 1]. Not differentiable.
         mattes: (V, H, W) opacity in [0, 1], 1 where the object covers the pixel. Not differentiable.
         depth: (V, H, W) depth of the nearest surface in world units, infinite where there is no surface. If ``depth``

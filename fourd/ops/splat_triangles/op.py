@@ -41,7 +41,8 @@ def splat(
 
     Returns:
         features (H, W, C), alpha (H, W), transmittance (H, W) = 1 - alpha, normal (H, W, 3), depth (H, W) and weight
-        (T,). Without geometry, normal and depth have the size 0. The transmittance and the weight have no gradient.
+        (T,). If ``geometry`` is false, normal and depth are empty tensors. The transmittance and the weight have no
+        gradient.
     """
     out = _empty_image(features, geometry, width, height)
     inputs = (xyz, tri, features, opacity, sigma)

@@ -20,13 +20,13 @@ SMALLEST_WINDOW = 1e-7
 THINNEST_PX = 1e-4
 FARTHEST_PX = 2.0**24
 CHUNK = 1 << 21
-"""Maximum product of the number of pixels and the number of triangles per chunk. The maximum limits memory."""
+"""Maximum product of the number of pixels and the number of triangles per chunk. This limit bounds the memory use."""
 
 
 class Projected(NamedTuple):
-    """M triangles projected to the image. A triangle has the incentre (``x``, ``y``). ``slope_x`` and ``slope_y``
-    (M, 3) are the slopes of the three scaled edge distances. ``smallest`` is the value of the window at which alpha is
-    1/255."""
+    """M triangles projected to the image. The point (``x``, ``y``) is a triangle's incentre. A triangle's three edge
+    distances are scaled to 1 at the incentre, and ``slope_x`` and ``slope_y`` (M, 3) are their slopes along x and y.
+    ``smallest`` is the value of the window at which alpha is 1/255."""
 
     x: Tensor
     y: Tensor
@@ -104,7 +104,8 @@ def edges_of(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     vertex k + 2."""
     x = u[:, [2, 0, 1]] - u[:, [1, 2, 0]]
     y = v[:, [2, 0, 1]] - v[:, [1, 2, 0]]
-    # On some processors, torch does not round float32 square roots correctly. Thin triangles amplify the difference.
+    # On some processors, torch does not round float32 square roots correctly, and thin triangles amplify the rounding
+    # error. The square roots are therefore computed in float64.
     length = (x * x + y * y).double().sqrt().to(x)
     return x, y, length, x[:, 1] * y[:, 2] - x[:, 2] * y[:, 1]
 
@@ -146,8 +147,8 @@ def _composite(projected: Projected, features: Tensor, pixels: Tensor, layers: i
     remaining = torch.full((len(pixels),), layers, device=pixels.device)
     columns, colour = [], pixels.new_zeros(len(pixels), features.shape[1])
     for index in range(alpha.shape[1]):
-        # Triangles are in depth order. Pixels with too little transmittance or too many layers composite no further
-        # triangles.
+        # The triangles are in depth order. A pixel composites no further triangle if its transmittance is too small, or
+        # if it has already composited ``layers`` triangles.
         taken = hit[:, index] & (transmittance > MIN_TRANSMITTANCE) & (remaining > 0)
         weight = torch.where(taken, transmittance * alpha[:, index], 0)
         colour = colour + torch.where(taken[:, None], weight[:, None] * features[index], 0)

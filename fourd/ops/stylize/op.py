@@ -27,7 +27,7 @@ def stylize_surface(
             line. The upper 16 bits of an element are the upper 16 bits of a float32: the sum of the inverse depths at
             the nine taps of the line filter. For the first picture from a camera, pass zeros.
         threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
-        out: C-contiguous (H, W, 4) uint8 array to draw into. With ``out`` None, a new array is allocated.
+        out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is allocated.
 
     Returns:
         (H, W, 4) uint8 picture: RGB over the paper, and alpha.

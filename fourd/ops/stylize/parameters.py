@@ -1,12 +1,13 @@
-"""The input of the stylizer: the visible surface of a picture, and the numbers of a style for one camera.
+"""The input of the stylizer: the visible surface of a picture, and the parameters of a style for one camera.
 
 A pixel has the albedo F (colour / alpha), the coverage s, the unit normal N and the camera depth z. V is the unit
 vector towards the camera, and L is the unit vector towards the light. The stylizer computes these quantities:
 
 - The closed surface. Points leave gaps through which a farther surface is visible. A pixel in a gap of up to five
-  pixels lies between two surfaces that are nearer than its own surface. The pixel is filled with the farther one of
-  these two surfaces.
-- The tone t = (1 + N.L) / 2 and the detail d. The detail is N.V, clamp(o + p * z) or clamp(\\|o + p * z\\|).
+  pixels lies between two surfaces that are nearer than the surface at the pixel. The pixel is filled with the farther
+  one of these two surfaces.
+- The tone t = (1 + N.L) / 2 and the detail d. The style selects the detail: N.V, clamp(o + p * z) or clamp(\\|o + p *
+  z\\|).
 - The colour C = S(t, d) * (a + b * F) + c * F, where S is the shade table. Toon styles have a = 0, b = 1.5 and c = 0.
   X-Toon styles (Barla et al. 2006) also use d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from
   the cool colour to the warm colour. Where N.V is below a threshold, C is mixed with the angle colour.
@@ -14,18 +15,18 @@ vector towards the camera, and L is the unit vector towards the light. The styli
 - Lines of strength e. A Sobel filter or a cross filter on 1 / z and on the cosines between normals finds the lines
   (Saito and Takahashi 1990). If the state of the previous picture is given, lines fade in where the surface is at rest:
   a line that becomes stronger gets the strength e + p * (e_before - e). To find where the surface is at rest, the
-  stylizer adds the inverse depths at the filter's nine taps. At rest, this sum differs by at most 3% between the two
-  pictures.
+  stylizer sums the inverse depths at the filter's nine taps. Where the surface is at rest, the sum differs by at most
+  3% between the previous and the new picture.
 - Lines near holes. The back of a surface is visible only through holes in the points. Because depths around holes are
   irregular, a line is removed if a tap of the filter shows the back of a surface. The line stays if another tap shows
   no surface.
-- Specks. Very short lines are not drawn. The line at a pixel is drawn only if lines of at least the strength
-  LEAST_STRENGTH cross the sides of every square around the pixel. The sides of the squares are 2, 4, 8, ..., 2 * r
-  pixels long, where r is the result of ``speck_reach``. Specks stay in the state for the next picture.
+- Specks. Very short lines are not drawn. The line at a pixel is drawn only if every square around the pixel has a line
+  of at least the strength LEAST_STRENGTH on its sides. The sides of the squares are 2, 4, 8, ..., 2 * r pixels long,
+  where r is the result of ``speck_reach``. The state for the next picture still contains the specks.
 - The picture. C is composited over the paper with opacity s, and the line colour is composited with opacity e.
 
-The inverse depth 1 / z of a plane is a linear function of the pixel. The cross filter therefore draws no lines on
-planes.
+The inverse depth 1 / z of a plane is a linear function of the pixel position. The cross filter therefore draws no lines
+on planes.
 """
 
 from __future__ import annotations
@@ -48,19 +49,21 @@ MAX_THICKNESS = 8
 """Maximum number of pixels between the taps of a line filter."""
 
 SAME_TAPS = 0.03
-"""A surface is at rest if the sum of the line filter's taps changes by at most this share between two pictures."""
+"""A surface is at rest if the sum of the inverse depths at the line filter's taps changes by at most this share between
+two pictures."""
 
 BACK_WEIGHT = 0.1
-"""Weight of points whose normals face away from the camera, in the depth and the normal of a visible surface. Points
-whose normals face the camera have the weight 1."""
+"""The depth and the normal of a visible surface are weighted means over points. Points whose normals face away from the
+camera have this weight, and points whose normals face the camera have the weight 1."""
 FRONT_SLOPE = 8.0
 """Slope with which lines fade near the backs of surfaces. Let m be the largest dot product of a tap's normal and the
 pixel's ray. A line has full strength at m = 0 and strength 0 at m = 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:
-    """Half of the side, in pixels, of the largest square around a pixel. If the pixel's line does not reach the sides
-    of this square, the line is a speck. The result is the largest power of 2 that is at most ``4 * (thickness + 1)``.
+    """Half of the side length, in pixels, of the largest square that is searched around a pixel. If the pixel's line
+    does not reach the sides of this square, the line is a speck. The result is the largest power of 2 that is at most
+    ``4 * (thickness + 1)``.
     """
     return 1 << (4 * (thickness + 1)).bit_length() - 1
 
@@ -126,14 +129,14 @@ class Surface:
 
 @dataclass(frozen=True)
 class Numbers:
-    """The numbers of a style for one camera. Lengths are in pixels, colours are in [0, 1].
+    """The numeric parameters of a style for one camera. Lengths are in pixels, colours are in [0, 1].
 
     Attributes:
         ray: six numbers. The ray of pixel (x, y), scaled to depth 1, is ``(ray[0] * x + ray[1] * y + ray[2], ray[3] * x
             + ray[4] * y + ray[5], 1)``.
         light: unit vector towards the light in the camera's frame.
-        table_alone, table_times_albedo, albedo_alone: a, b and c of the colour.
-        detail_offset, detail_per_depth: o and p of the detail, p in 1 / world units.
+        table_alone, table_times_albedo, albedo_alone: the factors a, b and c in the formula of the colour C.
+        detail_offset, detail_per_depth: o and p in the formula of the detail. The unit of p is 1 / world units.
         angle_threshold, angle_softness, angle_strength, angle_colour: the colour is mixed with angle_colour where N.V
             is below angle_threshold. The share of angle_colour changes gradually within angle_softness on both sides of
             the threshold.
@@ -184,7 +187,8 @@ class StyleParameters:
 
     Attributes:
         numbers: see :class:`Numbers`.
-        table: the shade table, (R, 256, 3) uint8 with R from 1 to 64. Columns are tones, rows are details.
+        table: the shade table, (R, 256, 3) uint8 with R from 1 to 64. Each column belongs to a tone, and each row to a
+            value of the detail.
         detail: the quantity that selects the row of the table.
         lines: the filter that finds lines.
         thickness: number of pixels between the taps of the filter, from 1 to 8.

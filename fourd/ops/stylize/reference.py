@@ -80,10 +80,10 @@ def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Num
 def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
     """Remove very short lines from the strengths (H, W). The squares around each pixel have sides of 2, 4, 8, ..., ``2
     * reach`` pixels. The line at the pixel stays if each square has a line of at least LEAST_STRENGTH on its sides.
-    There are no lines outside the picture.
+    Pixels outside the picture count as pixels without lines.
 
-    A group of connected lines is a speck if it does not extend to the largest of the squares. The smaller squares
-    remove specks next to other specks.
+    A group of connected lines is a speck if it does not reach the sides of the largest square. The smaller squares also
+    remove a speck if other specks lie on the sides of its largest square.
     """
     kept, half = lines, 1
     while half <= reach:
@@ -104,14 +104,14 @@ def _strongest_around(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]
 
 
 def front_weight(cosine: NDArray[np.floating]) -> NDArray[np.floating]:
-    """Weight of a point in the depth and the normal of a visible surface. ``cosine`` is the cosine of the angle between
-    the point's normal and the direction to the camera. Because of the weight, the backs of surfaces have an effect only
-    where no other points are visible."""
+    """Weight of a point in the mean depth and the mean normal of a visible surface. ``cosine`` is the cosine of the
+    angle between the point's normal and the direction to the camera. Because of the weight, the backs of surfaces have
+    an effect only where no other points are visible."""
     return BACK_WEIGHT + (1 - BACK_WEIGHT) * np.clip(0.5 + 5 * cosine, 0, 1)
 
 
 def fill_gaps(surface: Surface) -> Surface:
-    """Fill the gaps between surfaces."""
+    """Fill the gaps through which farther surfaces are visible."""
     depth, normal, shift = surface.inverse_depth, surface.normal, _Shift(1)
     filled_depth, filled_normal = depth.copy(), normal.copy()
     for down, right in ((0, 1), (1, 0)):

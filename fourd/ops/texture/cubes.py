@@ -24,8 +24,8 @@ def face_axes(like: Tensor) -> Tensor:
 def face_of(direction: Tensor) -> Tensor:
     """Return the index of the face that the ray in each direction (..., 3) meets.
 
-    A ray through an edge or a corner of the cube meets several faces. Of these, the x face is returned if there is one,
-    and otherwise the y face.
+    A ray through an edge or a corner of the cube meets several faces. If the x face is one of them, the x face is
+    returned, and otherwise the y face.
     """
     size = direction.detach().abs()
     x, y, z = size.unbind(-1)

@@ -13,7 +13,8 @@ from fourd.ops.loading import as_array, load_native, simd_name, thread_count
 
 
 def mip_sizes(height: int, width: int, level_count: int) -> list[tuple[int, int]]:
-    """Return (height, width) of all levels. A level has half the size of the previous level, but at least one texel."""
+    """Return (height, width) of all levels. Each side of a level is half as long as in the previous level, rounded
+    down, but at least one texel long."""
     return [(max(height >> level, 1), max(width >> level, 1)) for level in range(level_count)]
 
 
@@ -57,8 +58,8 @@ def sample_texture(
 
     Args:
         mips: levels 1 and up.
-        is_chain: whether ``mips`` are the results of :func:`build_mips`. The gradients of such levels are added to the
-            gradient of ``tex``. Other ``mips`` have separate gradients.
+        is_chain: whether :func:`build_mips` has built ``mips``. If true, the gradients of the mip levels are added to
+            the gradient of ``tex``. If false, each level gets its own gradient.
     """
     out = _empty_picture(tex, uv)
     modes = (filter_mode, boundary_mode)

@@ -44,7 +44,7 @@ def unpack_harmonics(
 
     Args:
         content: (2 * K * N,) zigzag-coded factors: the low bytes (K, N), then the high bytes (K, N).
-        basis: (K, 48) rows, multiplied by the step of the factors.
+        basis: (K, 48) basis vectors, already multiplied by the quantization step of the factors.
         mean: (48,) mean coefficients.
         points: N.
         out: array (N, 48) to write to. If ``out`` is None, an array is allocated.
@@ -72,8 +72,9 @@ def unpack_views(
     Args:
         contents: for each view, N weight codes, then the colour levels of M points as three planes: green, red - green
             and blue - green, modulo 256. The M points are the points whose code is not 0, or all points.
-        mean: (N, 3) mean colours. The signed levels times ``colour_step`` are added to them. With a step of 1, sums are
-            modulo 256. With a step above 1, sums are clamped to [0, 255]. Points without levels have the mean colour.
+        mean: (N, 3) mean colours. A colour is the mean colour plus ``colour_step`` times the signed level. If
+            ``colour_step`` is 1, the sum is taken modulo 256. If ``colour_step`` is larger, the sum is clamped to [0,
+            255]. Points without levels have the mean colour.
         weights: (256,) blend weight of each code.
         colour_step: quantization step of the signed levels, from 1 to 127.
         every_point_has_colours: whether all points have colours, so that M = N.

@@ -41,8 +41,8 @@ def bake_stage(
 ) -> Stage[BakeFiles, BakeSettings]:
     """Create the stage that bakes the newest checkpoint of a run, or of each segment of a run.
 
-    If the frame rate that is stored in ``capture`` changes, the stage runs again. The stages named ``after`` train the
-    run.
+    If the frame rate that is stored in ``capture`` changes, the stage runs again. ``after`` contains the names of the
+    stages that train the run.
     """
     inputs = () if capture is None else (Artefact(capture / NAME),)
     return Stage("bake", run_bake, files, settings, inputs=inputs, outputs=(files.scene,), after=after)

@@ -90,7 +90,7 @@ def carve_run_stage(
 
 
 def run_carve(files: CarveFiles, settings: CarveStageSettings, context: Context) -> None:
-    """Carve every frame. Frames that an earlier call with the same settings has finished are kept."""
+    """Carve every frame. Points that an earlier call has carved with the same settings are kept."""
     with _open_training_views(files, settings.selection) as capture:
         if not capture.has_masks:
             raise UserError(

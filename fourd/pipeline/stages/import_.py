@@ -1,4 +1,5 @@
-"""Import: converts videos or images to a capture. The input may have the calibration of another program."""
+"""Import: converts videos or images to a capture. The input may contain a calibration that another program has
+computed."""
 
 from __future__ import annotations
 

@@ -65,7 +65,8 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
 
 
 def write_quality(capture: Capture, context: Context) -> None:
-    """Measure how well the mattes of the views agree, write the shares to QUALITY, and report poor mattes."""
+    """Measure the share of each matte that the hull of the other views covers. Write the shares to QUALITY, and report
+    poor mattes."""
     quality = measure_mattes(capture, track=context.track)
     if quality is None:
         return

@@ -1,4 +1,4 @@
-"""Meshes: fits and textures one mesh for each frame, and computes the scores of the meshes in held-out views."""
+"""Meshes: makes one textured mesh for each frame, and computes the scores of the meshes in held-out views."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ class MeshScore:
         camera: name of the camera.
         frame: number of the frame.
         iou: intersection over union of the mesh's silhouette and the matte.
-        psnr: PSNR in dB inside the matte's bounding box, on black; None if the matte is empty.
+        psnr: PSNR in dB inside the matte's bounding box; None if the matte is empty. The rendered mesh and the masked
+            image both have a black background.
     """
 
     camera: str
@@ -82,7 +83,7 @@ def mesh_stage(files: MeshFiles, settings: MeshStageSettings) -> Stage[MeshFiles
 
 
 def run_mesh(files: MeshFiles, settings: MeshStageSettings, context: Context) -> None:
-    """Make the mesh of every frame. Frames that an earlier call with the same settings has finished are kept."""
+    """Make the mesh of every frame. Meshes that an earlier call has made with the same settings are kept."""
     whole, training, test = _open_views(files, settings.selection)
     with whole, training:
         paths = mesh_capture(training, files.meshes, settings.mesh, context.track)
@@ -128,7 +129,7 @@ def mean_score(scores: Sequence[MeshScore]) -> MeanScore:
 def read_scores(folder: Path) -> MeanScore:
     """Read the mean scores that :func:`run_mesh` wrote into the folder of the meshes.
 
-    Raises UserError if the file is missing or has other content.
+    Raises UserError if the file is missing or does not contain the scores of meshes.
     """
     path = folder / SCORES_NAME
     try:
@@ -163,7 +164,7 @@ def _open_views(files: MeshFiles, selection: DataSelection) -> tuple[Capture, Ca
 
 
 def _with_run_cameras(capture: Capture, run: Path) -> Capture:
-    """The capture with the newest cameras of a run, which may have been refined by training."""
+    """The capture with the newest cameras of a run. Training may have refined these cameras."""
     with load_run(run).run as opened:
         refined = opened.capture
     known = dict(zip(refined.names, refined.cameras, strict=True))

@@ -25,10 +25,10 @@ from fourd.sync.lateness import find_late_cameras
 
 RESULT = "repair.json"
 MAX_MEDIAN_PX = 1.0
-"""Corrections are tried if the median residual is above this value in pixels."""
+"""Maximum median residual in pixels. If the median is larger, corrections of the calibration are tried."""
 MIN_SHARE = 0.5
-"""Corrections are tried if too few matches are within 3 pixels of their epipolar lines. This value is the minimum share
-of such matches."""
+"""Minimum share of the feature matches that are within 3 pixels of their epipolar lines. If the share is smaller,
+corrections of the calibration are tried."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def repair_stage(capture: Path, repaired: Path) -> Stage[RepairFiles, NoSettings
 def repaired_capture(capture: Path, repaired: Path) -> Path:
     """The corrected capture if :func:`run_repair` wrote one, otherwise ``capture``.
 
-    Raises UserError if the file with the result is missing or has other content.
+    Raises UserError if the file with the result of the repair is missing or invalid.
     """
     path = repaired / RESULT
     try:

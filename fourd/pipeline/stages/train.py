@@ -82,7 +82,7 @@ def require_divisible(config: TrainConfig, group: ProcessGroup) -> None:
 
 
 def require_frames(frames: int, group: ProcessGroup) -> None:
-    """End all ranks with an error if a rank would own no frame. All ranks call this function."""
+    """End all ranks with an error if there are more ranks than frames. All ranks call this function."""
     if group.size > frames:
         group.refuse(
             f"torchrun: expected at most one rank per frame, got {group.size} ranks and {frames} frames; set "

@@ -37,8 +37,8 @@ started stages."""
 
 @dataclass(frozen=True)
 class Started:
-    """The mark of a stage that was started on this machine. The mark contains the key and the leftovers of the stage,
-    and the states of all files before the start."""
+    """The mark of a stage that was started on this machine. The mark contains the stage's key, the stage's field
+    ``leftovers``, and the states of all files before the start."""
 
     key: str
     before: Mapping[str, str]
@@ -54,7 +54,8 @@ def cache_folder(url: StorageUrl) -> Path:
 
 @dataclass(frozen=True)
 class Cache:
-    """The local copy in the folder ``root``. Several processes of a machine may use the folder at the same time."""
+    """The local copy in the folder ``root``. Several processes can share the folder, because they copy and remove files
+    only inside :meth:`locked`."""
 
     root: Path
 
@@ -84,8 +85,9 @@ class Cache:
         self._mark(manifest.name).unlink(missing_ok=True)
 
     def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:
-        """Paths of the files and links in ``folders`` that belong to a stage. The stage wrote them in earlier
-        executions on this machine, or they were copied to this machine because the stage's manifest lists them."""
+        """Find a stage's files and links in ``folders``, and return their paths. Either the stage wrote these files in
+        earlier executions on this machine, or they were copied to this machine because the stage's manifest lists
+        them."""
         started = self.started(name)
         if started is None:
             return self._copied(name)
@@ -105,9 +107,9 @@ class Cache:
         return found
 
     def copy(self, store: WorkStore, manifests: Sequence[Manifest], track: Track) -> None:
-        """Copy the files in ``manifests`` that are missing on this machine or have changed. If several manifests
-        contain a path, the file of the last manifest is copied. Local files that are no longer in a stage's manifest
-        are removed."""
+        """Copy each file that ``manifests`` list, if the file is missing on this machine or has changed. If several
+        manifests contain a path, the file of the last manifest is copied. Local files that are no longer in a stage's
+        manifest are removed."""
         wanted = {path: manifest for manifest in manifests for path in (*manifest.files, *manifest.links)}
         for manifest in manifests:
             self._remove_old(manifest.name, wanted.keys())

@@ -15,13 +15,14 @@ from fourd.training.run_layout import CONFIG_NAME
 
 VERSION = 1
 LINKED = ("capture", "repaired", "still")
-"""Folders in which stages make symbolic links. Links in all other folders are refused, because stages write files to
-the other folders."""
+"""The only folders in which a manifest may list symbolic links. Stages write files to all other folders, so links in
+those folders are refused."""
 
 
 @dataclass(frozen=True)
 class FileEntry:
-    """Size in bytes of an object, and time of the last change of the file in nanoseconds since 1970."""
+    """An uploaded file: the size of its object in bytes, and the time of the file's last change in nanoseconds since
+    1970."""
 
     size: int
     changed_ns: int
@@ -36,9 +37,9 @@ class Manifest:
         key: key of the stage; see :meth:`fourd.pipeline.stage.Stage.key`.
         attempt: name of the folder with the objects. Each execution of the stage has its own folder, so that objects
             never change.
-        files: path relative to the folder for intermediate results -> size and time of the file.
-        links: path of a symbolic link -> its target, which is absolute, or relative to the folder for intermediate
-            results.
+        files: maps the path of each file, relative to the folder for intermediate results, to its size and time.
+        links: maps the path of each symbolic link to its target. The target is an absolute path, or a path relative to
+            the folder for intermediate results.
     """
 
     name: str
@@ -61,14 +62,14 @@ class Manifest:
         )
 
     def states(self) -> dict[str, str]:
-        """Path -> state of the file or link; see :func:`file_state`."""
+        """The state of each file and link, by path; see :func:`file_state`."""
         states = {path: file_state(path, entry.size, entry.changed_ns) for path, entry in self.files.items()}
         return {**states, **{path: link_state(target) for path, target in self.links.items()}}
 
 
 def file_state(path: str, size: int, changed_ns: int) -> str:
-    """A text that changes when a file changes. For the config of a run, the text leaves out the file size, because the
-    size depends on the path of the capture on each machine."""
+    """A text that changes when a file changes. For the config of a run, the text leaves out the file size: the config
+    contains the path of the capture, so its size differs between machines."""
     return f"{0 if is_config(path) else size} {changed_ns}"
 
 

@@ -17,7 +17,7 @@ Execute = Callable[[Sequence[AnyStage], Context], Iterator[AnyStage]]
 
 
 class StoredResults:
-    """Finds, starts and copies stages whose results are at a URL."""
+    """The results of stages in an object store. The methods find finished stages, run stages and copy their results."""
 
     def __init__(self, url: StorageUrl, source: Location, context: Context) -> None:
         """Read the manifests at ``url``.
@@ -49,8 +49,8 @@ class StoredResults:
         return fetch_source(self._source, self.root, self._context.track)
 
     def is_finished(self, stage: AnyStage, key: str) -> bool:
-        """Whether the results of a stage with this key are complete. Call this method for the stages in the order in
-        which they run."""
+        """Whether the results of ``stage`` for the key ``key`` are complete. Call this method for the stages in the
+        order in which they run."""
         self._stages[stage.name], self._keys[stage.name] = stage, key
         manifest = self._manifests.get(stage.name)
         outside = [path for path in stage.outputs if not path.is_relative_to(self.root)]

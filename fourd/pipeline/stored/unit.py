@@ -29,8 +29,8 @@ class UnitFiles:
         stage: the stage, with paths of the machine that created it.
         root: the folder of the local copy on the machine that created the stage.
         store: the folder for intermediate results.
-        source: the URL and the version of the source if the source is in an object store, and otherwise its path. All
-            nodes must be able to read this path.
+        source: the URL and the version of the source, if the source is in an object store. Otherwise, the path of the
+            source, which all nodes must be able to read.
         needs: name and key of each stage whose results the stage reads.
     """
 
@@ -142,7 +142,8 @@ def _prepare(
 
 
 def _folders(stage: AnyStage, root: Path) -> list[Path]:
-    """The folders into which a stage writes. While a parallel stage runs, other stages may write to other folders."""
+    """The folders into which a stage writes. A parallel stage writes only to the folders of its ``leftovers``, because
+    other stages may write to the rest of ``root`` at the same time."""
     return [leftovers.folder for leftovers in stage.leftovers] if stage.is_parallel else [root]
 
 

@@ -1,8 +1,8 @@
 """The objects of a folder for intermediate results: manifests, and the files of each execution of a stage.
 
 ``work.json`` marks the folder, ``units/STAGE.json`` is the manifest of a stage, and ``units/STAGE/ATTEMPT/`` has the
-files of one execution. Objects of an execution are never replaced. A reader therefore gets the files of a single
-execution, and an interrupted upload does not damage the files of the previous execution.
+files of one execution. The objects that an execution has uploaded are never replaced. A reader therefore gets the files
+of a single execution, and an interrupted upload does not damage the files of the previous execution.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ UNITS = "units"
 
 @dataclass(frozen=True)
 class WorkStore:
-    """The folder for intermediate results at a URL. Instances can be sent to other machines."""
+    """The folder for intermediate results at a URL. A WorkStore can be pickled and sent to other machines."""
 
     url: StorageUrl
 
@@ -79,7 +79,7 @@ class WorkStore:
 
         Args:
             manifest: the manifest. Its ``attempt`` must be new; see :func:`new_attempt`.
-            files: path of each file in the manifest -> the local file to upload.
+            files: maps the path of each file in the manifest to the local file to upload.
             track: reports progress.
         """
         before = self.read(manifest.name)

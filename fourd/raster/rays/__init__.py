@@ -22,7 +22,7 @@ _MODULES: dict[str, str] = {
     "trace": "tracing",
     "visibility": "tracing",
 }
-"""Public names -> modules of this package that define them."""
+"""Maps each public name to the module of this package that defines it."""
 
 __all__ = ["Bvh", "Hits", "RaySplats", "occluded", "splat_along_rays", "trace", "visibility"]
 

@@ -62,8 +62,8 @@ class Bvh:
         return tree_cost(self.nodes, self.blocks)
 
     def refit(self, xyz: Tensor, *, threads: int = 0) -> Bvh:
-        """Return a tree with the same structure for moved vertices. Hits are still exact. If neighbouring triangles
-        move apart, tracing becomes slower.
+        """Return a tree with the same structure, fitted to the moved vertices ``xyz``. Hits are still exact. If
+        neighbouring triangles move apart, tracing becomes slower.
 
         Args:
             xyz: (V, 3) float32 positions, with the number of vertices and the device of :attr:`xyz`.
@@ -92,7 +92,7 @@ class Bvh:
 
     def require_positions(self, xyz: Tensor) -> None:
         """Raise ValueError unless ``xyz`` equals the positions for which the tree was built or refitted."""
-        # Bits are compared, because positions may be NaN.
+        # The comparison is bitwise, because positions may be NaN.
         given = xyz.detach().to(self.xyz.dtype).contiguous()
         is_same = xyz.shape == self.xyz.shape and xyz.device == self.xyz.device
         if not is_same or not torch.equal(given.view(torch.int32), self.xyz.view(torch.int32)):

@@ -113,7 +113,8 @@ class _Window:
     def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
         """Return min_k a_k (M,) for triangles (M,) and barycentric weights (M, 3) in space."""
         if self.depths is not None:
-            # Under perspective projection, barycentric weights are multiplied by the depths of the vertices.
+            # Barycentric weights in the image are proportional to the weights in space multiplied by the depths of the
+            # vertices.
             scaled = weights * self.depths[triangle]
             weights = scaled / scaled.sum(1, keepdim=True)
         return (weights * self.scale[triangle]).amin(1)
@@ -123,7 +124,7 @@ def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
     is_inside = window >= SMALLEST_WINDOW
     safe = torch.where(is_inside, window, torch.ones_like(window))
     value = opacity * torch.exp2(sigma * torch.log2(safe))
-    # Alphas above the limit have no gradient.
+    # Alphas that are limited to MAX_ALPHA have no gradient.
     limited = torch.where(value <= MAX_ALPHA, value, torch.full_like(value, MAX_ALPHA))
     return torch.where(is_inside & (value >= MIN_ALPHA), limited, torch.zeros_like(value))
 
@@ -168,7 +169,8 @@ class _State:
         )
 
     def composite(self, soup: _Soup, hits: Hits, active: Tensor, limit: int) -> Tensor:
-        """Composite the next hits of the rays ``active``. Return a mask of the rays that are complete."""
+        """Composite the next hits of the rays with the indices ``active``. Return a mask of these rays, which is true
+        where compositing is complete."""
         ray, layer = hits.is_hit.nonzero(as_tuple=True)
         alpha = soup.features.new_zeros(hits.t.shape).index_put((ray, layer), soup.alpha(hits, ray, layer))
         counts = (alpha.detach() > 0).long()

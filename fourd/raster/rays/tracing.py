@@ -110,7 +110,7 @@ def occluded(
 ) -> Tensor:
     """Return (R,) bool: whether each ray hits any triangle with t in [t_min, t_max].
 
-    The arguments are those of :func:`trace`. The result is not differentiable.
+    For the arguments, see :func:`trace`. The result is not differentiable.
 
     Raises:
         TypeError, ValueError: for an invalid argument. The message names the argument and the expected value.
@@ -126,8 +126,9 @@ def visibility(bvh: Bvh, points: Tensor, targets: Tensor, *, margin: float = 1e-
         bvh: tree over the triangles.
         points: (N, 3) float32 in world units.
         targets: (M, 3) float32 in world units, for example the centres of cameras.
-        margin: share of the distance from a point to a target, from 0 to below 0.5. Intersections closer than the
-            margin to the point or to the target are ignored, so that a surface does not occlude its own points.
+        margin: a distance, as a share of the distance between the point and the target; at least 0 and below 0.5.
+            Intersections closer than the margin to the point or to the target are ignored, so that a surface does not
+            occlude its own points.
         threads: as in :func:`trace`.
 
     Raises:

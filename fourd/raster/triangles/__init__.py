@@ -37,7 +37,7 @@ _MODULES: dict[str, str] = {
     "texture": "textures",
     "texture_construct_mip": "textures",
 }
-"""Public names -> modules of this package that define them."""
+"""Maps each public name to the module of this package that defines it."""
 
 __all__ = [
     "DepthPeeler",

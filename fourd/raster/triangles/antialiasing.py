@@ -22,7 +22,7 @@ class Topology:
     Attributes:
         opposite: (T, 3) int32. Column i belongs to the edge opposite to vertex i of the triangle. The column contains
             the third vertex of the neighbouring triangle at this edge. -1 marks an edge that belongs to only one
-            triangle, or to more than two triangles. An edge with -1 is always a silhouette.
+            triangle, or to more than two triangles. An edge with the value -1 is always a silhouette edge.
     """
 
     opposite: Tensor

@@ -19,21 +19,21 @@ def estimate_gradient(
     samples: int = 1,
     generator: torch.Generator | None = None,
 ) -> Tensor:
-    """Estimate the gradient of a loss with respect to the parameters of primitives from rendered images (Deliot et al.
+    """From rendered images, estimate the gradient of a loss with respect to the parameters of primitives (Deliot et al.
     2024, "Transforming a non-differentiable rasterizer into a differentiable one with stochastic gradient estimation").
 
     For each sample, two images are rendered: one with the parameters params + epsilon * s, and one with params -
     epsilon * s. The sign s, +1 or -1, is chosen at random for each parameter. Let L_+ and L_- be the losses of a pixel
-    in the two images. The pixel adds (L_+ - L_-) * s / (2 * epsilon) to the gradients of the primitives that are
-    visible at the pixel in at least one of the two images. The expected value of this estimate is approximately the
-    gradient of the loss, smoothed over a distance of epsilon. The noise of the estimate is inversely proportional to
-    the square root of ``samples``.
+    in the two images. For this pixel, (L_+ - L_-) * s / (2 * epsilon) is added to the gradients of the primitives that
+    the pixel shows in at least one of the two images. The expected value of this estimate is approximately the gradient
+    of the loss, smoothed over a distance of epsilon. The noise of the estimate is inversely proportional to the square
+    root of ``samples``.
 
     Args:
         render: function that maps parameters to an image. The function need not be differentiable, and is called twice
             per sample.
-        loss: function that maps an image to one loss per pixel, (H, W) or any other shape. The function estimates the
-            gradient of the sum of the losses of all pixels.
+        loss: function that maps an image to one loss per pixel, (H, W) or any other shape. The estimated gradient is
+            the gradient of the sum of all pixels' losses.
         params: (N, ...) parameters of N primitives, floating point.
         ids: function that maps parameters to the integer indices of the primitives that each pixel shows. The result
             has the shape of the losses, or one more axis if a pixel shows several primitives. Negative values mean that

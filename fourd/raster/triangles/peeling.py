@@ -40,7 +40,7 @@ class DepthPeeler:
         backend: str = "auto",
         threads: int = 0,
     ) -> None:
-        """The arguments and errors are those of :func:`fourd.raster.triangles.rasterize`."""
+        """For the arguments and the errors, see :func:`fourd.raster.triangles.rasterize`."""
         self._pos, self._tri, self._ranges = check_mesh(pos, tri, ranges)
         self._size = check_resolution(resolution)
         self._outputs = (output_db, grad_db)

@@ -24,11 +24,12 @@ def rasterize(
 ) -> tuple[Tensor, Tensor]:
     """Find the nearest triangle at every pixel, and the barycentric weights of the pixel's centre in this triangle.
 
-    The semantics are those of nvdiffrast (Laine et al. 2020, Modular Primitives for High-Performance Differentiable
-    Rendering). A vertex with clip coordinates (x, y, z, w) is at the image position (x/w, y/w). The centre of the pixel
-    in row i and column j is at ((2 * j + 1) / W - 1, (2 * i + 1) / H - 1). Row 0 is therefore at the border y = -1 of
-    the image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the smallest z/w. If
-    several triangles have this z/w, the pixel shows the one with the smallest index. Back faces are also visible.
+    The semantics are the same as in nvdiffrast (Laine et al. 2020, Modular Primitives for High-Performance
+    Differentiable Rendering). A vertex with clip coordinates (x, y, z, w) is at the image position (x/w, y/w). The
+    centre of the pixel in row i and column j is at ((2 * j + 1) / W - 1, (2 * i + 1) / H - 1). Row 0 is therefore at
+    the border y = -1 of the image. A triangle is visible where z/w is in [-1, 1]. A pixel shows the triangle with the
+    smallest z/w. If several triangles have this z/w, the pixel shows the one with the smallest index. Back faces are
+    also visible.
 
     The positions of vertices are rounded to 1/256 pixel, so integer arithmetic makes the coverage test exact. If a
     pixel centre lies on the common edge of two triangles, exactly one of the two triangles covers the pixel. If a

@@ -21,8 +21,8 @@ def edge_gradients(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Return ``color`` unchanged. The backward pass adds the gradient that is caused by the motion of visibility edges
-    to the gradient of ``pos``.
+    """Return ``color`` unchanged. The backward pass adds a term to the gradient of ``pos``: the gradient that the
+    motion of visibility edges causes.
 
     Unlike ``antialias``, this function gives gradients at visibility edges without changing the image. The method
     follows Pidhorskyi et al. 2024, "Rasterized edge gradients". A visibility edge separates two neighbouring pixels

@@ -53,7 +53,7 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
     Args:
         folder: folder of the run.
-        capture: the selected part of the capture. Its cameras have the same order as those of ``rig``.
+        capture: the selected part of the capture, with its cameras in the order of ``rig.cameras``.
         rig: the corrected cameras and colours.
         below: name of the subfolder of ``calibration/`` to write to. An empty name selects ``calibration/`` itself.
     """
@@ -79,8 +79,9 @@ def write_corrected(folder: Path, capture: Capture, rig: Rig, below: str = "") -
 
 
 def _lens(lens: Camera, camera: Camera) -> Camera:
-    """Return ``lens`` with the pose and the focal length of ``camera``. The distortion coefficients are scaled to match
-    the new focal length, so that undistorting an image gives the same result as before."""
+    """Return the distorted camera ``lens`` with the pose and the focal length of ``camera``. The distortion
+    coefficients are scaled to match the new focal length, so that undistorting an image gives the same result as with
+    ``lens``."""
     whole = camera.resize(lens.width, lens.height)
     zoom = whole.intrinsics[1, 1] / lens.intrinsics[1, 1]
     distortion = None if lens.distortion is None else zoomed_distortion(lens.distortion, zoom)
@@ -88,8 +89,9 @@ def _lens(lens: Camera, camera: Camera) -> Camera:
 
 
 def zoomed_distortion(distortion: NDArray[np.float64], zoom: float) -> NDArray[np.float64]:
-    """OpenCV's distortion coefficients for a focal length that is scaled by ``zoom``. The returned coefficients
-    displace each pixel by the same amount as the given coefficients at the original focal length.
+    """Adapt OpenCV's distortion coefficients to a focal length that is multiplied by ``zoom``. With the new focal
+    length, the returned coefficients displace each pixel by the same amount as the given coefficients with the old
+    focal length.
 
     The coefficients of sensor tilt are not scaled. For lenses with sensor tilt, the returned coefficients are therefore
     exact only if ``zoom`` is 1.

@@ -1,9 +1,9 @@
-"""Corrections of the cameras, which are learnt during training.
+"""Camera corrections that are learnt during training.
 
 The renderers treat cameras as constants: they compute no gradient with respect to the camera parameters. A camera
 correction instead gets its gradient through the positions of the rendered points. Each position is replaced by a
-differentiable function of the correction. The function returns the position unchanged. Its derivative is the motion of
-the point relative to the camera when the correction changes.
+differentiable function of the correction. The value of the function is the unchanged position. The derivative of the
+function is the motion of the point relative to the camera when the correction changes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ IDENTITY = torch.eye(3, 4)
 
 @dataclass(frozen=True)
 class _GivenPose:
-    """A camera's pose before its correction, R (3, 3) and T (3,) in float64, and its distance from the scene's
+    """A camera before its correction: its pose, R (3, 3) and T (3,) in float64, and its distance from the scene's
     centre."""
 
     rotation: Tensor
@@ -123,7 +123,8 @@ class Refinement(nn.Module):
         return total
 
     def _corrected_pose(self, index: int) -> tuple[Tensor, Tensor]:
-        """The corrected R (3, 3) and T (3,) of a camera, in float64, differentiable in the correction."""
+        """The corrected R (3, 3) and T (3,) of a camera, as float64 tensors that are differentiable with respect to the
+        camera's correction."""
         given = self._given_poses[index]
         if not len(self.poses):
             return given.rotation, given.translation

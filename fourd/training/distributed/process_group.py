@@ -62,13 +62,14 @@ class ProcessGroup:
         return range(self.rank, frames, self.size)
 
     def first_ranks_frame(self, frame: int) -> int:
-        """The index of the last frame up to and including ``frame`` that rank 0 owns."""
+        """The index of ``frame`` if rank 0 owns this frame, otherwise the index of the nearest earlier frame that rank
+        0 owns."""
         return frame - frame % self.size
 
     @property
     def rate_factor(self) -> float:
-        """Factor that multiplies the learning rates of dense parameters. It compensates for fewer updates: with W
-        ranks, W views together give only one update."""
+        """Factor that multiplies the learning rates of dense parameters. The factor compensates for the smaller number
+        of updates: with W ranks, W views together give only one update."""
         return self.size**RATE_EXPONENT
 
     @torch.no_grad()
@@ -77,7 +78,7 @@ class ProcessGroup:
         missing gradients are treated as zero. If no rank has a gradient of a parameter, the parameter remains without a
         gradient, so that its optimizer state does not change.
 
-        All ranks must pass the same parameters in the same order. The parameters have the same dtype.
+        All ranks must pass the same parameters in the same order. All parameters must have the same dtype.
         """
         if self.size == 1:
             return
@@ -93,7 +94,7 @@ class ProcessGroup:
 
     @torch.no_grad()
     def broadcast_parameters(self, parameters: Iterable[Tensor]) -> None:
-        """Replace the parameters of all ranks by those of rank 0."""
+        """Copy the parameters of rank 0 to all other ranks."""
         for each in parameters if self.size > 1 else ():
             with self._all_ranks():
                 dist.broadcast(each.data, 0)
@@ -113,7 +114,7 @@ class ProcessGroup:
                 dist.barrier()
 
     def require_same(self, what: str, text: str) -> None:
-        """End all ranks if the text of any rank differs from that of rank 0. The message names the rank with the
+        """End all ranks if the text of any rank differs from the text of rank 0. The message names the rank with the
         different text, and the first line that differs. All ranks call this method.
         """
         if self.size == 1:
@@ -182,8 +183,8 @@ ALONE = ProcessGroup()
 def join_process_group() -> Iterator[ProcessGroup]:
     """Join the ranks that torchrun has started, for the duration of the ``with`` block.
 
-    torchrun describes the ranks in the environment variables RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. If the
-    variables are not set, the group has one rank.
+    torchrun describes the ranks in the environment variables RANK, WORLD_SIZE, MASTER_ADDR and MASTER_PORT. Without
+    these variables, the group has one rank.
 
     Raises:
         UserError: if the address of rank 0 does not answer. If the block raises a UserError on a rank other than 0, the

@@ -1,4 +1,4 @@
-"""Requests to a training, which are in the file ``live/control.json`` of the run."""
+"""Requests of other programs to a training. The run's file ``live/control.json`` contains the last request."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class ControlRequest:
 
 
 def write_request(run: Path, request: ControlRequest) -> None:
-    """Replace the last request to a run. Raises OSError if the run is not writable."""
+    """Write a request to a run. The new request replaces the last one. Raises OSError if the run is not writable."""
     content = json.dumps({"session": request.session, "action": request.action})
     write_text_atomically(run / LIVE / CONTROL_NAME, content)
 

@@ -1,4 +1,4 @@
-"""Connects the training loop with programs that watch the run."""
+"""Connects the training loop with other programs, which watch the run and send requests to it."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class StepCount:
 
 
 class NoSession:
-    """A session without files, with the methods of :class:`LiveSession`. Ranks other than rank 0 have this session."""
+    """A session without files, with the methods of :class:`LiveSession`. All ranks except rank 0 use this class."""
 
     wanted: Action | None = None
 

@@ -25,10 +25,11 @@ if sys.platform != "win32":
 STATE_NAME = "state.json"
 MAX_STATE_BYTES = 1 << 14
 MAX_REASON = 500
-"""Maximum number of characters of the reason in a state."""
+"""Maximum number of characters of each text in a :class:`TrainingState`."""
 SILENT_SECONDS = 60.0
-"""If the lock of a training cannot be tested and its last state is older than this number of seconds, the training is
-assumed to have ended. The lock cannot be tested for a training on another machine, or on a system without locks."""
+"""If the lock of a training cannot be tested, and the training's last state is older than this number of seconds, the
+training is assumed to have ended. The lock cannot be tested for a training on another machine, or on a system without
+locks."""
 
 Phase = Literal["training", "paused", "finished", "stopped", "failed"]
 
@@ -75,7 +76,7 @@ def write_state(run: Path, state: TrainingState) -> None:
 
 
 def read_state(run: Path) -> TrainingState | None:
-    """The last state of a run, or None if there is none or its file is damaged."""
+    """The last state of a run, or None if the state file is missing or damaged."""
     try:
         content = read_json(run / LIVE / STATE_NAME, MAX_STATE_BYTES)
     except (OSError, ValueError, UserError):
@@ -85,12 +86,12 @@ def read_state(run: Path) -> TrainingState | None:
 
 @contextmanager
 def training_lock(run: Path) -> Iterator[None]:
-    """Hold a lock that shows other processes that this process trains a run. The lock is held until the ``with`` block
-    or the process ends.
+    """Hold a lock by which other processes see that this process trains a run. The lock is held until the ``with``
+    block or the process ends.
 
     The lock is a shared flock on the folder ``live/``. The folder is created if it is missing. This lock does not
-    prevent a second training of the same run. The lock on the run's own folder does, see
-    :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
+    prevent a second training of the same run. A second training is prevented by another lock, on the run's own folder;
+    see :func:`fourd.processes.locked_folder`. On Windows, nothing is locked.
     """
     folder = run / LIVE
     folder.mkdir(parents=True, exist_ok=True)
@@ -108,7 +109,7 @@ def training_lock(run: Path) -> Iterator[None]:
 
 
 def is_training(run: Path, state: TrainingState) -> bool:
-    """Whether the process that wrote ``state`` still trains the run, or pauses it."""
+    """Whether the process that wrote ``state`` still trains the run or has paused the training."""
     if state.phase not in ("training", "paused"):
         return False
     # On shared storage, a machine may not see the locks of other machines.

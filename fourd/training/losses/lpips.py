@@ -44,7 +44,7 @@ _HEAD_KEY = re.compile(r"(?:lin|lins\.)([0-4])\.model\.[01]\.weight")
 class LPIPS(nn.Module):
     """Perceptual distance between images: 0 if they are equal, near 1 if they are very different.
 
-    The weights are frozen. The distance is differentiable in the images.
+    The weights are frozen. The distance is differentiable with respect to the images.
     """
 
     shift: Tensor
@@ -192,15 +192,16 @@ def _default_vgg_files() -> list[Path]:
 
 
 def _default_head_files() -> list[Path]:
-    """Paths of the LPIPS heads in the installed packages lpips and torchmetrics. The packages are not imported."""
+    """Paths of the LPIPS heads in the installed packages lpips and torchmetrics. This function does not import the
+    packages."""
     inside = {"lpips": "weights/v0.1/vgg.pth", "torchmetrics": "functional/image/lpips_models/vgg.pth"}
     specs = [(importlib.util.find_spec(package), rest) for package, rest in inside.items()]
     return [Path(spec.origin).parent / rest for spec, rest in specs if spec is not None and spec.origin]
 
 
 def _read(file: Path) -> dict[str, Tensor]:
-    """Read LPIPS weights from a file. Return float32 tensors by name. The names are the keys of
-    :func:`expected_shapes`. Raises UserError if a weight has a wrong shape."""
+    """Read LPIPS weights from a file. Return float32 tensors by name, with the names that :func:`expected_shapes`
+    lists. Raises UserError if a weight has a wrong shape."""
     shapes = expected_shapes()
     found: dict[str, Tensor] = {}
     for key, value in _load(file).items():

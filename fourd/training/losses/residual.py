@@ -1,4 +1,4 @@
-"""Residual term: penalises large displacements, which the residual field adds to the positions of the points."""
+"""Residual term: penalises large displacements that the residual field adds to the positions of the points."""
 
 from __future__ import annotations
 

@@ -57,6 +57,6 @@ class LossTerm(Protocol):
 
 
 def weighted_values(terms: Iterable[LossTerm], step: RenderedStep) -> dict[str, Tensor]:
-    """Return a mapping from the name of each loss term that applies to the step to the term's weighted value. The
-    training loss is the sum of the weighted values."""
+    """Weighted values of the loss terms that apply to the step, by the name of the term. The training loss is the sum
+    of the weighted values."""
     return {term.name: term.weight * term.value(step) for term in terms if term.applies_to(step)}

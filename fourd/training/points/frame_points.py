@@ -28,9 +28,10 @@ class FramePoints:
     """N points. Tensors are float32 unless another dtype is given.
 
     Attributes:
-        spacing: (N,) distance between each point and its neighbours in world units. Radii are multiples of the spacing.
-        radius: (N,) radii in world units that the model computed last. Occlusion tests use them.
-        density: (N,) densities in (0, 1) that the model computed last. Occlusion tests use them.
+        spacing: (N,) distance between each point and its neighbours in world units. Radii are proportional to the
+            spacing.
+        radius: (N,) last radii that the model computed, in world units, for occlusion tests.
+        density: (N,) last densities that the model computed, in (0, 1), for occlusion tests.
         parameters: name -> optimised tensor. The positions are "xyz" (N, 3) in world units. Points with explicit SH
             have the coefficients "sh" (N, 48). The view-independent colours of the points are "rgb" (N, 3).
         optimizer: Adam's state for the parameters.
@@ -40,8 +41,8 @@ class FramePoints:
         is_permanent: (N,) bool, whether densification keeps the point even if it never gets a gradient.
         age: scalar, number of steps in which these points were trained.
         initial_count: scalar, number of points before training.
-        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. None if the planes must
-            be fitted first: at the start, and after points were added or removed.
+        local_planes: (N, 4) planes fitted to the neighbours of each point, see ``fit_planes``. At the start, and after
+            points were added or removed, the attribute is None until the planes are fitted.
     """
 
     spacing: Tensor

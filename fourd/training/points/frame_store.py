@@ -62,8 +62,8 @@ class FrameStore:
         self._saved = folder
 
     def close(self) -> None:
-        """Remove the scratch folder. Without a call of this method, the folder is removed when the object is deleted. A
-        call is better, because Python ignores a Ctrl-C that arrives while an object is deleted.
+        """Remove the scratch folder. Call this method when the store is no longer needed. Without a call, the folder is
+        removed when the object is deleted, and Python ignores a Ctrl-C that arrives during the deletion.
         """
         self._scratch.close()
 

@@ -16,10 +16,10 @@ from fourd.training.points.frame_points import FramePoints
 def revert_moves_out_of_silhouettes(
     points: FramePoints, rows: Tensor, before: Tensor, views: Sequence[tuple[Camera, Tensor]]
 ) -> None:
-    """If a move took a point out of the silhouette in a view, restore the point's position before the move.
+    """Undo the moves that took a point out of the silhouette in at least one view.
 
-    Points that were already outside the silhouette before the move are not restored. A view does not constrain points
-    outside its image.
+    A silhouette that did not contain the point before the move has no effect. A view does not constrain points outside
+    the view's image.
 
     Args:
         points: the cloud. Positions are changed in place.

@@ -22,14 +22,14 @@ NEIGHBOURS = 16
 """Number of points to which the plane of a point is fitted, including the point itself."""
 TOLERANCE = 0.25
 """Tolerance in point spacings: points that are at most this far from their plane are not moved. Smoothing therefore
-changes neither creases nor details below the tolerance."""
+does not change details that deviate from the plane by less than the tolerance."""
 REFIT_STEPS = 40
 """The planes of a frame's points are fitted again after this number of training steps on the frame."""
 ISOLATION_RANK = 8
 """Rank of the neighbour whose distance decides whether a point is isolated. The nearest neighbour has rank 1."""
 ISOLATION_SPACINGS = 4.0
-"""A point is isolated if its distance to the neighbour of rank ISOLATION_RANK exceeds this number of point spacings. On
-an even surface, the distance to this neighbour is about 2 spacings."""
+"""A point is isolated if its distance to the neighbour of rank ISOLATION_RANK exceeds this number of point spacings. If
+the points are spread evenly, the distance to this neighbour is about 2 spacings."""
 MAX_SHARE = 0.5
 """One step reduces a point's excess distance by at most this share. The excess distance is the part of the distance
 from the plane that exceeds the tolerance."""

@@ -1,4 +1,5 @@
-"""Point spacing: the distance between neighbouring points. The radius of a point is a multiple of its spacing."""
+"""Point spacing: the distance between neighbouring points. The radius of a point is a multiple of the point's
+spacing."""
 
 from __future__ import annotations
 
@@ -9,11 +10,11 @@ from fourd.ops.neighbours import nearest_neighbours
 
 NEIGHBOURS = 4
 DEFAULT_SPACING = 0.01
-"""Spacing in world units that is assumed for clouds with too few points to measure it."""
+"""Assumed spacing, in world units, of clouds with too few points to measure the spacing."""
 MAX_SAMPLES = 4096
 MEAN_NEIGHBOUR_DISTANCE = 1.2
-"""Mean distance of a point to its four nearest neighbours, divided by the spacing. The value holds for points that are
-spread evenly over a surface."""
+"""Mean distance of a point to its four nearest neighbours, divided by the spacing, if the points are spread evenly over
+a surface."""
 
 
 def point_spacings(xyz: NDArray[np.float32], rows: NDArray[np.intp] | None = None) -> NDArray[np.float32]:

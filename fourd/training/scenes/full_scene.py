@@ -31,8 +31,8 @@ RNG_STREAM = 3
 """Number of the random stream that densification uses. No other random stream of a run has the same number.
 Densification draws its random numbers from ``default_rng([seed, RNG_STREAM, frame, age])``."""
 BACKGROUND_SEED = 2**31
-"""In the seed of the background's densification, this number takes the place of the frame index. It is larger than
-every frame index."""
+"""In the seed of the background's densification, this number takes the place of the frame index. The number is larger
+than every frame index."""
 
 
 class FullScene:
@@ -171,8 +171,8 @@ def place_window(camera: Camera, side_px: int, position: tuple[float, ...]) -> t
     sides are clipped to the size of the image.
 
     ``position`` (x, y) in [0, 1) is the window's centre as a share of the image's size. A window that extends beyond
-    the image is shifted into the image. Because of the shift, windows often lie at the corners of the image. If windows
-    were placed uniformly inside the image, almost no window would contain a corner.
+    the image is shifted into the image. Because windows are shifted, many of them contain a corner of the image. If
+    windows were placed uniformly inside the image, almost none would contain a corner.
     """
     width, height = min(side_px, camera.width), min(side_px, camera.height)
     left = np.clip(round(position[0] * camera.width - width / 2), 0, camera.width - width)

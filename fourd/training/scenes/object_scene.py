@@ -1,4 +1,4 @@
-"""Object scenes: the foreground that the mattes cover, on black."""
+"""Object scenes, which contain only the foreground that the mattes cover."""
 
 from __future__ import annotations
 

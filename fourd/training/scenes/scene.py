@@ -1,5 +1,5 @@
-"""The interface of a scene. It covers everything in training and rendering that differs between object scenes and full
-scenes."""
+"""The interface of a scene. The interface covers everything in training and rendering that differs between object
+scenes and full scenes."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Target:
         known: (H, W) mask in [0, 1]: 1 where ``rgb`` is known, 0 where it is unknown. In an object scene, the mask is
             the matte. For a frame of a full scene, the mask is 1 everywhere. For a plate, the mask is 1 where the plate
             shows the background.
-        fills_picture: whether the scene covers the whole image. If true, pixels whose colour is unknown are excluded
-            from the loss. If false, these pixels get the step's background colour.
+        fills_picture: whether the scene covers the whole image. If true, the loss ignores pixels whose colour is
+            unknown. If false, pixels whose colour is unknown get the step's background colour.
     """
 
     camera: Camera
@@ -56,7 +56,7 @@ class OptimizedPoints:
         cloud: the whole cloud.
         rows: (M,) indices of the visible points.
         parameters: name -> optimised tensor of the visible points. Each tensor is an autograd leaf that receives the
-            gradient.
+            gradient of the loss.
         evaluated: geometry and features of the visible points.
         colour: (M, 3) RGB of the visible points as seen by the target camera.
         sources: the source views from which colours are blended, or None without image-based colour.

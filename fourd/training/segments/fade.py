@@ -13,9 +13,9 @@ def kept_points(count: int, share: float, *, is_first: bool) -> NDArray[np.int64
 
     Both segments have points on the whole surface. Each segment contributes only the share ``share`` of its points,
     spread evenly over the surface. The number of points of the frame and the number of points along each viewing ray
-    therefore hardly change during the fade. In Morton order, points with close indices are usually close in space. The
-    indices are chosen by multiples of the golden ratio modulo 1, which are evenly distributed. The chosen points are
-    therefore spread evenly over the surface.
+    therefore hardly change during the fade. In Morton order, points with close indices are usually close in space.
+    Whether a point is chosen depends on its index times the golden ratio, modulo 1. These values are evenly distributed
+    for successive indices. The chosen points are therefore spread evenly over the surface.
 
     Args:
         count: number of points of the segment in this frame, in Morton order.

@@ -48,7 +48,7 @@ class SegmentedRun:
     requested frame stay loaded, so memory does not grow with the number of segments.
 
     Attributes:
-        run: the whole run, which has no models.
+        run: the whole run, which contains no model, because each segment has its own model.
         plan: the frames of each segment.
     """
 
@@ -106,8 +106,8 @@ class SegmentedRun:
         for index in closed:
             self._open.pop(index).close()
         if closed:
-            # A segment contains reference cycles. Without this explicit collection, its memory would not be freed until
-            # Python's next full collection.
+            # The objects of a segment refer to each other in cycles. Without this call, Python would free their memory
+            # only in its next full garbage collection.
             gc.collect()
 
 

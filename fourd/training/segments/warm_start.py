@@ -26,14 +26,14 @@ PREFIX = "model."
 
 
 def write_warm_start(run: Run, previous: Path) -> None:
-    """Write a checkpoint at step 0 with the networks of the previous segment. The points and the optimizer are those of
-    an untrained segment.
+    """Write a checkpoint at step 0 with the networks of the previous segment. The points and the optimizer state are
+    initial, as in an untrained segment.
 
     A row of a time plane belongs to one frame. The rows of the frames that both segments share are copied. The rows of
     all later frames are copies of the previous segment's last row.
 
     Args:
-        run: the segment, which has no checkpoint.
+        run: the new segment, which has no checkpoint yet.
         previous: folder of the trained previous segment.
 
     Raises:
@@ -70,7 +70,7 @@ def _shifted(model: PointModel, tensors: Mapping[str, Tensor], shift: int) -> di
 
 
 def time_plane_names(model: PointModel) -> set[str]:
-    """Names of the planes in ``model.state_dict()`` that have one row per frame."""
+    """Names of the time planes in ``model.state_dict()``. Time planes have one row per frame."""
     return {
         f"{name}.planes.{index}"
         for name, module in model.named_modules()
