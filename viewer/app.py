@@ -23,7 +23,7 @@ from fourd.viewer.window_renderer import WindowRenderer
 _MAX_STEP_SECONDS = 0.1
 """Maximum duration of a time step of playback, in seconds.
 
-If the event loop stalls for a longer time, playback continues near the frame at which the stall began.
+If the event loop stalls for longer than this maximum, playback continues near the frame at which the stall began.
 """
 _IDLE_SECONDS = 0.25
 """Seconds between checks for new frames and checkpoints while the image does not change."""
@@ -126,8 +126,9 @@ class App:
         with state.timings.measure("present"):
             window.swap_buffers()
         if is_drawn:
-            # The part "draw" contains the time of the stylizer in the cpu renderer. OpenGL renderers run the stylizer
-            # on the GPU, and the part "present" waits for the GPU.
+            # In the cpu renderer, the part "draw" of the timings contains the time of the stylizer. OpenGL renderers
+            # run the stylizer on the GPU, and the part "present" contains its time, because that part waits for the
+            # GPU.
             source = "draw" if state.renderer.choice.name == "cpu" else "present"
             state.timings.move(source, "style", state.renderer.renderer.style_seconds)
         state.timings.finish_image()

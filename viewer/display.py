@@ -22,7 +22,7 @@ class DisplaySettings:
         layers: the maximum number K of points composited per pixel.
         background: background colour as red, green and blue in [0, 1].
         point_scale: factor by which the points' radii are multiplied.
-        density_scale: factor by which the points' densities are multiplied. The products are clamped to 1.
+        density_scale: factor by which the points' densities are multiplied. The scaled densities are clamped to 1.
         style: the style in which the scene is drawn, such as a cartoon, or None for the captured colours.
     """
 

@@ -34,7 +34,7 @@ class Session:
         error: the error of the last scene that could not be opened, or None.
         is_waiting: whether the current frame is still being read.
         style_name: name of the preset, or path of the style file, that the user chose last; None for the captured
-            colours. The user may have changed the style in ``settings`` after this choice.
+            colours. The style in ``settings`` can differ from the chosen style, because the user can edit it.
         style_file: path of the style file that the user chose last, or None.
     """
 

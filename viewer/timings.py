@@ -53,8 +53,8 @@ class Timings:
     def medians(self) -> dict[str, float]:
         """Median time of each part in milliseconds.
 
-        The median of a part ignores images in which that part did not run. For example, the part "draw" does not run
-        for an unchanged scene.
+        The median of a part ignores images in which the part did not run. For example, the part "draw" does not run for
+        an unchanged scene.
         """
         nonzero = [column[column > 0] for column in self._history.T]
         return {

@@ -111,8 +111,8 @@ class Window:
         from imgui_bundle import imgui
         from OpenGL import GL
 
-        # No shader program may stay bound here. The backend of the user interface later binds the current program
-        # again, which fails if the program has been deleted.
+        # Unbind the shader program, because the backend of the user interface later binds the current program again,
+        # which fails if the program has been deleted.
         GL.glUseProgram(0)
         imgui.render()
         self._ui.render(imgui.get_draw_data())

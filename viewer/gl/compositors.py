@@ -33,7 +33,7 @@ class Compositor(Protocol):
 
         If ``is_picture`` is True, the result is composited over the background colour of the request, filtered with the
         pixel filter, and limited to [0, 1]. If ``is_picture`` is False, the result contains alpha and the composited
-        quantity (colour, normal or depth), premultiplied by alpha. This quantity is neither filtered nor limited.
+        quantity (colour, normal or depth), premultiplied by alpha and neither filtered nor limited.
         """
 
     def release(self) -> None:
@@ -147,10 +147,10 @@ class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): in each pixel, a pass finds the nearest and the farthest of the
     remaining layers.
 
-    In each pixel, each of the first K // 2 passes finds up to two layers. A pixel with further layers may have more
-    than K layers in total. In such a pixel, the layers that were peeled from the back are dropped. Further passes then
-    peel layers from the front, until K layers are composited or no further layer is visible. The result has the K
-    nearest layers, as in :class:`DepthPeeling`.
+    In each pixel, each of the first K // 2 passes finds up to two layers. If layers remain in a pixel, it may have more
+    than K layers in total, so the layers that were peeled from its back are dropped. Further passes then peel layers
+    from the front, until K layers are composited or no further layer is visible. The result has the K nearest layers,
+    as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
@@ -225,13 +225,13 @@ class DualDepthPeeling:
     def _has_remaining_layers(self, index: int, clear_back: bool) -> bool:
         """Whether geometry pass ``index`` has found layers that are visible through the layers in front.
 
-        If ``clear_back`` is True, the result is True even if the layers in front hide all found layers. The function
-        then also clears the layers composited from the back, in each pixel where the pass has found a layer.
+        If ``clear_back`` is True, hidden layers count too, and the function clears the layers composited from the back
+        in each pixel in which the pass has found a layer.
         """
         targets = self._targets
         previous = 1 - index % 2
-        # The occlusion query needs a framebuffer to draw into. The framebuffer with the bounds of the previous pass is
-        # free for this, because no later pass reads these bounds.
+        # The occlusion query needs a framebuffer to draw into. The query can overwrite the bounds of the previous pass,
+        # because no later pass reads these bounds.
         targets.framebuffer([f"back {previous}" if clear_back else f"bounds {previous}"]).use()
         disable_blending(self._context)
         with self._counter:

@@ -31,8 +31,8 @@ def offscreen_context() -> moderngl.Context:
 def driver_info(context: moderngl.Context) -> dict[str, Any]:
     """The names and limits that the driver reports, keyed by the names of the OpenGL constants."""
     info = context.info
-    # moderngl also queries limits of newer OpenGL versions. The query of a limit that the driver does not support sets
-    # a GL error. The loop below clears these errors.
+    # moderngl also queries limits of newer OpenGL versions. Each query of a limit that the driver does not support sets
+    # a GL error, which the loop below clears.
     while context.error != "GL_NO_ERROR":
         pass
     return info

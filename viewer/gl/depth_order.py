@@ -43,8 +43,8 @@ class DepthOrders(Protocol):
     def order(self, request: RenderRequest, wait: bool) -> DepthOrder:
         """Return a depth order for ``request``.
 
-        If ``wait`` is True, the depth order is computed for ``request``. Otherwise, it may be the depth order of an
-        earlier request.
+        If ``wait`` is True, the depth order is computed for ``request``. If ``wait`` is False, the result may be the
+        depth order of an earlier request.
         """
 
     def release(self) -> None:

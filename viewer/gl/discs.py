@@ -33,8 +33,8 @@ class Discs:
 
     If discs are drawn nearest first, they are stored in drawing order, and the rank of a disc is its index plus 1. If
     sprites are drawn farthest first, they are stored in the order of the frame's points, and an index buffer contains
-    the drawing order. The vertex shader then reads the points from their textures one after the other. This takes half
-    as long as reading the points in depth order.
+    the drawing order. The vertex shader then reads the points in the order of their texels, which takes half as long as
+    reading them in depth order.
     """
 
     def __init__(
@@ -116,17 +116,17 @@ class Discs:
 
     @property
     def uses_sprites(self) -> bool:
-        """Whether the discs are drawn as point sprites.
+        """Whether the discs are drawn as point sprites and not as quads.
 
-        Otherwise, the discs are drawn as quads, which need four times as many vertices.
+        Quads need four times as many vertices as sprites.
         """
         return self._margin is not None
 
     def draw(self, name: str, framebuffer: moderngl.Framebuffer, upright: bool = False, **uniforms: object) -> None:
         """Draw all discs with pass ``name`` and the ``uniforms`` of its shader.
 
-        If ``upright`` is True, row 0 of the image is at the top of the framebuffer, as on screen. Otherwise, row 0 is
-        at the bottom, as in textures.
+        If ``upright`` is True, row 0 of the image is at the top of the framebuffer, as on screen. If ``upright`` is
+        False, row 0 of the image is at the bottom, as in textures.
         """
         if not self._count:
             return
@@ -158,8 +158,8 @@ class Discs:
     def _sprite_margin(self, order: NDArray[np.uint32], request: RenderRequest) -> int | None:
         """Return the number of pixels by which sprites can extend past the image, or None if sprites may exceed the
         driver's limits."""
-        # The first bound on the radius is fast to compute, but too large for scenes with a background. The points of a
-        # background have large radii, but are far away.
+        # The first bound of radius / depth is fast to compute, but too large for scenes with a background, because
+        # background points have large radii and are far away.
         for ratio in (_radius_depth_ratio_bound, _max_radius_depth_ratio):
             margin = math.ceil(float(request.camera.intrinsics[1, 1]) * ratio(order, request)) + 1
             if self._driver_allows(margin):

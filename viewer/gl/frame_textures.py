@@ -47,7 +47,8 @@ class ArrayTexture:
         assert texture is not None
         while first < end:
             row, column = divmod(first, TEXELS_PER_ROW)
-            # All complete rows are uploaded in one call. An incomplete row before or after them is uploaded separately.
+            # All complete rows are uploaded in one call. An incomplete row before or after the complete rows is
+            # uploaded separately.
             full_rows = 0 if column else (end - first) // TEXELS_PER_ROW
             width = TEXELS_PER_ROW if full_rows else min(end - first, TEXELS_PER_ROW - column)
             count = width * max(full_rows, 1)
@@ -91,12 +92,12 @@ class FrameTextures:
     """The arrays of one frame in GPU textures. The next frame reuses the textures.
 
     Each texture stores the dynamic points first, then unused texels, then the points of the background. A background
-    that consecutive frames share is uploaded once. If the new frame or the previous frame has a shadow on the
-    background, only the colours of the background are uploaded again.
+    that consecutive frames share is uploaded once. The colours of the background are uploaded again only if the new
+    frame or the previous frame has a shadow on the background.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
-        """``precision`` is the texel type of the textures for the float16 arrays of a frame.
+        """``precision`` is the texel type of the textures that store the float16 arrays of a frame.
 
         The precision float32 is the reference in tests and benchmarks. With float32, these textures need twice the
         memory and bandwidth.

@@ -44,7 +44,7 @@ class GLRenderer:
     def stale_images(self) -> int:
         """Number of newest images in a row that were drawn with the depth order of an earlier request.
 
-        The number is 0 if the depth order is current.
+        The number is 0 if the last image was drawn with its own depth order.
         """
         return self._stale_images
 

@@ -24,15 +24,14 @@ from fourd.viewer.gl.stylizer import GLStylizer, SurfaceTextures
 from fourd.viewer.gl.timer import GPUTimer
 
 Project = Callable[[Paint], None]
-"""The type of a function that projects the points of a request. Its argument selects what the discs show: colours,
+"""The type of a function that projects the points of a request. The argument selects what the discs show: colours,
 normals or depths."""
 
 
 class SurfaceBuffer:
     """The visible surface of points, drawn by any compositor.
 
-    The compositor runs three times: for colours, for normals and for depths. The weights of the discs are therefore
-    equal for all three quantities.
+    The compositor runs three times, for colours, normals and depths, so a disc has the same weight in all three runs.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -150,6 +149,6 @@ class StyledDrawing:
 
 
 def depth_unit(camera: Camera, manifest: SceneManifest) -> float:
-    """Return the unit of composited depths in world units. The unit is the distance from the camera to the centre of
-    the scene. Depths in this unit are near 1, so float16 represents them well."""
+    """Return the length, in world units, of the unit of composited depths: the distance from the camera to the centre
+    of the scene. Depths in this unit are near 1, so float16 represents them well."""
     return max(float(np.linalg.norm(np.asarray(manifest.focus) - camera.centre)), 1e-6)

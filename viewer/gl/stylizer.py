@@ -64,7 +64,7 @@ class GLStylizer:
         self._has_state = False
 
     def draw(self, surface: SurfaceTextures, parameters: StyleParameters) -> moderngl.Texture:
-        """Draw a surface. Its size must be the size that the last call of :meth:`resize` has set.
+        """Draw a surface, whose size must be the size that the last call of :meth:`resize` has set.
 
         Returns a texture with the picture: the colours composited over the paper, and alpha. Row 0 of the texture is
         the top. The next call overwrites the picture.

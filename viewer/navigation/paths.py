@@ -97,7 +97,7 @@ def spiral(
 
     Args:
         turns: number of full circles, or number of swings back and forth over the arc. At least 1.
-        swing: amplitude of the elevation around the cameras' median elevation, in degrees. If ``swing`` is None, the
+        swing: amplitude, in degrees, of the elevation around the cameras' median elevation. If ``swing`` is None, the
             amplitude is the largest difference between a camera's elevation and the median, but at least 10 degrees.
     """
     if turns < 1:
@@ -140,7 +140,7 @@ def interpolate(
 
 
 def order_by_azimuth(cameras: Sequence[Camera], focus: Sequence[float] | Array | None = None) -> list[int]:
-    """Indices of the cameras sorted by azimuth around ``focus``, for :func:`interpolate`.
+    """Indices of the cameras, sorted by azimuth around ``focus``, for :func:`interpolate`.
 
     The order starts after the widest gap in azimuth, so that a path through an arc of cameras follows the arc.
     """
@@ -155,10 +155,10 @@ def estimate_focus(cameras: Sequence[Camera], bounds: Bounds | None = None) -> A
     """The least-squares intersection of all optical axes, (3,).
 
     The intersection is not used if the axes are nearly parallel, if there is only one camera, or if the intersection is
-    behind at least half of the cameras. In these cases, the result is the centre of ``bounds`` (lower, upper). If
-    ``bounds`` is None, the result is a point in front of the cameras. The distance from this point to the mean of the
-    camera centres is three times the largest distance between a camera centre and the mean, or 1 world unit for a
-    single camera.
+    behind at least half of the cameras. If the intersection is not used, the result is the centre of ``bounds`` (lower,
+    upper). If ``bounds`` is None, the result is a point in front of the cameras. The distance from this point to the
+    mean of the camera centres is three times the largest distance between a camera centre and the mean, or 1 world unit
+    for a single camera.
     """
     centres = np.stack([camera.centre for camera in cameras])
     axes = np.stack([camera.forward for camera in cameras])
@@ -273,12 +273,12 @@ def _path_azimuths(rig: _Rig, steps: int, full: bool | None, turns: int = 1) -> 
 def _sample_spline(knots: Array, steps: int, loop: bool) -> Array:
     """Sample the spline through ``knots`` at equal distances along the spline.
 
-    ``knots`` (M, D) contains one camera vector per row. The samples are (steps, D).
+    ``knots`` (M, D) contains one camera vector per row. The samples have the shape (steps, D).
     """
     if loop:
         # After one loop around the cameras, the quaternion can have the opposite sign, although the rotation is the
-        # same. After two loops, the sign is always the same. The spline therefore covers two loops, and only the first
-        # loop is sampled.
+        # same. After two loops, the quaternion has its first sign again. The spline therefore covers two loops, and
+        # only the first loop is sampled.
         knots = _align_signs(np.concatenate([knots, knots, knots[:1]]))
     else:
         knots = _align_signs(knots)

@@ -110,7 +110,8 @@ def pose_from_camera(camera: Camera, focus: Sequence[float] | Array, up: Array, 
     """
     width, height = size
     zoom = min(width / camera.width, height / camera.height)
-    # A pose has square pixels, so it has one focal length. The shorter of the two focal lengths avoids cropping.
+    # A pose has square pixels, so it has one focal length. The shorter of the camera's two focal lengths avoids
+    # cropping.
     focal = zoom * float(min(camera.intrinsics[0, 0], camera.intrinsics[1, 1]))
     distance = float((np.asarray(focus, np.float64) - camera.centre) @ camera.forward)
     if not distance > _MIN_DISTANCE:

@@ -31,8 +31,8 @@ class Section:
 def text_scale(state: ViewerState) -> float:
     """Return the scale of text and widgets.
 
-    The result is the display's scale factor. If one window coordinate covers more than one pixel of the framebuffer,
-    text is already enlarged, and the result is 1.
+    The scale is usually the display's scale factor. The scale is 1 if one window coordinate covers more than one pixel
+    of the framebuffer, because text is then already enlarged.
     """
     is_scaled = state.window.framebuffer_size[0] > state.window.size[0]
     return 1.0 if is_scaled else state.window.content_scale

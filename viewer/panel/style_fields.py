@@ -168,7 +168,7 @@ def edit_style(style: Style, report: Callable[[str], None]) -> Style:
 
     Args:
         report: function that receives a message of one line if the user enters a value that is not valid for the style.
-            All values in the same group then stay unchanged.
+            A group with an invalid value keeps its old values.
     """
     for group in GROUPS:
         if not group.applies(style) or not imgui.tree_node(group.title):

@@ -16,7 +16,7 @@ _MAX_FRAMES = 32
 
 
 class BakedFrameSource(Protocol):
-    """Reads baked frames. Only one thread uses a source at a time."""
+    """Reads baked frames. Callers must not use a source from several threads at the same time."""
 
     @property
     def manifest(self) -> SceneManifest:
@@ -151,8 +151,8 @@ class FramePrefetcher:
     def _capacity(self) -> int:
         """Number of frames that fit into the memory limit.
 
-        Each frame is assumed to be as large as the largest frame that has been read. Evicting any frame then makes room
-        for any other frame.
+        Each frame is assumed to be as large as the largest frame that has been read, so that evicting any frame makes
+        room for any other frame.
         """
         if self._largest is None:
             return min(_MIN_FRAMES, self._frame_count)

@@ -21,7 +21,8 @@ _NICENESS = 10
 
 
 class RunSource:
-    """Bakes frames of the newest checkpoint of a run. This class needs torch. Only one thread uses a source at a time.
+    """Bakes frames of the newest checkpoint of a run. This class needs torch. Callers must not use a source from
+    several threads at the same time.
 
     Raises UserError when the folder is not a run, has no readable checkpoint, or cannot be baked.
     """

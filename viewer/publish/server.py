@@ -109,8 +109,8 @@ class SiteHandler(BaseHTTPRequestHandler):
         while left > 0:
             content = stream.read(min(left, _CHUNK))
             if not content:
-                # The file has become shorter. The server closes the connection, so that the client detects the missing
-                # bytes.
+                # The file has become shorter since the request. The server closes the connection, so that the client
+                # detects the missing bytes.
                 self.close_connection = True
                 return
             try:

@@ -89,7 +89,8 @@ def write_scene(
     reader.close()
     if manifest.frame_count == 0 or not manifest.cameras:
         raise UserError(f"{source}: expected a scene with frames and cameras, got none; export the run again")
-    # Players blend neighbouring views. These views are stored one after the other, so that players need fewer requests.
+    # Players blend neighbouring views, so neighbouring views are stored one after the other. Players then need fewer
+    # requests.
     order = order_by_azimuth(manifest.source_cameras, manifest.focus) if manifest.source_cameras else []
     storage = Storage("zlib", tuple(order))
     if is_packed:

@@ -32,7 +32,7 @@ _SHADERS = {
     "outlines": "stylize/outlines.frag",
 }
 _OF_THE_CAMERA = ("ray", "light", "detail_per_depth", "hatch_spacing", "paper")
-"""Names of the numbers that depend on the camera. The player therefore computes these numbers itself."""
+"""Names of the numbers of a style that depend on the camera. The player computes these numbers for each image."""
 
 
 def load_styles(paths: Iterable[Path]) -> dict[str, Style]:

@@ -32,8 +32,8 @@ class CPURenderer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last image that was drawn in a style. Raises RuntimeError if there is no
-        such image."""
+        """(H, W) strength of the lines in the last image that was drawn in a style. Raises RuntimeError if the renderer
+        has not yet drawn an image in a style."""
         return (self._styled or StyledPlayer()).line_strength
 
     def render(self, request: RenderRequest) -> NDArray[np.uint8]:

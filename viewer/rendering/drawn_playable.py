@@ -1,4 +1,4 @@
-"""Rendering of scenes and runs in a style or through a lens, for `fourd render`."""
+"""For `fourd render`: draws scenes and training runs with a style, or through a lens model."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class DrawnPlayable:
     """A scene or a run whose baked frames are drawn by ``drawer``.
 
     Attributes:
-        plain: the scene or run without a style or lens. It supplies the cameras and the frame numbers.
+        plain: the scene or run without a style or lens, which supplies the cameras and the frame numbers.
         source: the baked frames of the scene or run.
         drawer: draws the frames.
     """

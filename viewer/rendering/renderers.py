@@ -44,7 +44,7 @@ class Renderer(Protocol):
     def stale_images(self) -> int:
         """Number of newest images in a row that were drawn with the depth order of an earlier request.
 
-        The number is 0 if the depth order is current.
+        The number is 0 if the last image was drawn with its own depth order.
         """
 
     @property
@@ -65,8 +65,8 @@ class Renderer(Protocol):
     def draw(self, request: RenderRequest, canvas: Canvas, wait: bool = False) -> None:
         """Draw ``request`` into ``canvas``, at the image size of the request's camera.
 
-        If ``wait`` is True, the frame and the depth order are those of ``request``. Otherwise, they may be those of an
-        earlier request.
+        If ``wait`` is True, the image shows the frame of ``request`` in its own depth order. If ``wait`` is False, the
+        frame and the depth order may be those of an earlier request.
         """
 
     def release(self) -> None:

@@ -4,7 +4,7 @@
 // stored result. The operations, and their order, are the same as in fourd/ops/points/reference.py and
 // fourd/baking/shade.py.
 
-uniform sampler2D xyz;            // One texel per point, as in radius and density.
+uniform sampler2D xyz;            // The textures xyz, radius and density have one texel per point.
 uniform sampler2D radius;
 uniform sampler2D density;
 uniform sampler2D sh;             // Twelve texels per point: 16 coefficients of red, then of green, then of blue.

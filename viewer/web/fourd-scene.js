@@ -26,8 +26,8 @@ const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
  * A packed scene that is drawn into the WebGL 2 context of another program (the host), such as three.js.
  *
  * Call `update` once per displayed image, and then `draw` for each view, after the host has drawn its opaque objects.
- * Both calls change the state of WebGL. If the host caches this state, it must reset the cache (in three.js:
- * `renderer.resetState()`).
+ * Both `update` and `draw` change the state of WebGL. If the host caches this state, it must reset the cache (in
+ * three.js: `renderer.resetState()`).
  */
 export class FourdScene {
   /**
@@ -55,8 +55,8 @@ export class FourdScene {
     this.points = new ProjectedPoints(gl, file.manifest);
     this.renderer = new HostRenderer(gl, file.manifest, this.points);
     this.playback = new Playback(file, pool, () => {}, failed);
-    /** The matrix that maps the scene's world to the host's world. It consists of a rotation, a translation and a
-     * uniform scale. */
+    /** The matrix that maps the scene's world to the host's world. This matrix consists of a rotation, a translation
+     * and a uniform scale. */
     this.matrix = /** @type {ArrayLike<number>} */ (IDENTITY);
   }
 
@@ -68,8 +68,8 @@ export class FourdScene {
   /**
    * Places the scene upright. The focus of the scene is then at the host's origin, the up direction of its cameras is
    * +y, and the viewing direction of its first camera is -z.
-   * @param {number} distance Distance of the first camera from the origin, in the host's units. It determines the
-   *   scale.
+   * @param {number} distance Distance of the first camera from the origin, in the host's units. This distance
+   *   determines the scale of the scene.
    */
   placeUpright(distance) {
     const { cameras, focus } = this.manifest;
@@ -112,13 +112,13 @@ export class FourdScene {
    * @param {object} [target]
    * @param {WebGLFramebuffer | null} [target.framebuffer] null, the default, is the canvas.
    * @param {WebGLTexture | null} [target.depthTexture] Depth of the host's objects, which hide the points behind them.
-   *   The texture has one texel per pixel of the framebuffer. It must have the filter NEAREST, must not be
+   *   The texture has one texel per pixel of the framebuffer. The texture must have the filter NEAREST, must not be
    *   multisampled, and must not be attached to the framebuffer.
    * @param {boolean} [target.writesDepth] Whether the mean depth of the points is written into the framebuffer's depth
    *   buffer, at pixels where the alpha of the points is at least 0.5. Objects that the host draws later are then
    *   hidden by the points.
-   * @param {View} [target.selectedFor] View for which source views are selected. The default is the drawn view. The
-   *   eyes of a headset should share one selection.
+   * @param {View} [target.selectedFor] View for which the source views are selected, by default `view`. Pass the same
+   *   view for both eyes of a headset.
    */
   draw(view, { framebuffer = null, depthTexture = null, writesDepth = false, selectedFor = view } = {}) {
     const { camera, depthRange } = this.#host(view);

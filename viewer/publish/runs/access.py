@@ -94,8 +94,8 @@ class Access:
         accepted.
 
         A page of another site must not control the training through the user's browser. The request therefore needs the
-        header X-Fourd-Request. A browser sends this header to another site only if that site allows it, and this server
-        never does. If the request also names the origin of its page, the origin must be this server.
+        header X-Fourd-Request. A page of another site can send this header only if this server allows it, and this
+        server never allows it. If the request also names the origin of its page, the origin must be this server.
         """
         if headers.get(REQUEST_HEADER) != "control":
             return f"Requests to a training need the header {REQUEST_HEADER}: control."
@@ -108,7 +108,7 @@ class Access:
     def _refuse_name(self, host: str) -> str | None:
         """Refuse a request whose Host header does not name this machine.
 
-        The owner of another domain can make its name resolve to this machine (DNS rebinding). A browser would then
+        The owner of a domain can make the domain's name resolve to this machine (DNS rebinding). A browser would then
         treat the pages of that domain as pages of this server.
         """
         name = _name_of(host)

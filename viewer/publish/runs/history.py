@@ -82,7 +82,8 @@ class RunHistory:
                 self._add(line)
             self._is_skipping = False
         if len(rest) > MAX_LINE_BYTES:
-            # This line is too long to be a record. Its start is skipped, so that the next call does not read it again.
+            # The line is too long to be a record. The start of the line is skipped, so that the next call does not read
+            # it again.
             self._offset += len(rest)
             self._is_skipping = True
 

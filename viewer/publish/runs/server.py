@@ -26,7 +26,8 @@ class RunHandler(SiteHandler):
     server: RunServer
 
     def do_POST(self) -> None:
-        # After a refusal, the server closes the connection, because it may not have read the content of the request.
+        # After a refusal, the server closes the connection, because the content of the refused request may still be
+        # unread.
         refusal = self._refusal(None) or self.server.access.refusal_of_control(self.headers)
         if refusal is not None:
             self._send_text(HTTPStatus.FORBIDDEN, refusal)
@@ -137,7 +138,7 @@ class RunServer(SiteServer):
         port: port to listen on; 0 selects a free port.
 
     Attributes:
-        site: answers the requests of the page. None until the site is written.
+        site: answers the requests of the page, or None until the site is written.
 
     Raises:
         UserError: if the server cannot listen on the host and port.

@@ -30,8 +30,8 @@ from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, 
 from fourd.viewer.publish.site import copy_training_page
 
 STATUS_SECONDS = 1.0
-"""Minimum time in seconds between two computations of the answers. In between, all pages get the last computed
-answers."""
+"""Minimum time in seconds between two computations of the answers. Between two computations, all pages get the last
+computed answers."""
 ASKED_SECONDS = 10.0
 """A scene is baked only if a page has requested it within this time, in seconds."""
 BAKING_SHARE = 0.02
@@ -57,7 +57,7 @@ class _Answers:
 
 
 class RunSite:
-    """Writes the page of a run, and answers its requests. All methods can be called from several threads.
+    """Writes the page of a run, and answers its requests. All methods are thread-safe.
 
     Args:
         run: the run's folder.

@@ -58,8 +58,8 @@ def find_active(run: Path) -> ActiveRun:
 def picture_steps(run: Path, last: int) -> list[int]:
     """The steps of the newest validation pictures up to the step ``last``, in ascending order.
 
-    Pictures of later steps are left out. Such pictures come from a training that continued after its last checkpoint
-    and was then killed.
+    Pictures of later steps come from a training that continued after its last checkpoint and was then killed, so they
+    are left out.
     """
     names = [path.stem for path in (run / VALIDATION).glob("*.png")]
     steps = sorted(int(name) for name in names if name.isdecimal() and len(name) <= _DIGITS)

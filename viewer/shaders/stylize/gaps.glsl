@@ -27,8 +27,8 @@ float nearest(ivec2 pixel, ivec2 direction, out ivec2 found) {
     return best;
 }
 
-// Fills a pixel along an axis if the surfaces on both sides are nearer to the camera than the surface at the pixel. The
-// inverse depth `depth` and the pixel `source` then become those of the farther one of the two surfaces.
+// Fills a pixel along an axis if the surfaces on both sides are nearer to the camera than the surface at the pixel.
+// Then `depth` and `source` become the inverse depth and the pixel of the farther one of the two surfaces.
 void fill(ivec2 pixel, ivec2 axis, inout float depth, inout ivec2 source) {
     ivec2 first_at, second_at;
     float first = nearest(pixel, -axis, first_at), second = nearest(pixel, axis, second_at);

@@ -39,8 +39,8 @@ float tap_depth(ivec2 pixel, int right, int down) {
     return texelFetch(closed_depth, tap_pixel(pixel, ivec2(right, down)), 0).r;
 }
 
-// Returns the inverse depth of a tap, and the cosine between the tap's normal and `normal`. Both are multiplied by the
-// coverage of the tap.
+// Returns the inverse depth of a tap, and the cosine between the tap's normal and `normal`. Both results are multiplied
+// by the coverage of the tap.
 vec2 tap(ivec2 pixel, ivec2 steps, vec3 normal) {
     ivec2 at = tap_pixel(pixel, steps);
     vec4 other = unpack_normal(texelFetch(closed_normal, at, 0));
@@ -69,8 +69,8 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
         ivec2 side = axis == 0 ? ivec2(0, 1) : ivec2(1, 0);
         vec2 first = tap(pixel, -side, normal), second = tap(pixel, side, normal);
         int at = axis == 0 ? pixel.y : pixel.x, count = axis == 0 ? size.y : size.x;
-        // Taps outside the image repeat the border. There, the second difference would look like a bend of the surface,
-        // so it is left out.
+        // Taps outside the image repeat the border. At the border, the second difference would therefore look like a
+        // bend of the surface, so it is left out.
         if (at >= thickness && at < count - thickness) bend += abs(first.x + second.x - 2.0 * depth);
         most = max(most, max(first.x, second.x));
         flatness *= 1.0 - ramp(coverage - first.y, normal_threshold * scale);
@@ -80,7 +80,7 @@ float cross_lines(ivec2 pixel, vec3 normal, float coverage, float scale) {
 }
 
 // Returns the factor by which a line's strength is multiplied. The factor decreases to 0 if a tap shows the back of a
-// surface, which is visible through a hole between points. If any tap shows no surface, the factor is 1.
+// surface through a hole between points. If any tap shows no surface, the factor is 1.
 float kept_line(ivec2 pixel) {
     vec3 towards = ray_of(pixel);
     float away = 0.0, coverage = 1.0;

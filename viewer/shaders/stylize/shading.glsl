@@ -16,7 +16,7 @@ uniform float hatch_spacing;
 uniform vec2 hatch_levels;
 uniform float hatch_width;
 uniform vec3 hatch_colour;
-uniform sampler2D table;  // Columns are tones, rows are details.
+uniform sampler2D table;  // The tone selects the column, and the detail selects the row.
 // The quantity that selects the table row: 0 for the cosine between normal and viewing direction, 1 for the depth, 2
 // for the distance from the focus.
 uniform int detail_axis;

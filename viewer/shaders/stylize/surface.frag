@@ -2,14 +2,14 @@
 // Converts composited colours, normals and depths to the visible surface (class Surface of
 // fourd/ops/stylize/parameters.py). Row 0 of the result is the top of the image. This text is also valid GLSL ES 3.00.
 
-uniform sampler2D colours;  // Premultiplied by alpha, as are the normals and the depths.
+uniform sampler2D colours;  // Colours, normals and depths are premultiplied by alpha.
 uniform sampler2D normals;    // Normals times front_weight.
 uniform sampler2D depths;     // Four channels: front_weight * depth / depth_unit, front_weight, 0, and alpha.
-uniform float depth_unit;     // The unit of `depths`, in world units.
+uniform float depth_unit;     // Length of the unit of `depths`, in world units.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
-uniform float persistence;  // Weight of the surface of the previous image. With 0, the previous image is ignored.
+uniform float persistence;  // Weight of the previous image's surface. With weight 0, this surface is ignored.
 
 layout(location = 0) out vec4 albedo;
 layout(location = 1) out float inverse_depth;

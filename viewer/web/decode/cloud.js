@@ -99,7 +99,7 @@ function addLevels(content, colours, mean, encoding) {
     const level = content[green];
     const red = (content[green + colours] + level) << 24 >> 24;
     const blue = (content[green + 2 * colours] + level) << 24 >> 24;
-    // With a colour step of 1, sums are modulo 256. With larger steps, sums are clamped to 0 to 255.
+    // With a colour step of 1, sums are modulo 256. With larger steps, sums are clamped to the range from 0 to 255.
     const target = step === 1 ? wrapped : rgba;
     target[at] = mean[at] + step * red;
     target[at + 1] = mean[at + 1] + step * (level << 24 >> 24);

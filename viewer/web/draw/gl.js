@@ -51,7 +51,8 @@ export class Program {
   }
 
   /**
-   * Sets uniforms that are floats, vectors of 2 to 4 floats, or longer arrays of floats. The program must be in use.
+   * Sets uniforms that are floats, vectors of 2 to 4 floats, or longer arrays of floats. This program must be the
+   * current program.
    * @param {Record<string, number | number[]>} values
    */
   floats(values) {
@@ -66,7 +67,7 @@ export class Program {
   }
 
   /**
-   * Sets uniforms that are integers, booleans or texture units. The program must be in use.
+   * Sets uniforms that are integers, booleans or texture units. This program must be the current program.
    * @param {Record<string, number | boolean>} values
    */
   integers(values) {

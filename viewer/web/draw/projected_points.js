@@ -35,7 +35,7 @@ export class ProjectedPoints {
     const layers = this.textures.load(picture.clouds, picture.shadow, views);
     const loaded = views.map((view, index) => ({ layer: layers.get(view), weight: weights[index] }));
     const usable = /** @type {{layer: number, weight: number}[]} */ (loaded.filter(({ layer }) => layer !== undefined));
-    // If the colours of no selected view are loaded, the points have their mean colours, which are in layer 0.
+    // If no selected view is loaded, the points have their mean colours, which are in layer 0.
     const blended = usable.length ? usable : views.length ? [{ layer: 0, weight: 1 }] : [];
     this.discs.project(
       this.textures,

@@ -63,7 +63,7 @@ uniform usampler2D harmonics;    // Six blocks of rows. Each texel has 8 float16
 uniform sampler2DArray views;    // Colour, and code of the blend weight. Layer 0 has the mean colours.
 uniform usampler2D shadow;       // One texel per background point.
 uniform bool has_shadow;
-uniform int block_rows;          // Rows of one block of harmonics.
+uniform int block_rows;          // Number of texture rows of one block of harmonics.
 uniform int background_first;    // Index of the first background point.
 
 // Element 0 is for the dynamic points, and element 1 is for the background. The components are the radius of code 1,

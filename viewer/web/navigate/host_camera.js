@@ -2,14 +2,15 @@ import { SceneError } from "../scene/errors.js";
 import { cross, dot, length } from "./math.js";
 /** @typedef {import("../scene/manifest.js").Camera} Camera */
 
-/** A matrix counts as a rotation with uniform scale if the relative error of its axes is at most this value. */
+/** A 3 x 3 matrix counts as a rotation with uniform scale if its columns are equally long and perpendicular, up to this
+ * relative error. */
 const TOLERANCE = 1e-3;
 
 /**
  * Converts OpenGL matrices, as in three.js and WebXR, to a camera and to the mapping of depths to normalised device
  * coordinates.
- * @param {ArrayLike<number>} modelView (16,) column-major. It maps the scene's world to OpenGL's camera coordinates, by
- *   a rotation, a translation and a uniform scale.
+ * @param {ArrayLike<number>} modelView (16,) column-major. This matrix maps the scene's world to OpenGL's camera
+ *   coordinates, by a rotation, a translation and a uniform scale.
  * @param {ArrayLike<number>} projection (16,) column-major, a perspective projection to the depths -1 to 1.
  * @param {number} width Width of the viewport in pixels.
  * @param {number} height

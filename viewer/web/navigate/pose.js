@@ -112,7 +112,8 @@ export function fly(pose, right, up, forward) {
  */
 export function poseFromCamera(camera, focus, up, width, height) {
   const zoom = Math.min(width / camera.width, height / camera.height);
-  // A pose has square pixels, so it has one focal length. The shorter of the two focal lengths avoids cropping.
+  // A pose has square pixels, so it has one focal length. The shorter of the camera's two focal lengths avoids
+  // cropping.
   const focal = zoom * Math.min(camera.intrinsics[0], camera.intrinsics[4]);
   const centre = apply(transpose(camera.rotation), camera.translation).map((value) => -value);
   const forward = row(camera.rotation, 2);

@@ -24,8 +24,8 @@ export function selectSourceViews(camera, manifest) {
 }
 
 /**
- * A view at the angle a has the weight 1 - a / b. The limit angle b is the smallest angle of the views that are not
- * selected. Angles below the largest selected angle do not count.
+ * A view at the angle a has the weight 1 - a / b. Among the angles of the views that are not selected, the limit angle
+ * b is the smallest that is not below the largest selected angle.
  * @param {number[]} views
  * @param {number[]} angles
  */

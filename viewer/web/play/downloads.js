@@ -2,11 +2,11 @@ import { BACKGROUND } from "../scene/members.js";
 /** @typedef {import("../scene/scene_file.js").SceneFile} SceneFile */
 
 /** Largest size of the compressed frames in memory, in bytes. The limit is lower if the device has less than 8 GB of
- * memory, or if the browser does not report its memory. */
+ * memory, or if the browser does not report the memory of the device. */
 const MOST_BYTES = 512 << 20;
 const BYTES_PER_GB = 64 << 20;
 const SUPPOSED_GB = 4;
-/** New requests start until the data of all running requests takes this time, in seconds, to arrive. */
+/** A new request starts if the data of all running requests arrives in less than this time, in seconds. */
 const SECONDS_IN_FLIGHT = 0.3;
 /** Minimum number of simultaneous requests. With a single request, the connection is idle between the last byte of a
  * response and the first byte of the next response. */

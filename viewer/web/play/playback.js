@@ -196,8 +196,8 @@ export class Playback {
 }
 
 /**
- * Returns the numbers of a camera that determine the depth order and the visible points. The numbers do not depend on
- * the resolution.
+ * Returns the numbers of a camera that determine the depth order and the visible points. The result does not depend on
+ * the resolution of the image.
  * @param {Camera} camera
  */
 function signature({ rotation, translation, intrinsics, width, height }) {

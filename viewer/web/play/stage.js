@@ -37,7 +37,7 @@ export class Stage {
     this.background = [0, 0, 0];
     /** @type {import("../draw/renderer.js").ReadyStyle | null} */
     this.style = null;
-    /** How many more times a paused frame is drawn. The lines of a style fade in over these images. */
+    /** How many more times a paused frame is drawn, so that the lines of a style can fade in. */
     this.fading = 0;
     this.isDirty = true;
     /** Whether another program draws the scene, so that nothing is drawn into the canvas. */

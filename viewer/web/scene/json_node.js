@@ -59,7 +59,7 @@ export class JsonNode {
 
   /**
    * @param {string} key
-   * @param {boolean} [missing] Value that is returned if the key is missing. Without this argument, the key is
+   * @param {boolean} [missing] Value that is returned if the key is missing. If `missing` is not given, the key is
    *   required.
    * @returns {boolean}
    */
@@ -74,7 +74,8 @@ export class JsonNode {
    * @param {string} key
    * @param {number} low
    * @param {number} high
-   * @param {number} [missing] Value that is returned if the key is missing. Without this argument, the key is required.
+   * @param {number} [missing] Value that is returned if the key is missing. If `missing` is not given, the key is
+   *   required.
    * @returns {number}
    */
   number(key, low, high, missing) {

@@ -34,7 +34,7 @@ void main() {
 /** Outputs the colour, the normal, the depth and the weight of a disc, premultiplied by alpha. */
 export const SURFACE_FRAGMENT = `${HEADER}${DISC}
 flat in vec4 disc_normal;
-uniform float depth_unit;  // Unit of depths, in world units. Depths in this unit fit into float16.
+uniform float depth_unit;  // Length of the unit of depths, in world units. Depths in this unit fit into float16.
 layout(location = 0) out vec4 colour;
 layout(location = 1) out vec4 weighted_normal;
 layout(location = 2) out vec4 weighted_depth;

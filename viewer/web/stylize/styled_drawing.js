@@ -48,7 +48,7 @@ export class StyledDrawing {
     this.emptyArray = gl.createVertexArray();
     /** Albedo, inverse depth and normals of the last two pictures. @type {Target[]} */
     this.surfaces = [];
-    /** The last two pictures without lines, and the states of their lines. @type {Target[]} */
+    /** The last two pictures before lines were drawn, and the states of their lines. @type {Target[]} */
     this.shaded = [];
     /** @type {Target | null} */
     this.picture = null;
@@ -59,7 +59,7 @@ export class StyledDrawing {
     this.camera = null;
     /** @type {WebGLTexture | null} */
     this.table = null;
-    /** Content of the table, which identifies the style of the last picture. @type {Uint8Array | null} */
+    /** Shade table of the last picture's style, which identifies this style. @type {Uint8Array | null} */
     this.tableContent = null;
   }
 

@@ -46,7 +46,7 @@ export function distanceTo({ rotation, translation }, point) {
 }
 
 /**
- * The first two rows of the inverse of the intrinsic matrix, whose last row is (0, 0, 1).
+ * The first two rows of the inverse intrinsic matrix. The third row is (0, 0, 1).
  * @param {Camera} camera
  */
 function rayOf({ intrinsics }) {

@@ -216,7 +216,7 @@ function readSetting(key) {
   try {
     return localStorage.getItem(`fourd ${key}`);
   } catch {
-    return null; // The user may have switched off the storage of the browser.
+    return null; // The storage of the browser can be switched off.
   }
 }
 

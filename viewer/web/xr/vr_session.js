@@ -28,7 +28,7 @@ const PIVOT_DISTANCE = 1.5;
 const TURN_PER_SECOND = Math.PI / 2;
 /** A fully deflected thumbstick multiplies the distance to the pivot by this factor per second. */
 const DOLLY_PER_SECOND = 2;
-/** A thumbstick with a smaller deflection counts as at rest. */
+/** A thumbstick has an effect only if its deflection, from 0 to 1, is larger than this value. */
 const DEAD_ZONE = 0.15;
 
 /** Whether the browser and a connected headset can show virtual reality. */
@@ -47,7 +47,7 @@ export async function supportsVr() {
  */
 export class VrSession {
   /**
-   * Starts a session. Browsers allow this only while they handle a click.
+   * Starts a session. Browsers allow the start only while they handle a click.
    * @param {Stage} stage The stage does not draw into its canvas until the session ends.
    * @param {(error: unknown) => void} ended Called when the session has ended, with an error or null.
    * @returns {Promise<VrSession>} Rejected if the browser refuses the session.

@@ -39,7 +39,7 @@ function addObjects() {
   transparent.add(glass);
 }
 
-/** The view from which the points are drawn. It contains the matrices of three.js without changes. */
+/** The view from which the points are drawn: the unchanged matrices of three.js, and the viewport. */
 function view() {
   const { width, height } = canvas;
   const viewport = /** @type {[number, number, number, number]} */ ([0, 0, width, height]);
