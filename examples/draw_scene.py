@@ -2,7 +2,7 @@
 
     python examples/draw_scene.py scene.4dv --frame 3 --degrees 20 --out view.png
 
-The camera is one of the capture's cameras. It is rotated about the scene's centre by the angle --degrees.
+The program takes one of the capture's cameras and rotates it about the scene's centre by --degrees.
 """
 
 from __future__ import annotations

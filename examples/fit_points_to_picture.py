@@ -85,7 +85,7 @@ def initial_points(count: int) -> dict[str, Tensor]:
 
 
 def render(parameters: dict[str, Tensor], camera: Camera, layers: int) -> Tensor:
-    """Return the rendered points over black, (H, W, 3)."""
+    """Return the image (H, W, 3) of the points on a black background."""
     return render_points(
         parameters["xyz"],
         parameters["rgb"].sigmoid(),

@@ -1,6 +1,6 @@
-"""Run a command of fourd on one thread. Its time limits are measured in CPU seconds of the process.
+"""Run a command of fourd on one thread, with time limits in CPU seconds of the command's process.
 
-With time limits in CPU seconds, other programs on the machine hardly change the results.
+Such limits make the results almost independent of other programs on the machine.
 
 python tools/cpu_seconds.py fit-triangles CAPTURE -o mesh.ply --max-seconds 45
 """

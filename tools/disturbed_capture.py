@@ -5,9 +5,9 @@
     python tools/disturbed_capture.py compare CAPTURE OTHER... [--without 03,09,14]
 
 ``make`` creates links in OUT to the folders of CAPTURE, and writes perturbed intri.yml and extri.yml to OUT.
-``compare`` aligns the cameras of each OTHER to those of CAPTURE by a similarity transform, and prints the remaining
-pose errors. OTHER is a capture, or the folder RUN/calibration of a run. ``--without`` excludes cameras from the
-comparison, for example held-out cameras, which training does not refine.
+``compare`` aligns the cameras of each OTHER to the cameras of CAPTURE by a similarity transform, and prints the
+remaining pose errors. OTHER is a capture, or the folder RUN/calibration of a run. ``--without`` excludes cameras from
+the comparison, for example held-out cameras, which training does not refine.
 """
 
 from __future__ import annotations

@@ -39,8 +39,8 @@ class Variant:
     Attributes:
         label: row title in the table.
         changes: the config keys that differ from the defaults.
-        own_seeds: whether the run computes its own hull and background points. If false, it uses those of the first
-            variant.
+        own_seeds: whether the run computes its own hull points and background points. If false, the run uses the points
+            of the first variant.
         disturbed: whether the run uses the perturbed calibration.
     """
 

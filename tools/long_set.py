@@ -57,7 +57,7 @@ def back_and_forth(count: int, length: int) -> list[int]:
 def write_video(path: Path, pictures: Sequence[Picture], shown: Sequence[int], fps: int) -> None:
     """Write an H.264 video atomically. For each video frame, ``shown`` contains an index into ``pictures``.
 
-    ``pictures`` are images (H, W, 3) with even sides.
+    ``pictures`` are images (H, W, 3) with even width and height.
     """
     frames = [av.VideoFrame.from_ndarray(picture, format="rgb24").reformat(format="yuv420p") for picture in pictures]
     with atomic_path(path) as temporary, av.open(str(temporary), "w") as container:

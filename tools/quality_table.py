@@ -176,7 +176,7 @@ def measure_jump(trained: TrainedRun, steps: int, console: Console) -> float:
 
 
 def radius_quantiles(trained: TrainedRun, frames: Sequence[int]) -> tuple[float, float, float]:
-    """Return the median, 90% and 99% quantiles of the radii, in multiples of the point spacing."""
+    """Return the median, the 90% quantile and the 99% quantile of the radii, in multiples of the point spacing."""
     ratios = torch.cat([points.radius / points.spacing for points in map(trained.frames.get, frames)]).numpy()
     median, most, nearly_all = np.quantile(ratios, [0.5, 0.9, 0.99])
     return float(median), float(most), float(nearly_all)

@@ -4,10 +4,10 @@
 
     python tools/same_bits.py --fourd .venv/bin/fourd --compare before.json
 
-The program runs the commands of one installation on synthetic captures in a temporary folder. First, it makes mattes,
-clean plates and hulls. Then it trains, exports, renders and evaluates an object scene, a full scene and a scene with
-camera refinement. It also runs fourd make. The program takes about six minutes on two cores. Compare only digests from
-the same machine, because the bits depend on the CPU's instruction set.
+The program runs the commands of one installation on synthetic captures in a temporary folder. First, the commands make
+mattes, clean plates and hulls. Then they train, export, render and evaluate an object scene, a full scene and a scene
+with camera refinement. The program also runs fourd make. The program takes about six minutes on two cores. Compare only
+digests from the same machine, because the bits depend on the CPU's instruction set.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ import tempfile
 from pathlib import Path
 
 CLOCKS = ("seconds",)
-"""Keys of a checkpoint's state that contain times. Their values differ between any two runs."""
+"""Keys of a checkpoint's state whose values are times. Times differ between any two runs, so these values are left out
+of the digest."""
 
 
 def main() -> int:

@@ -1,8 +1,8 @@
 """Fit triangles to a picture through OpenGL, which computes no gradients.
 
-The renderer is a black box for fourd.raster.triangles.estimate_gradient: it draws triangles of one colour each with
-OpenGL. It returns the image, and for each pixel the index of the triangle that the pixel shows. Each step of the
-optimiser draws two images.
+The renderer is a black box for fourd.raster.triangles.estimate_gradient: it draws triangles with OpenGL, each in one
+colour. The renderer returns the image, and for each pixel the index of the triangle that the pixel shows. Each step of
+the optimiser draws two images.
 """
 
 from __future__ import annotations

@@ -1,5 +1,4 @@
-"""Estimate the poses of cameras, and the positions, radii and textures of the spheres in their images, only from these
-images.
+"""Estimate camera poses and textured spheres together, only from images.
 
     python examples/triangles/bundle_adjustment.py
 
@@ -136,7 +135,7 @@ class Renderer:
         self.projection, self.size = perspective(0.36, near=0.5), size
 
     def render(self, scene: Scene) -> Tensor:
-        """Render images (C, size, size, 3) on black."""
+        """Render images (C, size, size, 3) with a black background."""
         xyz_world = (scene.centre[:, None] + scene.radius[:, None, None] * self.unit).reshape(-1, 3)
         xyz_camera = xyz_world @ scene.R_camera_world.transpose(-1, -2) + scene.translation[:, None]
         pos = torch.cat([xyz_camera, torch.ones_like(xyz_camera[..., :1])], dim=-1) @ self.projection.T
@@ -149,7 +148,8 @@ class Renderer:
 
 
 def random_scene(cameras: int, spheres: int, rng: np.random.Generator) -> Scene:
-    """Return cameras on a ring of radius 5, which look at the origin, and disjoint spheres with random textures."""
+    """Return a scene of disjoint spheres with random textures, and of cameras that look at the origin from a ring of
+    radius 5."""
     angles = np.linspace(0, 2 * np.pi, cameras, endpoint=False)
     R = Rotation.from_euler("x", 0.35 + 0.25 * np.cos(2 * angles)[:, None]) * Rotation.from_euler("y", angles[:, None])
     centres: list[NDArray[np.float64]] = []

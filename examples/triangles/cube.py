@@ -80,7 +80,7 @@ class Scene:
         self.topology = antialias_construct_topology(tri)
 
     def render(self, matrix: Tensor, xyz: Tensor, colours: Tensor, size: int) -> Tensor:
-        """Render antialiased images (B, size, size, 3) on black."""
+        """Render antialiased images (B, size, size, 3) with a black background."""
         pos = to_clip(matrix, xyz)
         rast, _ = rasterize(pos, self.tri, (size, size))
         colour, _ = interpolate(colours, rast, self.colour_tri)

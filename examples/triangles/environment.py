@@ -101,7 +101,7 @@ class Torus:
         self.tri = torch.from_numpy(np.array(mesh.faces)).int()
 
     def render(self, R: Tensor, material: Material, size: int) -> Tensor:
-        """Render the torus with the rotations ``R`` (B, 3, 3) on black. Returns (B, size, size, 3)."""
+        """Render the torus with the rotations ``R`` (B, 3, 3), on a black background. Returns (B, size, size, 3)."""
         pose = rigid(R, (0, 0, -4.5))
         rast, _ = rasterize(to_clip(perspective(0.4) @ pose, self.xyz), self.tri, (size, size))
         xyz_camera = to_clip(pose, self.xyz)[..., :3].contiguous()

@@ -8,9 +8,9 @@ first surface is an ellipsoid that fills the grid. Unlike a mesh with fixed tria
 topology: an ellipsoid becomes a torus.
 
 At pixels outside the given silhouette, the visible surface is pushed away from the camera, as if the true depth were
-behind the grid. Where the front of the surface reaches its back, this part of the surface vanishes. Antialiasing
-provides the gradient at the silhouettes. With ``--capture``, the silhouettes are the mattes of one frame and there are
-no depth images.
+behind the grid. Where the front of the object's surface is pushed onto the back, this part of the object vanishes.
+Antialiasing provides the gradient at the silhouettes. With ``--capture``, the silhouettes are the mattes of one frame
+and there are no depth images.
 """
 
 from __future__ import annotations
@@ -53,13 +53,13 @@ class Arguments:
     shape: Literal["torus", "aeroplane"] = "torus"
     """Object whose silhouettes and depth images are fitted."""
     capture: Path | None = None
-    """Folder of a capture with mattes. Its subject is fitted instead of ``shape``."""
+    """Folder of a capture with mattes. The capture's subject is fitted instead of ``shape``."""
     frame: int = 0
     """Index of the frame of the capture, from 0."""
     cells: int = 24
     """Number of cubes along the longest side of the grid."""
     views: int = 32
-    """Number of viewpoints of ``shape``."""
+    """Number of viewpoints from which ``shape`` is seen."""
     size: int = 96
     """Width and height of the images of ``shape``, in pixels."""
     steps: int = 300
@@ -189,7 +189,7 @@ def known_shape(arguments: Arguments) -> Problem:
 
 
 def see(mesh: Mesh, camera: Camera, bounds: Bounds) -> View:
-    """Return the view of a mesh. Pixels on the contour have no depth."""
+    """Return the silhouette and the depth of a mesh, as seen by ``camera``. Pixels on the contour have no depth."""
     silhouette, depth = draw(mesh, camera)
     depth = torch.where((silhouette > 0) & (silhouette < 1), torch.nan, depth)
     return View(camera, silhouette, torch.where(silhouette == 0, depth_behind(camera, bounds), depth))

@@ -2,9 +2,10 @@
 
     python examples/triangles/pose.py --starts 20
 
-Each start optimises a quaternion. The difference of the images has local minima, so the first half of the steps is
-divided into trials. Before each trial, several random rotations are applied to the best pose so far. The trial then
-optimises the rotated pose with the smallest difference. The random rotations become smaller from trial to trial.
+Each start optimises a quaternion. The difference between the rendered image and the target has local minima, so the
+first half of the steps is divided into trials. Before each trial, several random rotations are applied to the best pose
+so far. The trial then optimises the rotated pose whose image is closest to the target. The random rotations become
+smaller from trial to trial.
 """
 
 from __future__ import annotations
@@ -106,7 +107,7 @@ def quaternion_of_rotation(R: Tensor) -> Tensor:
 
 
 def render(R: Tensor, size: int) -> Tensor:
-    """Render the cube with the rotations ``R`` (B, 3, 3), on black. Returns (B, size, size, 3)."""
+    """Render the cube with the rotations ``R`` (B, 3, 3), on a black background. Returns (B, size, size, 3)."""
     xyz, tri = cube()
     colours, colour_tri = face_colours()
     pos = to_clip(perspective(0.4) @ rigid(R, (0, 0, -5.5)), xyz)

@@ -1,5 +1,5 @@
-"""Objects with known geometry, cameras around these objects, and functions that measure the error of a mesh. These are
-used by the examples that reconstruct shapes."""
+"""Objects with known geometry, cameras around these objects, and functions that measure the error of a mesh. The
+examples that reconstruct shapes use this module."""
 
 from __future__ import annotations
 

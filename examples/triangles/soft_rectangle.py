@@ -2,12 +2,12 @@
 
     python examples/triangles/soft_rectangle.py
 
-The two rectangles do not overlap at first. A hard rasterizer gives no gradient that moves the rectangle towards the
-target, because no pixel of the target is near the rectangle. In the soft rasterizer (SoftRas, Liu et al. 2019), every
-triangle contributes to every pixel. The weight decreases with the distance of the pixel from the triangle, and sigma
-determines how fast. Sigma shrinks during the fit, so that the final edges are sharp. The target is rendered with the
-same sigma. With a sharp target, the rectangle would shrink to nothing, because all its pixels are wrong and no pixel of
-the target is near.
+The rectangle and the target do not overlap at first. A hard rasterizer gives no gradient that moves the rectangle
+towards the target, because no pixel of the target is near the rectangle. In the soft rasterizer (SoftRas, Liu et al.
+2019), every triangle contributes to every pixel. The contribution decreases with the distance of the pixel from the
+triangle, and sigma determines how fast. Sigma shrinks during the fit, so that the final edges are sharp. The target is
+rendered with the same sigma. If the target were sharp, the rectangle would shrink to nothing: all its pixels are wrong,
+and no pixel of the target is near.
 """
 
 from __future__ import annotations

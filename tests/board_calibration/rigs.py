@@ -19,10 +19,10 @@ class Filming:
     """Errors of cameras that film a moving board.
 
     Attributes:
-        delays: for a camera's index, the delay of the middle row of its images, in frames.
+        delays: delay in frames of the middle row of a camera's images, by camera index.
         readout: time in frames from the first to the last row of an image (rolling shutter).
-        across: whether the columns of an image are read one after another, instead of the rows. This is so in videos
-            that were turned by 90 degrees.
+        across: whether the columns of an image are read one after another, instead of the rows, as in videos that were
+            turned by 90 degrees.
         jitter: standard deviation of a random delay of each image, in frames.
         thickness_m: thickness of the board in metres.
         backs: indices of the cameras that see the back of the board.
@@ -40,7 +40,7 @@ AT_ONCE = Filming()
 
 
 def flat_corners(xyz: np.ndarray, pixels: np.ndarray | None = None) -> Corners:
-    """Corners (N, 3) of a board in the first camera and the first frame."""
+    """The corners ``xyz`` (N, 3) of a board, as seen by the first camera in the first frame."""
     zeros = np.zeros(len(xyz), np.intp)
     seen = np.zeros((len(xyz), 2)) if pixels is None else pixels
     return Corners(zeros, zeros, xyz, seen, np.arange(len(xyz)), np.zeros(len(xyz), bool))
@@ -55,7 +55,7 @@ def seen_views(
 ) -> tuple[list[Camera], list[BoardView]]:
     """The cameras, and one view for each image in which at least 8 corners of the board are visible.
 
-    If ``seen_by`` has a camera's index, this camera sees the board only in the given frames.
+    A camera whose index is a key of ``seen_by`` sees the board only in the frames listed there.
     """
     generator = np.random.default_rng(settings.seed)
     cameras, views = rig_cameras(settings), []
@@ -76,7 +76,8 @@ def seen_views(
 
 
 def _film(settings: BoardSettings, camera: Camera, xyz: np.ndarray, time: float, filming: Filming) -> np.ndarray:
-    """Pixels (N, 2) of corners. Each corner is projected at the time at which its row of the image is read."""
+    """Pixels (N, 2) of corners. Each corner is projected with the pose of the board at the time at which the corner's
+    row or column of the image is read."""
 
     def at(when: float, some: np.ndarray) -> np.ndarray:
         pose = board_pose(settings, when)

@@ -24,8 +24,8 @@ class Room:
         ]
 
     def picture(self, camera: Camera, oversampling: int = 2) -> Picture:
-        """(H, W, 3) RGB of the room from inside, with lens distortion and ``oversampling`` rays along each side of a
-        pixel."""
+        """RGB picture (H, W, 3) of the room from inside, with lens distortion. A pixel is the mean of ``oversampling``
+        x ``oversampling`` rays."""
         u, v = (
             (np.arange(camera.width * oversampling) + 0.5) / oversampling,
             (np.arange(camera.height * oversampling) + 0.5) / oversampling,

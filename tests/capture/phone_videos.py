@@ -1,4 +1,4 @@
-"""Small videos that resemble videos of phones. They have rotation metadata, uneven frame times, and HDR in 10 bits."""
+"""Small videos that resemble videos of phones: with rotation metadata, uneven frame times, and HDR in 10 bits."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def write_phone_video(
 ) -> Path:
     """Write a video of :func:`moving_picture` with one frame at each of the ``times`` in seconds.
 
-    The stored frames are turned. The display matrix in the metadata turns them by ``clockwise`` degrees, so that
+    The stored frames are turned, and the display matrix in the metadata turns them by ``clockwise`` degrees, so that
     players show them upright. With the transfer "HLG" or "PQ", the video is HDR in 10 bits. The white of an HDR picture
     has 203 cd/m2.
     """

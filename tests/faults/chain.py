@@ -145,7 +145,7 @@ def restore(snapshot: Path, root: Path) -> None:
 
 
 def contents(root: Path) -> dict[str, bytes]:
-    """The contents of all files below a folder by path, without times and durations."""
+    """A dictionary from the path of each file below a folder to its content, without times and durations."""
     found = {}
     for path in sorted(root.rglob("*")):
         if path.is_file() and not path.name.startswith(TIMES):
@@ -164,8 +164,8 @@ def partial_files(root: Path, before: dict[str, bytes], after: dict[str, bytes])
     """The names of files that have neither the content from before the command nor the content after a complete
     command.
 
-    A JSON file may have any other content that is complete JSON. Temporary files, and files that are missing both
-    before and after the command, are not examined.
+    In a JSON file, any complete JSON object is allowed. Temporary files, and files that are missing both before and
+    after the command, are not examined.
     """
     for name, content in contents(root).items():
         is_known = content in (before.get(name), after.get(name)) or (name.endswith(".json") and _is_json(content))

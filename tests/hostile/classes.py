@@ -1,5 +1,5 @@
 """Hostile files that are written in the formats of several programs. Examples are files with numbers that are not
-finite, with counts that do not match the content, and with aliases.
+finite, with counts that do not match the content, and with YAML aliases.
 """
 
 from __future__ import annotations

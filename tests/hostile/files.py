@@ -85,7 +85,7 @@ class HostileFiles:
             yield Case(f"config of a {kind}", words)
 
     def _calibrations(self) -> Iterator[Case]:
-        """Content that overflows the stack of OpenCV's parser or corrupts memory, and content in other formats."""
+        """YAML that overflows the stack of OpenCV's parser or corrupts memory, and content that is not valid YAML."""
         many = 300_000
         contents = {
             "flow lists": YAML + "a: " + "[" * many + "]" * many,
@@ -122,7 +122,7 @@ class HostileFiles:
         yield Case("matte of a link to itself", ("matte", str(self.folder / "loop")))
 
     def _pictures(self) -> Iterator[Case]:
-        """Files of other formats that are named as images, and images that declare a huge size."""
+        """Files with image names whose content is not a supported image, and images that declare a huge size."""
         bomb = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + (60_000).to_bytes(4, "big") * 2 + b"\x08\x02\0\0\0" + b"\0" * 40
         for name, content in (("EPS", EPS), ("bomb", bomb), ("GIF", b"GIF89a" + b"\0" * 60), ("empty", b"")):
             for file in ("images/00/000000.png", "masks/00/000000.png"):
@@ -215,8 +215,8 @@ class HostileFiles:
         source.mkdir()
         for name in ("00.mp4", "01.mp4"):
             (source / name).write_text("#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\nhttp://127.0.0.1:9/a.ts\n")
-        # An import of videos writes a record into its output folder, and a later import into this folder would continue
-        # the first one. This case therefore has its own output folder.
+        # An import of videos writes a record into its output folder, and a later import into the same folder would
+        # continue the first import. The import of the playlist therefore has its own output folder.
         yield Case("import of a playlist", ("import", str(source), self._out() + " of a playlist"))
         yield Case("info of a playlist", ("info", str(source / "00.mp4")))
 

@@ -1,8 +1,9 @@
 """Fuzz the readers of files with coverage feedback (atheris): python -m tests.hostile.fuzz [--seconds N] [READER ...]
 
-Each reader runs in its own process for an equal share of the time. Its corpus of inputs grows in build/fuzz/. A reader
-fails on an input if it raises an exception other than UserError, hangs for 60 seconds or needs 2 GB. The input is then
-written to build/fuzz/READER-crash-HASH. Fix the reader, and add a case with an input of this kind to tests/hostile/.
+Each reader runs in its own process for an equal share of the time. The corpus of inputs of each reader grows in
+build/fuzz/. A reader fails on an input if it raises an exception other than UserError, hangs for 60 seconds or needs 2
+GB of memory. An input on which a reader fails is written to build/fuzz/READER-crash-HASH. Fix the reader, and add a
+case with an input of this kind to tests/hostile/.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
 
 
 def instrument() -> None:
-    """Instrument all functions of fourd for the measurement of coverage. The functions are already imported."""
+    """Instrument all imported functions of fourd, so that atheris can measure their coverage."""
     for module in [module for name, module in sys.modules.items() if name.startswith("fourd.")]:
         values = list(vars(module).values())
         values += [value for kind in values if isinstance(kind, type) for value in vars(kind).values()]
@@ -132,7 +133,7 @@ def main() -> int:
         options = [f"-max_total_time={share}", f"-max_len={MAX_BYTES}", f"-timeout={MAX_SECONDS}"]
         options += ["-rss_limit_mb=2048", "-print_final_stats=0", "-verbosity=0", f"-artifact_prefix={FOLDER / name}-"]
         command = [sys.executable, "-m", "tests.hostile.fuzz", "--child", name, str(FOLDER / name), *options]
-        # libFuzzer can hang in its own signal handler, and does not end then.
+        # libFuzzer can hang in its signal handler, and the process then does not end.
         try:
             code = subprocess.run(command, check=False, timeout=share + GRACE_SECONDS).returncode
         except subprocess.TimeoutExpired:

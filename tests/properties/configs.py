@@ -63,8 +63,8 @@ def paths_of(config: object, prefix: tuple[str, ...] = ()) -> Iterator[tuple[tup
 
 
 def with_value(config: Config, path: tuple[str, ...], value: object) -> Config:
-    """A copy of the config with a changed value of one field. Raises ValueError if the config does not accept the
-    value.
+    """A copy of the config in which the field ``path`` has the value ``value``. Raises ValueError if the config does
+    not accept the value.
     """
     if len(path) > 1:
         value = with_value(getattr(config, path[0]), path[1:], value)
@@ -73,7 +73,7 @@ def with_value(config: Config, path: tuple[str, ...], value: object) -> Config:
 
 @st.composite
 def configs(draw: st.DrawFn, base: Config) -> Config:
-    """Copies of ``base`` with other values of up to six fields."""
+    """Copies of ``base`` with random values in up to six fields."""
     fields = list(paths_of(base))
     for index in draw(st.lists(st.integers(0, len(fields) - 1), max_size=6)):
         path, kind = fields[index]

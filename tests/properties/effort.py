@@ -21,4 +21,5 @@ LONG = settings(QUICK, max_examples=5_000)
 EFFORTS = pytest.mark.parametrize(
     "effort", [pytest.param(QUICK, id="quick"), pytest.param(LONG, id="long", marks=pytest.mark.slow)]
 )
-"""Runs a test once with each of the two settings. The test applies the setting to the property that it checks."""
+"""Runs a test twice: with the setting QUICK, and with the setting LONG. The test applies the setting to the property
+that it checks."""

@@ -34,7 +34,7 @@ def changed_trees(draw: st.DrawFn, valid: Tree) -> Tree:
             return copy.deepcopy(draw(st.sampled_from(UNUSUAL)))
         parent, key = places[draw(st.integers(0, len(places) - 1))]
         how = draw(st.sampled_from(("unusual", "any", "remove", "repeat", "scale")))
-        # Without the copy, a later change would change the list or dictionary in UNUSUAL itself.
+        # Without the copy, a later change would also modify the list or dictionary in UNUSUAL.
         value = copy.deepcopy(draw(st.sampled_from(UNUSUAL) if how == "unusual" else trees()))
         _change(parent, key, how, value)
     return tree

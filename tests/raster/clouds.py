@@ -42,8 +42,8 @@ def turned_camera(width: int, height: int) -> Camera:
 def random_cloud(rng: np.random.Generator, count: int, channels: int) -> Cloud:
     """Return points inside and outside the image, in random order, with many difficult cases.
 
-    Some points are behind the camera or on the camera plane. Some are larger than the image or smaller than a pixel,
-    and some are centred on the image border. Some depths are equal, and some densities are 0 or 1.
+    Some points are behind the camera or on the camera plane. Some discs are larger than the image or smaller than a
+    pixel, and some are centred on the image border. Some depths are equal, and some densities are 0 or 1.
     """
     xyz = rng.uniform([-1.6, -1.6, -1], [1.6, 1.6, 1], (count, 3)).astype(np.float32)
     radius = np.exp(rng.uniform(np.log(0.02), np.log(0.4), count)).astype(np.float32)

@@ -22,7 +22,7 @@ ENVIRONMENT = {
 
 @dataclass(frozen=True)
 class S3Server:
-    """A running server, the address of its endpoint, and a file system without caches that accesses it."""
+    """A running server, the address of its endpoint, and an uncached file system that accesses the server."""
 
     server: Any
     endpoint: str
@@ -44,8 +44,8 @@ class S3Server:
 
     @contextmanager
     def refusing(self) -> Iterator[None]:
-        """Let the server refuse all requests in the block. It then checks permissions, and the credentials of the tests
-        have none."""
+        """Let the server refuse all requests in the block: the server checks permissions, and the credentials of the
+        tests have no permissions."""
         self._count_open_requests("0")
         try:
             yield

@@ -29,8 +29,8 @@ def room_sound(seconds: float, rng: np.random.Generator) -> Samples:
 
 
 def recorded(sound: Samples, start: float, seconds: float, level: float, rng: np.random.Generator) -> Samples:
-    """The sound from ``start`` as a camera records it: multiplied by ``level``, with two echoes, and with noise at 20
-    dB SNR."""
+    """The part of ``sound`` that a camera records, ``seconds`` long from the time ``start``: multiplied by ``level``,
+    with two echoes, and with noise at 20 dB SNR."""
     heard = sound.copy()
     for delay, gain in ((0.011 + 0.02 * rng.random(), 0.5), (0.035 + 0.02 * rng.random(), -0.35)):
         samples = round(delay * RATE)

@@ -30,15 +30,15 @@ def floor() -> tuple[Floats, Floats]:
     """Points (N, 3) of the floor, and their unshadowed colours (N, 3) in [0, 1]."""
     steps = np.linspace(-1.2, 1.2, 40)
     x, y = (side.ravel() for side in np.meshgrid(steps, steps))
-    # The colours vary slowly over the floor. They are blended from images that are only 64 pixels wide and show the
-    # floor at a grazing angle.
+    # The colours vary slowly over the floor, because the model blends them from images that are only 64 pixels wide and
+    # show the floor at a grazing angle.
     waves = np.stack([np.sin(4 * x), np.sin(3 * y), np.sin(2 * (x + y))], axis=1)
     xyz = np.stack([x, y, np.full_like(x, FLOOR)], axis=1)
     return xyz.astype(np.float32), (0.6 + 0.15 * waves).astype(np.float32)
 
 
 def shadow_factor(xyz: Floats, frame: int) -> Floats:
-    """Shadow factor (N,) at points of the floor. The factor is 0.4 below the ball."""
+    """Factors (N,) by which the shadow multiplies the colours of floor points: 0.4 below the ball, 1 far from it."""
     squared_distance = np.square(xyz[:, :2] - ball_centre(frame)[:2]).sum(axis=1)
     return (1 - 0.6 * np.exp(-squared_distance / 0.05)).astype(np.float32)
 
@@ -85,8 +85,8 @@ def shadowed_config(seeds: Path, steps: int) -> TrainConfig:
     grey = np.full((len(shell), 3), 89, np.uint8)
     write_ply(seeds, np.concatenate([xyz, shell]), np.concatenate([(rgb * 255).astype(np.uint8), grey]))
     background = replace(config.background, points=len(xyz) + len(shell), shadow=True)
-    # The cameras are far apart. With fading weights, almost all colours of the floor would therefore come from one
-    # image.
+    # The cameras are far apart. If the view weights decreased with the angle, almost all colours of the floor would
+    # come from one image.
     model = replace(config.model, fade_views=False)
     return replace(config, model=model, background=background, points=600, max_steps=steps, checkpoint_steps=steps)
 

@@ -12,8 +12,8 @@ from tests.baking.scenes import manifest, random_frame
 
 
 def shell_frame(points: int, seed: int) -> BakedFrame:
-    """A closed shell of overlapping points. The near side hides the far side, so that few pixels have many depth
-    layers."""
+    """A closed shell of overlapping points. The near side hides the far side, so only a few pixels show many layers of
+    points."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(points, 3))
     frame = random_frame(points, 6, seed)

@@ -33,7 +33,7 @@ POINT_BGR = (60, 160, 255)
 
 @dataclass(frozen=True)
 class Case:
-    """The mattes and cameras of one frame, with the title of their picture."""
+    """The mattes and cameras from which one hull is carved, and the title of the hull's picture."""
 
     title: str
     masks: list[Picture]

@@ -1,5 +1,5 @@
-"""Draw meshes of `fourd fit-triangles` in a held-out view: the photo, separate triangles, the connected mesh, and the
-connected mesh in grey.
+"""Draw, for a held-out view, the photo and the meshes of `fourd fit-triangles`: separate triangles, the connected mesh,
+and the connected mesh in grey.
 
 python tools/plots/fitted_mesh_figure.py CAPTURE VIEW SEPARATE.ply MESH.ply [CAPTURE VIEW ...] -o fitted_mesh.jpg
 """

@@ -3,11 +3,11 @@ programs.
 
     python tools/plots/rate_distortion.py scene.4dv CAPTURE --views 03,09,14 -o rates/ --transform splat-transform
 
-The program packs the scene in all levels. It also exports 3DGS PLY files and converts them with splat-transform (npm:
-@playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws all results. The images
-are compared with the captured images of held-out cameras. PSNR is measured inside the subject's box, or in the whole
-image if the scene has a background. The program writes rates/rows.json and prints a Markdown table.
-tools/plots/rate_plot.py draws the rows.
+The program packs the scene in all levels. The program also exports 3DGS PLY files and converts them with
+splat-transform (npm: @playcanvas/splat-transform) to compressed PLY, SPZ and SOG, and back to PLY. One renderer draws
+all results. The images are compared with the captured images of held-out cameras. PSNR is measured inside the subject's
+box, or in the whole image if the scene has a background. The program writes rates/rows.json and prints a Markdown
+table. tools/plots/rate_plot.py draws the rows.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Arguments:
     levels: tuple[str, ...] = tuple(f"{tier}{level + 1}" for tier in LEVELS for level in range(len(LEVELS[tier])))
     """Levels of packed scenes to measure. The default is all levels."""
     transform: Path | None = None
-    """The program splat-transform. Without it, the formats of other programs are not measured."""
+    """The program splat-transform. Without this option, the formats of other programs are not measured."""
     degrees: tuple[int, ...] = (0, 1, 2, 3)
     """Degrees of spherical harmonics with which splats are exported."""
 
@@ -62,9 +62,9 @@ class Arguments:
 class Row:
     """One point of a rate-distortion curve.
 
-    ``size`` is in bytes per frame. ``fetched`` is the part of ``size`` that a player downloads for one viewer. ``psnr``
-    maps each frame to the mean PSNR over the cameras, in dB. ``background`` is the size in bytes of the background,
-    which a scene stores only once.
+    ``size`` is in bytes per frame. ``fetched`` is the part of ``size`` that a player downloads for one viewing camera.
+    ``psnr`` maps each frame to the mean PSNR over the cameras, in dB. ``background`` is the size in bytes of the
+    background, which a scene stores only once.
     """
 
     curve: str
@@ -157,8 +157,8 @@ def _measure_level(arguments: Arguments, truth: Truth, tier: Tier, level: int) -
 
 
 def _measure_splats(arguments: Arguments, scene: Scene, truth: Truth, degree: int, known: set[str]) -> Iterator[Row]:
-    """Export splats with spherical harmonics of ``degree``, convert them to other formats and back, and yield one row
-    for each format that is not in ``known``."""
+    """Export splats with spherical harmonics of the degree ``degree``, convert them to other formats and back, and
+    yield one row for each format that is not in ``known``."""
     frames = list(range(0, len(scene), arguments.every))
     folder = arguments.out / f"degree{degree}"
     settings = ExportSettings("ply-sequence", frames, degree, keep_axes=True)

@@ -90,7 +90,7 @@ def by_pixels() -> dict[int, tuple[int, int]]:
 def measure(
     axis: str, positions: list[int], setting: Callable[[int], tuple[int, tuple[int, int], int]], clock: Clock
 ) -> Series:
-    """Time every kind of work at each value in ``positions``.
+    """Measure the time of every kind of work at each value in ``positions``.
 
     ``setting`` converts a position to the number of points, the image size and the number of layers.
     """

@@ -48,7 +48,7 @@ def turntable(mesh: TexturedMesh, up: NDArray[np.float64]) -> NDArray[np.float32
 
 
 def shade(mesh: TexturedMesh, camera: Camera, light: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Image (H, W, 3) of the surface with diffuse grey shading, on black."""
+    """Image (H, W, 3) of the surface with diffuse grey shading, on a black background."""
     fine = camera.resize(camera.width * SAMPLES, camera.height * SAMPLES)
     clip, triangles = clip_positions(torch.from_numpy(mesh.xyz), fine)[None], torch.from_numpy(mesh.triangles)
     rast, _ = rasterize(clip.contiguous(), triangles, (fine.height, fine.width), grad_db=False)

@@ -63,8 +63,8 @@ class Untested(Rays):
 @dataclass(frozen=True, eq=False)
 class Rasterized(Rays):
     """Visibility by a rasterized depth map. A point is visible if it lies at most TOLERANCE_PX / cosine pixels behind
-    the smallest depth of the 3 x 3 pixels around it. The cosine is that of the angle between the viewing ray and the
-    normal."""
+    the smallest depth of the 3 x 3 pixels around it. ``cosine`` is the cosine of the angle between the viewing ray and
+    the normal."""
 
     nearest: dict[Camera, Floats] = field(default_factory=dict)
 

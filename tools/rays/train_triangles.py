@@ -3,8 +3,8 @@
     python tools/rays/train_triangles.py CAPTURE --test-views 03,09,14 --method raster|rays|fisheye
 
 The program scores held-out views. All methods start with the same triangles and take the same number of steps.
-Triangles are neither removed nor split. The fisheye images are resampled from the images of the capture. Their lens
-model is equidistant and known.
+Triangles are neither removed nor split. The fisheye images are resampled from the images of the capture, with an
+equidistant lens model. Training uses the same lens model.
 """
 
 from __future__ import annotations

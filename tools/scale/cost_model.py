@@ -31,8 +31,8 @@ COSTS = Path(__file__).with_name("costs.json")
 
 @dataclass(frozen=True)
 class Costs:
-    """Coefficients of the cost model. Times are CPU seconds of one core. The points of different frames are counted
-    separately. Each point has one colour for each training camera, and these colours are also counted separately.
+    """Coefficients of the cost model. Times are CPU seconds of one core. In the names, ``point`` means one point of one
+    frame, and ``colour`` means the colour that one training camera gives to one point.
 
     Attributes:
         stage_start_s: start of the process of a stage.
@@ -76,7 +76,7 @@ class Capture:
         video_mbits: megabits per second of each video.
         fps: frames per second.
         has_mattes: whether the capture has mattes.
-        has_videos: whether the capture is imported from videos. If false, it has image files.
+        has_videos: whether the capture is imported from videos. If false, the capture has image files.
         scale: scale of the images in training.
         points: number of points per frame.
         segment: maximum number of frames of a segment.
@@ -122,7 +122,7 @@ class Machines:
         nodes: number of nodes.
         cores: number of cores per node, as Ray counts them.
         real_cores: number of physical cores of the machine if one machine simulates all nodes. None if each node is a
-            machine of its own.
+            separate machine.
         speed: speed of a core, relative to a core of the machine on which the coefficients were measured.
     """
 
@@ -295,7 +295,7 @@ def _parse_arguments() -> argparse.Namespace:
     )
     parser.add_argument("--nodes", type=int, default=1, help="number of nodes (default 1)")
     parser.add_argument("--cores", type=int, default=2, help="cores per node (default 2)")
-    parser.add_argument("--speed", type=float, default=1.0, help="speed of a core relative to the measured one")
+    parser.add_argument("--speed", type=float, default=1.0, help="speed of a core, relative to the measured core")
     parser.add_argument("--price", type=float, help="price of one hour of a node, in any currency")
     return parser.parse_args()
 

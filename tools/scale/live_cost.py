@@ -5,9 +5,9 @@
 The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. Time is divided into
 windows. In every second window, the program sends requests to the server as often as the page would. In the other
 windows, the server's process is stopped (SIGSTOP). The program prints the ratios of the training speeds in neighbouring
-windows, in two units: steps per second of training time, and steps per second of the training's CPU time. The second
-unit depends less on other programs. With --browser, Chromium shows the page on the same machine in every second window,
-and an empty page in the other windows. With --scene, the tab with the scene is also open.
+windows, in two units: steps per second of training time, and steps per second of the training's CPU time. CPU time
+depends less on other programs. With --browser, Chromium shows the page on the same machine in every second window, and
+an empty page in the other windows. With --scene, the tab with the scene is also open.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None]
 
 @contextmanager
 def training(capture: Path, run: Path, options: list[str]) -> Iterator[int]:
-    """Train until the ``with`` block ends. The block starts after 50 steps. Yields the process id."""
+    """Train until the ``with`` block ends. The ``with`` block starts after 50 training steps. Yields the process id."""
     command = [sys.executable, "-m", "fourd.cli.main", "train", str(capture), "-o", str(run)]
     process = subprocess.Popen([*command, "--max-steps", "10000000", *options], stdout=sys.stderr)
     try:
@@ -171,7 +171,8 @@ def browsing(url: str, with_scene: bool) -> Iterator[Callable[[bool], None]]:
 
 
 def next_record(run: Path) -> tuple[int, float]:
-    """Wait for the next record of a training step. Returns its step and its training time in seconds."""
+    """Wait for the next record of a training step. Returns the record's step, and the record's training time in
+    seconds."""
     with (run / "metrics.jsonl").open() as stream:
         stream.seek(0, os.SEEK_END)
         line = ""

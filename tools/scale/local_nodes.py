@@ -19,8 +19,8 @@ PATIENT = 200
 TITLE = "ray::"
 """Prefix of the titles of the processes of a node."""
 OTHER_TITLES = ("IDLE", "DashboardAgent", "RuntimeEnvAgent")
-"""Prefixes of the titles of processes that run no stage, such as the agents of a node. If the agents end, the node
-ends."""
+"""Prefixes of the titles of processes that run no stage, such as the agents of a node. A node ends when its agents
+end."""
 ATTEMPTS = 5
 """Maximum number of attempts to start a node."""
 
@@ -39,8 +39,8 @@ class LocalNodes:
         return str(self._cluster.address)
 
     def add(self) -> None:
-        """Start one more node. On a busy machine, the processes of the node may not answer in time. The start is then
-        repeated."""
+        """Start one more node. If the processes of the node do not answer in time, because the machine is busy, the
+        start is repeated."""
         for attempt in range(ATTEMPTS):
             try:
                 self._cluster.add_node(num_cpus=self._cores, object_store_memory=STORE_BYTES, include_dashboard=False)

@@ -43,9 +43,10 @@ from tools.scale.cost_model import Costs
 VIDEO_SIZE = (3840, 2160)
 VIDEO_FRAMES = 60
 STEPS = (20, 140)
-"""Numbers of steps of a short and a long training. The difference of their times gives the time of one step."""
+"""Number of steps at which the training stops first, and number of steps at which the resumed training stops. The time
+of one step is computed from the CPU seconds of the two parts."""
 START = "import fourd.pipeline.graph"
-"""The code that the process of a stage runs before the stage starts its work: its imports."""
+"""The imports that the process of a stage runs before the stage starts its work."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +232,7 @@ def cpu_seconds(work: Callable[[], object]) -> float:
 
 
 def bytes_in(folder: Path) -> int:
-    """Size of all files below a folder."""
+    """Total size in bytes of all files below a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 

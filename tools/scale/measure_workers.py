@@ -1,16 +1,17 @@
-"""Measure the training of a capture's segments with several numbers of workers, and compare it with the cost model.
+"""Measure how long the training of a capture's segments takes with different numbers of workers, and compare the
+durations with the cost model.
 
     fourd synth CAPTURE --frames 240 --cameras 8 --size 96
     python tools/scale/measure_workers.py CAPTURE --workers 1 2 4 --rounds 3 \\
         --segment 48 --points 2000 --steps 100
 
 A worker is one core of a Ray node on this machine. The number of workers can exceed the number of the machine's cores.
-The stages before training run once. Then, in each round, a new run trains all segments with ``fourd make --ray``, once
-for each number of workers.
+The stages before training run once. Then, in each round and for each number of workers, ``fourd make --ray`` trains all
+segments of a new run.
 
-Times are measured from the start of the first segment to the end of the last segment. They depend on other programs on
-the machine, but CPU seconds hardly do. The column "on whole cores" is computed from the CPU seconds of the segments. It
-shows the duration on a machine that runs no other programs. Needs Linux.
+Durations are measured from the start of the first segment to the end of the last segment. Other programs on the machine
+change the durations, but hardly the CPU seconds. The column "on whole cores" is computed from the CPU seconds of the
+segments: it estimates the duration on a machine that runs no other programs. Needs Linux.
 """
 
 from __future__ import annotations
@@ -119,7 +120,7 @@ def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) ->
 
 
 def report(timings: Sequence[Timing], capture: Capture) -> None:
-    """Print a table of medians, and of the predictions of the cost model."""
+    """Print a table of the measured medians and of the cost model's predictions."""
     work, real = segment_core_s(Costs.load(), capture), os.cpu_count() or 1
     count = len(capture.segments)
     print(f"{count} segments; predicted: {work:.1f} CPU seconds for each")

@@ -55,7 +55,7 @@ class Command:
         return self.folder / "scene.work"
 
     def start(self) -> subprocess.Popen[str]:
-        """Start the command. Its output is appended to a file."""
+        """Start the command, and append the command's output to a file."""
         words = [sys.executable, "-m", "fourd", "make", self.capture, "-o", self.scene, "--ray", self.address]
         self.folder.mkdir(exist_ok=True)
         with (self.folder / "output").open("a") as out:
@@ -116,8 +116,8 @@ def run_with_kills(
     """Run the command until it has succeeded. ``interval`` returns the number of seconds until the next process is
     killed.
 
-    ``kinds`` contains "worker" or "driver" for each kill. A description of each kill is added to ``killed``. Returns
-    the names of the finished segments that were trained again.
+    ``kinds`` contains "worker" or "driver" for each kill. A description of each kill is appended to the list
+    ``killed``. Returns the names of the finished segments that were trained again.
     """
     process, deadline = command.start(), time.monotonic() + interval()
     kept: dict[str, dict[str, int]] = {}
@@ -129,8 +129,7 @@ def run_with_kills(
         running = {pid: name for pid, name in nodes.stages().items() if victims.count(name) < RETRIES}
         if not running:
             continue
-        # A segment may finish at the moment at which its process is killed. It is then no error if the segment is
-        # trained again.
+        # A segment may finish at the moment at which its process is killed. Training such a segment again is no error.
         kept = {**command.finished_segments(), **kept}
         pid, name = min(running.items(), key=lambda item: (victims.count(item[1]), item))
         if kinds[len(killed)] == "worker":

@@ -6,8 +6,8 @@
 The simulated stages only wait (:mod:`tools.scale.simulated_stages`). The stage graph, the runner, the tasks and the
 retries are the same as in ``fourd make``. Each simulated node consists of the processes of a real Ray node. A failure
 kills all processes of a random node and adds a new node. The program compares the scene with the scene of an
-uninterrupted run without a cluster. It also counts the units that were lost and repeated, and watches the memory and
-the progress bar.
+uninterrupted run without a cluster. The program also counts the units that were lost and repeated, and watches the
+memory and the progress bar.
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--units", type=int, default=8, help="units of work per segment (default 8)")
     parser.add_argument("--seconds", type=float, default=2.0, help="seconds that a unit waits (default 2)")
     parser.add_argument("--failures", type=int, default=0, help="number of nodes that fail (default 0)")
-    parser.add_argument("--busy", action="store_true", help="if any nodes run a stage, only one of these fails")
+    parser.add_argument("--busy", action="store_true", help="choose the failing nodes among those that run a stage")
     parser.add_argument("--interval", type=float, default=10.0, help="mean seconds between failures (default 10)")
     parser.add_argument("--patience", type=int, default=5, help="unanswered checks until a node is lost (default 5)")
     parser.add_argument("--seed", type=int, default=0, help="seed of the failures (default 0)")

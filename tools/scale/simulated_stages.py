@@ -1,11 +1,11 @@
 """Stages of ``fourd make`` whose work is replaced by waiting, for simulations of clusters and captures that are larger
 than the machine.
 
-The stage graph, the runner, its record and the tasks of the cluster are those of ``fourd make``. The work of a stage is
-a number of units. A unit stands for the work between two checkpoints: the stage waits, and then records the unit in a
-file. A repeated stage continues after the last recorded unit. The output of a stage is a hash of its name, its units
-and the outputs of the earlier stages. The bytes of the scene are therefore as expected only if each stage read complete
-outputs of the earlier stages.
+The stage graph, the runner and its record of finished stages, and the tasks of the cluster are the same as in ``fourd
+make``. The work of a stage is a number of units. A unit stands for the work between two checkpoints: the stage waits,
+and then records the unit in a file. A repeated stage continues after the last recorded unit. The output of a stage is a
+hash of its name, its units and the outputs of the earlier stages. The bytes of the scene are therefore as expected only
+if each stage read complete outputs of the earlier stages.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from tools.long_set import write_video
 from tools.scale.simulated_work import STARTED, SimulatedFiles, SimulatedSettings, work
 
 SIZE = 32
-"""Side of the images of the capture in pixels. Only the number of frames matters."""
+"""Side of the images of the capture in pixels. The images are small, because the simulated stages do not read them."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Simulation:
     """A capture with a given number of cameras and frames, and the durations of its stages.
 
     Attributes:
-        folder: folder of the capture, which :meth:`write_capture` writes, and of the outputs of the stages.
+        folder: folder with the capture and the outputs of the stages. :meth:`write_capture` writes the capture.
         cameras: number of cameras.
         frames: number of frames.
         segment: maximum number of frames of a segment.
@@ -124,8 +124,8 @@ class Simulation:
         return self.folder / "capture"
 
     def _simulated(self, stages: Sequence[AnyStage], before: list[str]) -> list[AnyStage]:
-        """Replace the work of stages. A stage that runs alone reads the outputs of all earlier stages. The training of
-        a segment reads only the outputs of the stages on which it depends."""
+        """Replace the work of the given stages by simulated work. A stage that runs alone reads the outputs of all
+        earlier stages. The training of a segment reads only the outputs of the stages on which it depends."""
         simulated = []
         for stage in stages:
             inputs = stage.after if stage.is_parallel else tuple(before)

@@ -1,5 +1,5 @@
-"""The work of a simulated stage: units that wait. Workers of a cluster import this module, so it imports only few
-modules."""
+"""The work of a simulated stage. It consists of units, and each unit only waits. Workers of a cluster import this
+module, so the module itself imports only few modules."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ STARTED, FINISHED = "started", "finished"
 
 @dataclass(frozen=True)
 class SimulatedFiles:
-    """The folder of the outputs of all stages, and the names of the stages whose outputs the stage reads."""
+    """The files of a stage: the folder with the outputs of all stages, the name of the stage, and the names of the
+    stages whose outputs the stage reads."""
 
     folder: Path
     name: str
@@ -30,7 +31,7 @@ class SimulatedFiles:
     @property
     def log(self) -> Path:
         """File with one line for each start and each end of a unit. Each line also contains the process id. A lost unit
-        has several lines for its start."""
+        is started again, so it has several lines for its starts."""
         return self.folder / f"{self.name}.log"
 
     @property

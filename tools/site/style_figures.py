@@ -3,8 +3,8 @@ a mesh.
 
     python tools/site/style_figures.py SCENE.4dv MESH.glb
 
-SCENE is an exported scene and MESH is a file of `fourd mesh`. The program needs Xvfb, xdotool, python-xlib, Chromium
-and Playwright.
+SCENE is an exported scene, and MESH is a file that `fourd mesh` has written. The program needs Xvfb, xdotool,
+python-xlib, Chromium and Playwright.
 """
 
 from __future__ import annotations
@@ -109,8 +109,8 @@ def _mesh(mesh: Path, folder: Path) -> NDArray[np.uint8]:
 
 
 def _content(picture: NDArray[np.uint8], margin_px: int = 24) -> tuple[int, int, int, int]:
-    """The bounds (top, bottom, left, right) of the pixels whose colour differs from that of the top left pixel, with a
-    margin."""
+    """The bounds (top, bottom, left, right), including a margin, of the pixels that do not have the colour of the top
+    left pixel."""
     differs = (picture != picture[0, 0]).any(axis=2)
     rows, columns = np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))
     top, left = max(rows[0] - margin_px, 0), max(columns[0] - margin_px, 0)

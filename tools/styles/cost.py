@@ -4,14 +4,13 @@
     python tools/styles/cost.py scene.4dv --frame 3
 
 Each round draws one image without a style and one image in the style, from a static camera. All rounds of one style are
-run before the rounds of the next style, so the data of the style stay in the caches. The same is true for playback,
-during which the style does not change. The program prints the median time of an image without a style. For each style,
-the program also prints
+run before the rounds of the next style. The data of the style therefore stay in the caches, as they do during playback.
+The program prints the median time of an image without a style. For each style, the program also prints
 
 - the median of the time that the style adds, over the rounds,
 - the median of the ratio of the times with and without the style, over the rounds,
 - the time of the stylizer; the rest of the added time is spent on the depths and normals of the points,
-- the median of the CPU time that the style adds, summed over all threads. This time depends less on other programs.
+- the median of the CPU time that the style adds, summed over all threads. CPU time depends less on other programs.
 """
 
 from __future__ import annotations

@@ -4,12 +4,11 @@
     python tools/styles/steadiness.py fox.4dv meshes
     python tools/styles/steadiness.py fox.4dv --renderer sorted
 
-The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if the depth
-and the normal change little at every pixel within ``--reach`` pixels of it. The limits are 2% of the true depth and 15
-degrees for the true normal.
-An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. An edge pixel flickers if its
-line is present only in the middle frame, or is missing only in the middle frame. Without meshes, fourd draws depth and
-normals without averaging over time, and the program uses them as the true depth and normals.
+The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if the true
+depth changes by at most 2% and the true normal by at most 15 degrees, at every pixel within a distance of ``--reach``
+pixels from it. An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. An edge pixel
+flickers if its line is present only in the middle frame, or is missing only in the middle frame. Without meshes, fourd
+draws depth and normals without averaging over time, and the program uses them as the true depth and normals.
 """
 
 from __future__ import annotations
@@ -65,12 +64,14 @@ class Arguments:
     size: tuple[int, int] = (960, 540)
     """Width and height of the pictures in pixels."""
     reach: int = 2
-    """A pixel is unchanged only if the true surface stays the same up to this distance in pixels from it."""
+    """Distance in pixels. A pixel is unchanged only if the true surface stays the same within this distance of the
+    pixel."""
 
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """The true surface of a picture: inverse depth (H, W), 0 without a surface, and unit normals (H, W, 3)."""
+    """The true surface of a picture: unit normals (H, W, 3), and inverse depth (H, W), which is 0 where there is no
+    surface."""
 
     inverse_depth: NDArray[np.float32]
     normal: NDArray[np.float32]

@@ -141,15 +141,15 @@ def write_pages(arguments: Arguments, scene: Any) -> None:
 
 
 def path_of(camera: Camera, focus: NDArray[np.float64]) -> list[Camera]:
-    """Return cameras that move back and forth on an arc around the focus. The axis of the arc is the up direction of
-    ``camera``."""
+    """Return cameras that move back and forth on an arc around the focus. The axis of the arc is parallel to the up
+    direction of ``camera``."""
     steps = np.concatenate([np.arange(PATH_STEPS), np.arange(PATH_STEPS)[::-1]])
     return [turned(camera, focus, np.radians(STEP_DEGREES * step)) for step in steps]
 
 
 def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
-    """Return ``camera``, rotated around the focus about its own up direction. Its image is the same as if the scene
-    were rotated by ``angle`` in front of ``camera``."""
+    """Rotate ``camera`` about the axis through the focus that is parallel to the camera's up direction. The image of
+    the returned camera is the same as if the scene were rotated by ``angle`` about this axis in front of ``camera``."""
     x, y, z = camera.rotation[1]
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
@@ -158,7 +158,7 @@ def turned(camera: Camera, focus: NDArray[np.float64], angle: float) -> Camera:
 
 
 def describe(camera: Camera) -> dict[str, Any]:
-    """The parameters of the camera for <fourd-player>, and its OpenGL matrices for the other viewers."""
+    """The parameters of the camera for <fourd-player>, and the camera's OpenGL matrices for the other viewers."""
     k, width, height = camera.intrinsics, camera.width, camera.height
     view, projection = np.eye(4), np.zeros((4, 4))
     view[:3, :3], view[:3, 3] = camera.rotation, camera.translation

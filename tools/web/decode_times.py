@@ -1,10 +1,11 @@
-"""Print a Markdown table with the times to decode a frame in the web player's worker, and natively.
+"""Print a Markdown table with the time to decode a frame of each scene, in the web player's worker and in native code.
 
     python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
 
-The worker and the native code decode the same members of the .4dv archive. The members are compressed with zlib. They
-contain the points, the spherical harmonics, and the source views that are blended for the last camera of the scene. The
-browser uses one worker, and the native code uses one core. The two are measured in turn.
+The worker and the native code decode the same members of the .4dv archive. The members are compressed with zlib. These
+members contain the points, the spherical harmonics, and the source views that are blended for the last camera of the
+scene. The browser uses one worker, and the native code uses one core. Worker and native code are measured
+alternately.
 """
 
 from __future__ import annotations

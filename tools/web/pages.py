@@ -15,8 +15,7 @@ from fourd.viewer.publish.server import SiteServer
 
 FLAGS = ("--headless", "--no-sandbox", "--ignore-gpu-blocklist", "--use-gl=angle", "--use-angle=gl-egl")
 DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
-"""Flags that Playwright passes to Chromium by default. They are left out, because they would select another graphics
-driver."""
+"""Default flags of Playwright that are not passed to Chromium, because they would select another graphics driver."""
 
 
 @contextmanager

@@ -35,7 +35,7 @@ LOCAL_HEADER, SIZES_AT, NAME_LENGTH_AT = 30, 18, 26
 """Size of a local file header in a ZIP archive, and the offsets of two of its fields (ZIP appnote 4.3.7)."""
 CREDIT_SECONDS = 0.05
 """If the operating system wakes the server too late, the server then sends faster to make up for the delay. It makes up
-for at most this time."""
+for at most this part of the delay, in seconds."""
 PLAY = """
 async (milliseconds) => {
   const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));
@@ -96,7 +96,8 @@ class Arguments:
     seconds: float = 10.0
     """Duration of measured playback in seconds."""
     tier: Tier | None = None
-    """The program plays the default level of this tier. Without a tier, it plays the level that fits the connection."""
+    """The program plays the default level of this tier. Without a tier, the program plays the level that fits the
+    connection."""
     repeat: int = 1
     """Number of times that the frames are repeated."""
     rounds: int = 5

@@ -2,8 +2,8 @@
 
     python tools/web/style_times.py SITE --rounds 15
 
-SITE is a folder of `fourd web`. The page shows frame 0 at 512 x 512 pixels in Chromium. The styles take turns, and each
-image is finished before the next one is started.
+SITE is a folder that `fourd web` has written. The page shows frame 0 at 512 x 512 pixels in Chromium. The styles take
+turns, and each image is finished before the next one is started.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ class SceneMutator:
         return out.getvalue()
 
     def _poison(self, manifest: bytes) -> bytes:
-        """Replace or remove a random value at a random depth."""
+        """Replace or remove a random value at a random nesting depth."""
         root = json.loads(manifest)
         node = root
         while True:

@@ -1,4 +1,4 @@
-// out = a * x + y. Callers check the sizes of the arrays. All arrays are dense.
+// out = a * x + y. All arrays must be dense, and the caller must check their sizes.
 #pragma once
 
 #include <cstddef>

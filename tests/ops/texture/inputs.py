@@ -37,7 +37,7 @@ def random_lookup(
     picture: tuple[int, int] = (30, 40),
     size: tuple[int, int] = (8, 16),
 ) -> Lookup:
-    """Make the inputs of lookups for two pictures. The positions are random, inside and outside the texture, and their
+    """Make random inputs of texture lookups for two pictures. The positions are inside and outside the texture, and the
     mip levels range from below 0 to above the last level.
     """
     is_cube = boundary_mode == "cube"
@@ -52,8 +52,8 @@ def random_lookup(
 
 
 def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str, pixels: int = 40) -> Lookup:
-    """Make the inputs of lookups for one row of pixels. Small changes of these inputs do not change which texels and
-    levels a lookup reads.
+    """Make the inputs of texture lookups for one row of pixels. Small changes of these inputs do not change which
+    texels and levels a lookup reads.
     """
     is_cube = boundary_mode == "cube"
     coordinates = 3 if is_cube else 2
@@ -61,8 +61,8 @@ def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str
     shape = (1, 6, 8, 8, 2) if is_cube else (1, 8, 16, 2)
     tex = rng.standard_normal(shape)
     cells = rng.integers(-3 * size, 3 * size, (pixels, 2)) if not is_cube else rng.integers(0, size, (pixels, 2))
-    # Along an axis, a texel of level 2 covers four texels of level 0. The random offsets in this block are far from the
-    # texel centres of levels 0, 1 and 2.
+    # Along an axis, a texel of level 2 covers four texels of level 0. The random offsets keep the positions away from
+    # the texel centres of levels 0, 1 and 2.
     st = (cells // 4 * 4 + rng.uniform(0.6, 1.4, (pixels, 2))) / size
     uv = _directions(rng, 2 * st - 1) if is_cube else st
     level = rng.uniform(0.1, 0.4, pixels) + (rng.integers(0, 2, pixels) if "linear-mipmap" in filter_mode else 0)
@@ -90,7 +90,7 @@ def _directions(rng: np.random.Generator, ab: np.ndarray) -> np.ndarray:
 
 
 def _lift(direction: np.ndarray, footprint: np.ndarray) -> np.ndarray:
-    """Return derivatives (N, 3, 2) of directions that have the given derivatives (N, 2, 2) on the face."""
+    """Convert derivatives (N, 2, 2) of positions on a face to derivatives (N, 3, 2) of the given directions."""
     out = np.zeros((len(direction), 3, 2))
     for row, one in enumerate(direction):
         axis = int(np.argmax(np.abs(one)))

@@ -1,4 +1,4 @@
-"""Fit the vertices and colours of a cube to pictures of another cube, at 16 x 16 pixels."""
+"""Fit the vertices and colours of a cube to pictures (16 x 16 pixels) of another cube."""
 
 import itertools
 

@@ -1,4 +1,4 @@
-"""Fit a texture to pictures of a plane in perspective, through mip levels."""
+"""Fit a texture to a perspective picture of a textured plane. The lookups use mip levels."""
 
 import nvdiffrast.torch as dr
 import torch

@@ -40,15 +40,15 @@ def sphere(rows: int = 24) -> tuple[Tensor, Tensor]:
     corners."""
     theta, phi = np.meshgrid(np.linspace(0, np.pi, rows + 1), np.linspace(0, 2 * np.pi, rows + 1), indexing="ij")
     xyz = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3)
-    xyz[rows :: rows + 1] = xyz[0 :: rows + 1]  # The seam is closed exactly.
+    xyz[rows :: rows + 1] = xyz[0 :: rows + 1]  # The last column is equal to the first.
     a = (np.arange(rows)[:, None] * (rows + 1) + np.arange(rows)).reshape(-1)
     quads = [np.stack([a, a + 1, a + rows + 1], 1), np.stack([a + 1, a + rows + 2, a + rows + 1], 1)]
     return torch.from_numpy(xyz.astype(np.float32)), torch.from_numpy(np.concatenate(quads).astype(np.int32))
 
 
 def random_rays(rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor]:
-    """Rays from the cube [-2, 2]^3 with directions of all lengths. Some are parallel to an axis or a plane. Some have
-    origins and directions whose coordinates are multiples of 0.5."""
+    """Rays from the cube [-2, 2]^3 with directions of all lengths. Some rays are parallel to a coordinate axis or a
+    coordinate plane. Some rays have origins and directions whose coordinates are multiples of 0.5."""
     origins, directions = rng.uniform(-2, 2, (count, 3)), rng.normal(0, 1, (count, 3))
     directions *= 10.0 ** rng.uniform(-6, 6, (count, 1))
     for k in range(0, count, 5):

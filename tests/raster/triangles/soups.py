@@ -29,9 +29,10 @@ class Soup:
 def random_soup(rng: np.random.Generator, count: int, channels: int = 3, size: float = 0.3) -> Soup:
     """Return triangles inside and outside the image of ``turned_camera``, in random order, with many difficult cases.
 
-    Some triangles are repeated, degenerate or very thin. Some are behind the camera or cross the camera plane. Some
-    are larger than the image, smaller than a pixel or centred on the image border. Some depths are equal, some
-    opacities are 0, 1/255 or 1, and sigmas are small or large. A third of the triangles share vertices with others.
+    Some triangles are repeated, degenerate or very thin. Some triangles are behind the camera or cross the camera
+    plane. Some triangles are larger than the image, smaller than a pixel or centred on the image border. Some depths
+    are equal, some opacities are 0, 1/255 or 1, and sigmas are small or large. A third of the triangles share vertices
+    with other triangles.
     """
     centre = rng.uniform([-1.6, -1.6, -1], [1.6, 1.6, 1], (count, 1, 3))
     corners = (centre + size * rng.normal(size=(count, 3, 3))).astype(np.float32)

@@ -28,12 +28,12 @@ FLAGS = (
     "--ignore-gpu-blocklist",
 )
 DRIVER_FLAGS = (
-    # With EGL, Mesa's llvmpipe needs a third of SwiftShader's time to draw, but some machines lack its libraries.
+    # With EGL, Mesa's llvmpipe needs a third of SwiftShader's time to draw, but some machines lack Mesa's libraries.
     ("--use-gl=angle", "--use-angle=gl-egl"),
     ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
 )
 DEFAULT_FLAGS = ("--enable-unsafe-swiftshader", "--use-angle=swiftshader-webgl")
-"""Default flags of Playwright that would select a driver. They are removed."""
+"""Default flags of Playwright that would select a driver. The tests remove these flags."""
 HAS_WEBGL = "() => document.createElement('canvas').getContext('webgl2') !== null"
 
 

@@ -13,8 +13,8 @@ from fourd.cameras import Camera
 TIMEOUT_MS = 60_000
 """Time limit of each wait in milliseconds. The limit is long, because machines that run tests may be busy."""
 IGNORED = ("ReadPixels", "Failed to load resource", "software WebGL")
-"""Console messages that contain one of these texts are not errors of the player. They report slow reads, missing files
-and slow drivers."""
+"""Console messages that contain one of these texts are not errors of the player. Such messages report slow reads,
+missing files and slow drivers."""
 NAMES = "const player = document.querySelector('fourd-player'), {stage} = player;"
 IS_READY = "player.firstImageMs > 0 || (!player.panel.message.hidden && player.panel.message.textContent)"
 
@@ -34,7 +34,7 @@ class PlayerPage:
             self.problems.append(message.text)
 
     def run(self, script: str, argument: Any = None) -> Any:
-        """Evaluate the body of a JavaScript function. It can use the variables `player`, `stage` and `argument`."""
+        """Evaluate the body of a JavaScript function, which can use the variables `player`, `stage` and `argument`."""
         return self.page.evaluate(f"async (argument) => {{ {NAMES} {script} }}", argument)
 
     def wait(self, condition: str) -> None:

@@ -42,7 +42,7 @@ export function splitScene(bytes) {
   return { start, header: bytes.slice(0, start), size: size + ROOM, manifest, body: bytes.slice(start + size) };
 }
 
-/** Joins a manifest and the remaining bytes of a scene. A text can replace the manifest. */
+/** Joins a manifest and the remaining bytes of a scene. The manifest can also be a text. */
 export function joinScene({ start, header, size, body }, manifest) {
   const text = Buffer.from(typeof manifest === "string" ? manifest : JSON.stringify(manifest));
   const length = Math.max(size, text.length);
@@ -92,7 +92,7 @@ function changeValue(root, random) {
   }
 }
 
-/** This also adds keys such as __proto__, which an assignment would not add. */
+/** Adds a key, even a key such as __proto__, which an assignment would not add. */
 function addKey(node, key, child) {
   const options = { enumerable: true, writable: true, configurable: true };
   Object.defineProperty(node, key, { value: structuredClone(child), ...options });

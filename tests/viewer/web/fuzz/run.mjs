@@ -42,7 +42,7 @@ for (let index = first; index < end; index++) {
   }
   clearTimeout(watchdog);
   result.peakMemory = Math.max(result.peakMemory, process.memoryUsage.rss());
-  // Without this call, garbage of earlier cases would count as memory of later cases.
+  // Without a garbage collection here, garbage of earlier cases would count as memory of later cases.
   globalThis.gc?.();
 }
 result.messages = Object.keys(messages).length;
