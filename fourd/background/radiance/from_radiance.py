@@ -95,7 +95,8 @@ def seed_from_radiance(
 
 
 def _estimate_surfaces(stereo: StereoResult, config: RadianceConfig, seed: int, track: Track) -> list[Surface]:
-    """Create a surface for each plate. Each depth of the surface is either measured, or rendered from the field, or extrapolated."""
+    """Create a surface for each plate. Each depth of the surface is either measured, or rendered from the field, or
+    extrapolated."""
     cameras = [plate.camera for plate in stereo.plates]
     views = [plate.grey_view() for plate in stereo.plates]
     centre = viewing_centre(cameras)
