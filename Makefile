@@ -43,8 +43,11 @@ install-locked:
 demo: install
 	$(BIN)/python tools/demo.py
 
+# Tests run in WORKERS processes, of which each uses one thread. All tests of a file run in the same process, because they
+# share fixtures.
+WORKERS ?= $(shell $(PYTHON) -c "import os; print(min(4, os.cpu_count() or 1))")
 test: install
-	$(BIN)/python -m pytest -m "not slow"
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n $(WORKERS) --dist loadfile
 
 test-slow: install
 	$(BIN)/python -m pytest -m slow
