@@ -62,8 +62,7 @@ def carve_frame(
         bounds: search box, for example from :func:`find_bounds`.
         points: number of points to return, at least 1.
         agreement: a share in (0, 1]. A hull point must be inside the silhouettes of at least the share ``agreement`` of
-            the views that see it. For example, if 20 views see the point, an agreement of 0.95 tolerates one wrong
-            view.
+            the views that see it. If 20 views see the point, an agreement of 0.95 tolerates one wrong view.
         least_views: a share in (0, 1]. At least the share ``least_views`` of all views, and at least 3 views, must see
             a hull point. If there are only 2 views, both must see the point.
         trim: whether to remove protruding parts of the hull; see :mod:`fourd.carving.excess`. The remaining hull still

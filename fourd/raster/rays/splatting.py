@@ -56,10 +56,9 @@ def splat_along_rays(
     least 1/255 are composited in ascending order of t, and in the order of their indices at equal t. Compositing stops
     when the transmittance is at most 1e-4.
 
-    Without ``camera``, edge lengths and barycentric weights are computed in space. With ``camera``, edge lengths and
-    barycentric weights are computed in the image of the camera. Rays through the camera's pixel centres then give the
-    image of :func:`fourd.raster.triangles.splat_triangles`, except that triangles are sorted by t instead of by the
-    depths of their centres.
+    Edge lengths and barycentric weights are computed in the image of ``camera``, or in space if ``camera`` is None.
+    With ``camera``, rays through its pixel centres give the image of
+    :func:`fourd.raster.triangles.splat_triangles`, except that triangles are sorted by t, not by their centres' depths.
 
     Args:
         bvh: tree over the triangles.
