@@ -57,7 +57,9 @@ FOURD_HD static inline int clip(const Screen& screen, const float* p0, const flo
             if (d < 0.0 && d_next >= 0.0) to[kept++] = intersection(next, d_next, here, d);
             if (kept >= kMaxCorners) break;
         }
-        count = kept;
+        // If coordinates differ by a factor of more than 2^53, rounding can make the polygon concave. A plane can then
+        // add two corners. The last corner is dropped if there is no space for it.
+        count = kept < kMaxCorners ? kept : kMaxCorners;
         for (int i = 0; i < count; ++i) from[i] = to[i];
     }
     for (int i = 0; i < count; ++i) out[i] = snap_corner(screen, from[i]);

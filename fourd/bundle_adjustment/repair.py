@@ -35,6 +35,9 @@ MIN_MATCHES = 60
 MIN_GAIN = 0.9
 """A correction is kept only if the median residual of the held-out matches after the correction is at most this
 multiple of the median residual before the correction."""
+MIN_GAIN_PX = 0.1
+"""A correction is kept only if it decreases this median by at least this number of pixels. Corrections of a good
+calibration follow the noise of the matches, and decrease the median by up to 0.04 pixels."""
 BAND = 0.03
 """Maximum distance of a match from its epipolar line, as a share of the longer image side."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01
@@ -162,7 +165,8 @@ def _label_tracks(rows: Mapping[Pair, NDArray[np.intp]]) -> dict[Feature, int]:
 
 
 def _is_better(now: MatchScore, before: MatchScore) -> bool:
-    return now.median_px <= MIN_GAIN * before.median_px and now.share >= before.share
+    largest = min(MIN_GAIN * before.median_px, before.median_px - MIN_GAIN_PX)
+    return now.median_px <= largest and now.share >= before.share
 
 
 def _adjust(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+
 import numpy as np
 import pytest
 import torch
@@ -210,6 +212,28 @@ def test_vertices_that_are_not_finite_are_culled(rng: np.random.Generator) -> No
     hidden[touched] = 0  # A degenerate triangle covers nothing.
     expected = values_and_gradient(good, hidden, upstream, "cpu")
     assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (1, 2, 0), (2, 1, 0)])
+def test_clipped_polygons_that_become_concave_stay_in_their_arrays(
+    order: tuple[int, int, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a clipped polygon with more corners than its array has space for. Fuzzing found these vertices, whose
+    coordinates differ so much that rounding makes the polygon concave."""
+    pos = torch.tensor(
+        [
+            [6.91540652e-18, 9.5149578e14, -59.0862732, -1.32508486e-17],
+            [6.85660459e-13, 7.16866683e14, 9.5149578e14, 1.75120866e18],
+            [2.85226337e32, -1.85342221e38, -2.15559502e38, 9.51492157e14],
+        ]
+    )
+    tri = torch.tensor([order], dtype=torch.int32)
+    expected = rasterize(pos[None], tri, (2, 2), backend="cpu")
+    assert all(torch.isfinite(each).all() for each in expected)
+    if importlib.util.find_spec("fourd._emulated") is not None:
+        monkeypatch.setenv("FOURD_SIMD", "emulated")
+        found = rasterize(pos[None], tri, (2, 2), backend="cpu")
+        assert all(torch.equal(one, other) for one, other in zip(found, expected, strict=True))
 
 
 @pytest.mark.parametrize("backend", ["cpu", "reference"])
