@@ -99,6 +99,12 @@ class Camera:
             pixels = (xyz_camera @ self.intrinsics.T)[:, :2] / depth[:, None]
         return pixels, depth
 
+    def unproject(self, pixels: NDArray[np.floating], depth: NDArray[np.floating]) -> Array:
+        """World points (N, 3) of pixels (N, 2), given as (x, y) without lens distortion, at the camera depths ``depth``
+        (N,) in world units. This is the inverse of :meth:`project`."""
+        rays = np.column_stack([pixels, np.ones(len(pixels))]) @ np.linalg.inv(self.intrinsics).T
+        return np.asarray((rays * depth[:, None] - self.translation) @ self.rotation, np.float64)
+
     def is_in_image(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
         """Return a mask (N,) of the points that are in front of the camera and inside its image.
 

@@ -16,6 +16,13 @@ def test_point_on_the_axis_projects_to_the_principal_point() -> None:
     np.testing.assert_allclose(depth[0], np.sqrt(14))
 
 
+def test_unprojection_is_the_inverse_of_projection() -> None:
+    """Catches a transposed rotation, and depths along the ray instead of along the optical axis."""
+    camera = look_at(np.array([3.0, -2, 1]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 48)
+    xyz = np.array([[0.3, -0.2, 0.4], [-0.5, 0.1, -0.3], [0.0, 0.6, 0.2]])
+    np.testing.assert_allclose(camera.unproject(*camera.project(xyz)), xyz, atol=1e-12)
+
+
 def test_world_up_is_image_up() -> None:
     """Catches a flipped y axis (OpenGL's convention)."""
     camera = look_at(np.array([3.0, 0, 0]), np.zeros(3), np.array([0.0, 0, 1]), INTRINSICS, 64, 48)

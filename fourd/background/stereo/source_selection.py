@@ -56,10 +56,9 @@ def _frustum_points(camera: Camera, nearest: float, farthest: float) -> Array:
     """World points (N, 3) in the camera's frustum, on a grid over the image and at uniform steps of inverse depth."""
     middles = (np.arange(RAYS) + 0.5) / RAYS
     x, y = np.meshgrid(middles * camera.width, middles * camera.height)
-    rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1) @ np.linalg.inv(camera.intrinsics).T
+    pixels = np.column_stack([x.ravel(), y.ravel()])
     depths = 1 / np.linspace(1 / farthest, 1 / nearest, DEPTHS)
-    xyz_camera = (depths[:, None, None] * rays).reshape(-1, 3)
-    return np.asarray((xyz_camera - camera.translation) @ camera.rotation, np.float64)
+    return camera.unproject(np.tile(pixels, (DEPTHS, 1)), np.repeat(depths, len(pixels)))
 
 
 def _view_scores(camera: Camera, other: Camera, xyz: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -19,7 +18,7 @@ from fourd.capture.decoding import decode_rgb
 from fourd.cli.options import LpipsWeights, RunPath, option, split_names
 from fourd.errors import UserError
 from fourd.files import write_text_atomically
-from fourd.progress import Terminal
+from fourd.progress import Terminal, Tracker
 from fourd.training.evaluation.camera_fitting import FittedView, fit_test_camera
 from fourd.training.evaluation.covisibility import covisible_masks, covisible_psnr
 from fourd.training.evaluation.metrics import psnr
@@ -150,11 +149,7 @@ def _covisible_masks(
     if isinstance(trained, SegmentedRun) or trained.renderer.background is None:
         return {}
     cameras = {i: fitted[i].camera if i in fitted else trained.run.capture.cameras[i] for i in indices}
-
-    def show(values: Sequence[int]) -> Iterable[int]:
-        return track(values, description="depths of the training views", console=console)
-
-    return covisible_masks(trained.renderer, cameras, trained.run.config.train.layers, show)
+    return covisible_masks(trained.renderer, cameras, trained.run.config.train.layers, Tracker(console).track)
 
 
 def _display_colours(

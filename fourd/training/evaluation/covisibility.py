@@ -7,12 +7,13 @@ optical flow. fourd computes it from the rendered depth of the static background
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourd.cameras import Camera
+from fourd.progress import Track, untracked
 from fourd.training.evaluation.metrics import psnr
 from fourd.training.evaluation.render import ModelRenderer
 
@@ -26,10 +27,7 @@ Mask = NDArray[np.bool_]
 
 
 def covisible_masks(
-    renderer: ModelRenderer,
-    evaluated: dict[int, Camera],
-    layers: int,
-    track: Callable[[Sequence[int]], Iterable[int]] = iter,
+    renderer: ModelRenderer, evaluated: dict[int, Camera], layers: int, track: Track = untracked
 ) -> dict[int, Mask]:
     """For each evaluated camera, the mask (H, W) of the pixels whose background is visible in a training view.
 
@@ -37,10 +35,11 @@ def covisible_masks(
         renderer: the renderer of a full scene.
         evaluated: the evaluated cameras by camera index.
         layers: maximum number of points that are composited at each pixel.
-        track: called with the indices of the training cameras, to show the progress over them.
+        track: reports progress.
     """
     cameras = [renderer.views.rig.cameras[index] for index in renderer.training]
-    depths = [renderer.render_background(cameras[i], layers).depth for i in track(range(len(cameras)))]
+    tracked = track(cameras, len(cameras), "depths of the training views")
+    depths = [renderer.render_background(camera, layers).depth for camera in tracked]
     return {
         index: visible_in_any(camera, renderer.render_background(camera, layers).depth, cameras, depths)
         for index, camera in evaluated.items()
@@ -61,8 +60,7 @@ def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], dept
     """
     height, width = depth.shape
     y, x = np.mgrid[:height, :width] + 0.5
-    rays = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3) @ np.linalg.inv(camera.intrinsics).T
-    xyz_world = (rays * depth.reshape(-1, 1) - camera.translation) @ camera.rotation
+    xyz_world = camera.unproject(np.column_stack([x.ravel(), y.ravel()]), depth.ravel())
     visible = np.zeros(height * width, dtype=bool)
     for other, nearest in zip(cameras, depths, strict=True):
         pixels, distance = other.project(xyz_world)
