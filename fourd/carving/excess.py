@@ -19,7 +19,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from skimage.measure import marching_cubes
@@ -205,6 +204,8 @@ def _surface_inside_hull(
     volume = hull.smoothed(remaining, SURFACE_SMOOTHING_CELLS)
     if float(volume.max(initial=0)) <= 0.5:
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32)
+    import trimesh  # Only this function needs trimesh, whose import takes half a second.
+
     vertices, faces, _, _ = marching_cubes(volume, 0.5, gradient_direction="descent")
     mesh = trimesh.Trimesh(vertices * hull.side + hull.lower, faces, process=False)
     count = max(1, round(float(mesh.area) / size**2))

@@ -6,6 +6,7 @@ import io
 import logging
 import os
 import platform
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -53,15 +54,13 @@ class Outcome:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run a job in this process, which must not have run another job before."""
+    """Run a job in this process. The process may have run other jobs before, also with other numbers of cores."""
     node = platform.node()
     if job.version != __version__:
         return Outcome(
             node, error=f"expected fourd {job.version}, got {__version__}; install the same version on all nodes"
         )
-    # torch reads the number of threads when it is imported, so the number is set before the stage imports torch.
-    for name in ("OMP_NUM_THREADS", "FOURD_THREADS"):
-        os.environ[name] = str(job.cores)
+    _set_threads(job.cores)
     text = io.StringIO()
     try:
         if job.folder is not None:
@@ -79,6 +78,15 @@ def run_job(job: Job) -> Outcome:
         stopped = "expected a stage that finishes, got one that was stopped; run the command again to resume"
         return Outcome(node, tuple(text.getvalue().splitlines()), stopped)
     return Outcome(node, tuple(text.getvalue().splitlines()))
+
+
+def _set_threads(count: int) -> None:
+    """Set the number of threads of this process."""
+    # torch reads OMP_NUM_THREADS when it is imported. Afterwards, only torch.set_num_threads changes the number.
+    for name in ("OMP_NUM_THREADS", "FOURD_THREADS"):
+        os.environ[name] = str(count)
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(count)
 
 
 class Cluster:
@@ -138,9 +146,10 @@ class Cluster:
 
     def _start(self, stage: AnyStage) -> Any:
         cores = self._segment_cores if stage.is_parallel else self._node_cores
-        # With max_calls=1, each stage runs in a new process. The process has its own number of threads, and its memory
-        # is freed when the stage ends.
-        task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=1)(run_job)
+        # The process of a segment trains other segments afterwards (max_calls=0), because a new process needs seconds
+        # until it has imported torch. After any other stage, the process ends, which frees its memory.
+        calls = 0 if stage.is_parallel else 1
+        task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=calls)(run_job)
         folder = None if stage.is_portable else Path.cwd()
         return task.options(name=stage.name).remote(Job(stage, cores, folder, __version__))
 

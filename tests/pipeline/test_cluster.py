@@ -45,6 +45,13 @@ def stop(files: CounterFiles, settings: NoSettings, context: Context) -> None:
     raise KeyboardInterrupt
 
 
+def report_process(files: CounterFiles, settings: NoSettings, context: Context) -> None:
+    """Import torch, and print the process id and torch's number of threads."""
+    import torch
+
+    context.log(f"{os.getpid()} {torch.get_num_threads()}")
+
+
 def die_once(files: CounterFiles, settings: NoSettings, context: Context) -> None:
     """Kill this process in the first call. In the second call, finish the work."""
     if not files.count.exists():
@@ -140,6 +147,40 @@ def test_a_killed_worker_is_replaced_and_failures_wait_for_the_others(cluster: C
     assert printed[0] == "cores 1, threads 1"
     # On a slow machine, the progress is printed as well. The failed stage does not count as finished.
     assert all(line.startswith("stages on the cluster: 1 of 2 after ") for line in printed[1:])
+
+
+def test_a_job_changes_the_threads_of_a_process_that_has_imported_torch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a process that keeps the number of threads of its first job: torch reads the variable only once."""
+    import torch
+
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setenv("FOURD_THREADS", "1")
+    stage, before = Stage("report", report_process, CounterFiles(tmp_path), NoSettings()), torch.get_num_threads()
+    try:
+        printed = [run_job(Job(stage, cores, None, __version__)).lines for cores in (3, 1, 2)]
+    finally:
+        torch.set_num_threads(before)
+    assert printed == [(f"{os.getpid()} {cores}",) for cores in (3, 1, 2)]
+
+
+@needs_ray
+def test_segments_share_a_process_and_other_stages_do_not(cluster: Cluster, tmp_path: Path) -> None:
+    """Catches a new process for each segment, which needs seconds to import torch, and a process that keeps the memory
+    of a stage that uses a whole node.
+    """
+
+    def process(name: str, is_parallel: bool) -> str:
+        text = io.StringIO()
+        stage = Stage(name, report_process, CounterFiles(tmp_path), NoSettings(), is_parallel=is_parallel)
+        assert len(list(cluster.execute([stage], Context(Console(file=text))))) == 1
+        return text.getvalue().split()[0]
+
+    segments = [process(f"segment {index}", True) for index in range(2)]
+    others = [process(f"other {index}", False) for index in range(2)]
+    assert segments[0] == segments[1]
+    assert others[0] != others[1]
 
 
 @needs_ray

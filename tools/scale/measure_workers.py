@@ -38,7 +38,7 @@ from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
 
 SCENE = "scene.4dv"
 WORK = "scene.work"
-SAMPLED_S = 0.1
+SAMPLED_S = 0.25
 """Seconds between two readings of CPU times."""
 
 
@@ -49,12 +49,38 @@ class Timing:
     Attributes:
         workers: number of workers.
         wall_s: seconds from the start of the first segment to the end of the last one.
-        core_s: CPU seconds of the process of each segment.
+        core_s: CPU seconds of each segment.
     """
 
     workers: int
     wall_s: float
     core_s: tuple[float, ...]
+
+
+class SegmentClock:
+    """The CPU seconds of segments, read from the times of their processes. A process can train several segments, one
+    after another."""
+
+    def __init__(self) -> None:
+        self._segments: dict[str, float] = {}
+        self._processes: dict[int, float] = {}
+
+    @property
+    def core_s(self) -> tuple[float, ...]:
+        """CPU seconds of each segment so far, in the order of the segments. The start of a process counts for its first
+        segment."""
+        return tuple(self._segments[name] for name in sorted(self._segments))
+
+    def read(self, nodes: LocalNodes) -> None:
+        """Add the CPU seconds since the last call to the segments that are in training now."""
+        for pid, name in nodes.stages().items():
+            if name.startswith(TRAINED):
+                with suppress(OSError):  # The process has ended.
+                    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+                    now = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+                    spent = now - self._processes.get(pid, 0.0)
+                    self._segments[name] = self._segments.get(name, 0.0) + spent
+                    self._processes[pid] = now
 
 
 def main() -> None:
@@ -105,18 +131,18 @@ def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) ->
     shutil.rmtree(folder, ignore_errors=True)
     # The copy keeps the modification times of the files, because stages compare them.
     shutil.copytree(prepared, folder, copy_function=shutil.copy2)
-    spent: dict[str, float] = {}
+    clock = SegmentClock()
     start = end = 0.0
     with local_nodes(1, workers, patience=PATIENT) as nodes:
         process = subprocess.Popen([*command, "--ray", nodes.address], cwd=folder, stdout=subprocess.PIPE, text=True)
-        with _sampled(lambda: spent.update(_segment_seconds(nodes))):
+        with _sampled(lambda: clock.read(nodes)):
             assert process.stdout is not None
             for line in process.stdout:
                 if line.startswith(TRAINED):
                     start, end = start or time.monotonic(), time.monotonic()
         if process.wait() != 0:
             sys.exit(f"exit code {process.returncode}")
-    return Timing(workers, end - start, tuple(spent[name] for name in sorted(spent)))
+    return Timing(workers, end - start, clock.core_s)
 
 
 def report(timings: Sequence[Timing], capture: Capture) -> None:
@@ -135,17 +161,6 @@ def report(timings: Sequence[Timing], capture: Capture) -> None:
         base = base or whole
         predicted = makespan([work] * count, workers, real)
         print(f"| {workers} | {core_s:.1f} | {whole:.0f} | {base / whole:.2f} | {predicted:.0f} | {wall:.0f} |")
-
-
-def _segment_seconds(nodes: LocalNodes) -> dict[str, float]:
-    """For each segment in training, return the CPU seconds that its process has used so far."""
-    found = {}
-    for pid, name in nodes.stages().items():
-        if name.startswith(TRAINED):
-            with suppress(OSError):  # The process has ended.
-                fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-                found[name] = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-    return found
 
 
 @contextmanager
