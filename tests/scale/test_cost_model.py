@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from tools.scale.cost_model import Capture, Costs, Machines, makespan, predict, segment_core_s, table
+from tools.scale.cost_model import Capture, Costs, Machines, makespan, predict, segment_core_s, segments_core_s, table
 
 COSTS = Costs.load()
 STUDIO = Capture(60, 18000, 3840 * 2160 / 1e6)
@@ -34,9 +34,19 @@ def test_more_nodes_shorten_only_the_training() -> None:
     for name in ("import", "mattes", "carving", "baking"):
         assert many[name].wall_s == pytest.approx(one[name].wall_s)
     # There are 156 segments and 256 cores, so all segments are trained at the same time.
-    assert many["training"].wall_s == pytest.approx(segment_core_s(COSTS, STUDIO))
-    assert one["training"].wall_s == pytest.approx(10 * segment_core_s(COSTS, STUDIO))
-    assert all(many[name].core_s == pytest.approx(one[name].core_s) for name in one)
+    work, start = segment_core_s(COSTS, STUDIO), COSTS.stage_start_s
+    assert many["training"].wall_s == pytest.approx(work + start)
+    assert one["training"].wall_s == pytest.approx(10 * work + start)
+    assert all(many[name].core_s == pytest.approx(one[name].core_s) for name in one if name != "training")
+
+
+def test_a_worker_starts_once() -> None:
+    """Catches a model that starts a process for each segment, or that forgets the starts."""
+    capture = Capture(8, 240, 0.01, segment=48, steps=100)
+    work, start = segment_core_s(COSTS, capture), COSTS.stage_start_s
+    assert segments_core_s(COSTS, capture, slots=1) == pytest.approx([work + start, *[work] * 5])
+    assert segments_core_s(COSTS, capture, slots=2) == pytest.approx([work + start] * 2 + [work] * 4)
+    assert segments_core_s(COSTS, capture, slots=9) == pytest.approx([work + start] * 6)
 
 
 def test_a_table_has_the_sum_and_the_price() -> None:

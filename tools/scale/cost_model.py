@@ -190,8 +190,9 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
         add("mattes", MATTE_S_PER_MP * whole_mp, machines.node_cores, videos, mattes)
     carving = images * costs.carve_s_per_image + capture.frame_points * costs.carve_s_per_point
     add("carving", carving, machines.node_cores, mattes, hull)
-    segments = [segment_core_s(costs, capture) / machines.speed] * len(lengths)
-    wall_s = makespan(segments, machines.nodes * machines.cores, machines.total_cores)
+    slots = machines.nodes * machines.cores
+    segments = [core_s / machines.speed for core_s in segments_core_s(costs, capture, slots)]
+    wall_s = makespan(segments, slots, machines.total_cores)
     # Segments share frames with their neighbours, so the sum of their lengths is larger than the number of frames.
     repeated = sum(lengths) / capture.frames
     read = (videos + mattes + hull) * repeated
@@ -201,15 +202,22 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
     return tuple(stages)
 
 
+def segments_core_s(costs: Costs, capture: Capture, slots: int) -> list[float]:
+    """CPU seconds to train each segment, if ``slots`` processes with one core each train the segments. The first
+    segment of a process also needs the time to start the process."""
+    core_s, count = segment_core_s(costs, capture), len(capture.segments)
+    return [core_s + costs.stage_start_s if index < slots else core_s for index in range(count)]
+
+
 def segment_core_s(costs: Costs, capture: Capture) -> float:
-    """CPU seconds to train one segment with one core, including the start of its process."""
+    """CPU seconds to train one segment with one core, in a process that runs already."""
     step = (
         costs.step_s
         + costs.step_s_per_point * capture.points
         + costs.step_s_per_mp * capture.image_mp * capture.scale**2
         + costs.seek_s_per_mp * capture.decoded_mp
     )
-    return costs.stage_start_s + costs.train_start_s + capture.steps * step
+    return costs.train_start_s + capture.steps * step
 
 
 def makespan(works: Sequence[float], slots: int, cores: float) -> float:

@@ -33,7 +33,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fourd.capture import open_capture
-from tools.scale.cost_model import Capture, Costs, makespan, segment_core_s
+from tools.scale.cost_model import Capture, Costs, makespan, segments_core_s
 from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
 
 SCENE = "scene.4dv"
@@ -147,9 +147,7 @@ def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) ->
 
 def report(timings: Sequence[Timing], capture: Capture) -> None:
     """Print a table of the measured medians and of the cost model's predictions."""
-    work, real = segment_core_s(Costs.load(), capture), os.cpu_count() or 1
-    count = len(capture.segments)
-    print(f"{count} segments; predicted: {work:.1f} CPU seconds for each")
+    real = os.cpu_count() or 1
     print("| workers | CPU seconds of a segment | on whole cores, s | times the first | predicted, s | measured, s |")
     print("|---|---|---|---|---|---|")
     base: float | None = None
@@ -159,7 +157,7 @@ def report(timings: Sequence[Timing], capture: Capture) -> None:
         whole = statistics.median(makespan(timing.core_s, workers, real) for timing in rows)
         wall = statistics.median(timing.wall_s for timing in rows)
         base = base or whole
-        predicted = makespan([work] * count, workers, real)
+        predicted = makespan(segments_core_s(Costs.load(), capture, workers), workers, real)
         print(f"| {workers} | {core_s:.1f} | {whole:.0f} | {base / whole:.2f} | {predicted:.0f} | {wall:.0f} |")
 
 
