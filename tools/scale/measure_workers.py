@@ -3,7 +3,7 @@ durations with the cost model.
 
     fourd synth CAPTURE --frames 240 --cameras 8 --size 96
     python tools/scale/measure_workers.py CAPTURE --workers 1 2 4 --rounds 3 \\
-        --segment 48 --points 2000 --steps 100
+        --segment 48 --points 2000 --steps 300
 
 A worker is one core of a Ray node on this machine. The number of workers can exceed the number of the machine's cores.
 The stages before training run once. Then, in each round and for each number of workers, ``fourd make --ray`` trains all
@@ -87,6 +87,7 @@ def main() -> None:
     arguments = _parse_arguments()
     capture = arguments.capture.resolve()
     options = ["--segment", arguments.segment, "--points", arguments.points, "--max-steps", arguments.steps]
+    options += ["--scale", arguments.scale, *arguments.options]
     words = [sys.executable, "-m", "fourd", "make", capture, "-o", SCENE, *options]
     command = [str(word) for word in words]
     with open_capture(capture) as opened:
@@ -95,6 +96,7 @@ def main() -> None:
             len(opened.names),
             opened.frame_count,
             first.width * first.height / 1e6,
+            scale=arguments.scale,
             points=arguments.points,
             segment=arguments.segment,
             steps=arguments.steps,
@@ -187,7 +189,13 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--segment", type=int, default=48, help="maximum frames per segment (default 48)")
     parser.add_argument("--points", type=int, default=2000, help="points per frame (default 2000)")
     parser.add_argument("--steps", type=int, default=100, help="training steps per segment (default 100)")
-    return parser.parse_args()
+    parser.add_argument("--scale", type=float, default=1.0, help="scale of the images in training (default 1)")
+    parser.epilog = "The words after -- are further options of fourd make."
+    words = sys.argv[1:]
+    own = words[: words.index("--")] if "--" in words else words
+    arguments = parser.parse_args(own)
+    arguments.options = words[len(own) + 1 :]
+    return arguments
 
 
 if __name__ == "__main__":
