@@ -290,8 +290,8 @@ class VideoReader:
             self._seek(keyframe)
         found = self._decode_until(number)
         if found is None:
-            # The seek missed the requested frame: it went too far, or the file stores the frame after a keyframe that
-            # is displayed later. In both cases, decode from the start of the video.
+            # The seek missed the requested frame: it went too far, or the frame is stored after a keyframe that is
+            # displayed later than the frame. In both cases, decode from the start of the video.
             self._seek(0)
             found = self._decode_until(number)
         if found is None:

@@ -109,7 +109,8 @@ def replace_excess(
         size: distance between neighbouring points in world units.
 
     Returns:
-        points (M, 3) and their outward unit normals (M, 3). The spacing of the added points is ``size``.
+        the remaining and the added points (M, 3), and their outward unit normals (M, 3). The spacing of the added
+        points is ``size``.
     """
     thickness = float(np.einsum("ni,ni->n", xyz - xyz.mean(axis=0), normals).mean()) / 3
     if thickness <= 0:
