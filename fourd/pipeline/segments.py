@@ -104,6 +104,7 @@ def _train_stage(
         leftovers=(Leftovers(folder),),
         after=(DIVIDE, *(() if previous is None else (f"train {previous.name}",))),
         is_parallel=True,
+        has_checkpoints=True,
     )
 
 

@@ -132,6 +132,7 @@ class Stage(Generic[Files, Settings]):
             runs at the same time as the stages in its ``after``.
         is_portable: whether the stage can run on a machine that shares no folder with the machine that created the
             stage.
+        has_checkpoints: whether the stage writes checkpoints, from which another machine can continue its work.
     """
 
     name: str
@@ -144,6 +145,7 @@ class Stage(Generic[Files, Settings]):
     after: tuple[str, ...] = ()
     is_parallel: bool = False
     is_portable: bool = False
+    has_checkpoints: bool = False
 
     def key(self, keys: Mapping[str, str], root: Path | None = None) -> str:
         """A hash of everything on which the result of the stage depends.

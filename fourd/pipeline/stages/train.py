@@ -45,6 +45,7 @@ def train_stage(files: TrainFiles, config: TrainConfig) -> Stage[TrainFiles, Tra
         outputs=(files.run / CHECKPOINTS,),
         leftovers=(Leftovers(files.run, keep=PREPARATION),),
         after=PREPARED_BY,
+        has_checkpoints=True,
     )
 
 

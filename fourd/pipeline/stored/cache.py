@@ -20,9 +20,9 @@ from fourd.files import UNFINISHED, resolved, write_text_atomically
 from fourd.limits import read_json
 from fourd.pipeline.stage import Leftovers
 from fourd.pipeline.stored.manifest import FileEntry, Manifest, file_state, is_config, link_state
-from fourd.pipeline.stored.work_store import WorkStore
+from fourd.pipeline.stored.work_store import WorkStore, new_attempt
 from fourd.processes import locked_file
-from fourd.progress import Track
+from fourd.progress import Track, untracked
 from fourd.storage import StorageUrl, is_file_name
 from fourd.storage.downloading import RECORD
 from fourd.training.run import RunConfig
@@ -125,22 +125,53 @@ class Cache:
                     targets[path].symlink_to(self.root / manifest.links[path])
             self.mark_published(manifest)
 
-    def manifest(self, name: str, key: str, attempt: str, sent: Mapping[str, Path], links: Sequence[str]) -> Manifest:
-        """Create the manifest of a stage that wrote the files ``sent`` (see :meth:`uploadable`) and the symbolic
-        ``links``."""
-        files = {
-            path: FileEntry(each.stat().st_size, (self.root / path).stat().st_mtime_ns) for path, each in sent.items()
-        }
+    def publish(
+        self,
+        store: WorkStore,
+        name: str,
+        key: str,
+        paths: Sequence[str],
+        *,
+        copies: Path | None = None,
+        track: Track = untracked,
+    ) -> Manifest:
+        """Upload the files and symbolic links that a stage wrote, and then their manifest.
+
+        Args:
+            store: the folder for intermediate results.
+            name: name of the manifest.
+            key: key of the stage.
+            paths: paths of the files and links.
+            copies: folder with copies of the files, which are uploaded instead of the files. If None, the files
+                themselves are uploaded.
+            track: reports progress.
+
+        Returns: the manifest.
+        """
+        links = {path for path in paths if (self.root / path).is_symlink()}
+        local = {path: (copies or self.root) / path for path in paths if path not in links}
+        times = {path: each.stat().st_mtime_ns for path, each in local.items()}
         targets = {path: self._portable(Path(os.readlink(self.root / path))) for path in links}
-        return Manifest(name, key, attempt, files, targets)
+        with self._portable_configs(local) as sent:
+            files = {path: FileEntry(each.stat().st_size, times[path]) for path, each in sent.items()}
+            manifest = Manifest(name, key, new_attempt(), files, targets)
+            store.publish(manifest, sent, track)
+        return manifest
+
+    def copies(self, name: str) -> Path:
+        """An empty folder for copies of the files of a stage that is running on this machine."""
+        folder = self._copies(name)
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        return folder
 
     @contextmanager
-    def uploadable(self, paths: Sequence[str]) -> Iterator[dict[str, Path]]:
-        """Yield the local file to upload for each path. In the uploaded config of a run, the path of the capture is
-        relative to the folder ``root``."""
+    def _portable_configs(self, local: Mapping[str, Path]) -> Iterator[dict[str, Path]]:
+        """Yield the file to upload for each path. In the uploaded config of a run, the path of the capture is relative
+        to the folder ``root``."""
         with tempfile.TemporaryDirectory(prefix="fourd-") as folder:
-            sent = {path: self.root / path for path in paths}
-            for number, path in enumerate(filter(is_config, paths)):
+            sent = dict(local)
+            for number, path in enumerate(filter(is_config, local)):
                 config = load_overlay(RunConfig(), sent[path])
                 sent[path] = Path(folder) / str(number)
                 save_config(replace(config, capture=Path(self._portable(config.capture))), sent[path])
@@ -192,6 +223,7 @@ class Cache:
         started = self.started(name)
         for leftovers in started.leftovers if started is not None else ():
             leftovers.remove()
+        shutil.rmtree(self._copies(name), ignore_errors=True)
         for path in self._copied(name) - wanted:
             if is_file_name(path) and not self._is_behind_link(path):
                 (self.root / path).unlink(missing_ok=True)
@@ -214,6 +246,9 @@ class Cache:
 
     def _mark(self, name: str) -> Path:
         return self.root / OWN / f"{name}.started.json"
+
+    def _copies(self, name: str) -> Path:
+        return self.root / OWN / f"{name}.copies"
 
     def _copy(self, name: str) -> Path:
         return self.root / OWN / f"{name}.json"

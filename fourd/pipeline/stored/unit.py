@@ -4,6 +4,7 @@ outputs."""
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,8 @@ from fourd.pipeline.fetch import FetchSettings
 from fourd.pipeline.stage import Context, Stage
 from fourd.pipeline.stored.cache import Cache, Started, cache_folder
 from fourd.pipeline.stored.manifest import Manifest
-from fourd.pipeline.stored.work_store import WorkStore, new_attempt
+from fourd.pipeline.stored.unfinished import UPLOAD_SECONDS, Unfinished
+from fourd.pipeline.stored.work_store import WorkStore
 from fourd.progress import Track
 from fourd.storage import StorageUrl, fetch, list_objects
 from fourd.training.run_layout import SOURCE
@@ -58,7 +60,8 @@ def unit_stage(files: UnitFiles, key: str) -> Stage[UnitFiles, UnitSettings]:
 def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None:
     """Copy the results that the stage reads, execute the stage, and publish its results.
 
-    If an earlier call on this machine was interrupted, the stage resumes from the files of the interrupted call.
+    If an earlier call on this machine was interrupted, the stage resumes from the files of the interrupted call. If an
+    earlier call was interrupted on another machine, the stage resumes from the checkpoints that the call uploaded.
     """
     if isinstance(files.source, Path) and not files.source.exists():
         raise UserError(
@@ -69,20 +72,24 @@ def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None
     stage = moved(files.stage, files.root, cache.root)
     folders = _folders(stage, cache.root)
     needs = _read_needs(files)
+    unfinished = None
+    if stage.has_checkpoints:
+        unfinished = Unfinished(files.store, cache, stage.name, settings.key, UPLOAD_SECONDS)
     with cache.locked():
-        started = _prepare(files, stage, settings.key, needs, cache, folders, context.track)
-    stage.run(context)
+        started = _prepare(files, stage, settings.key, needs, cache, folders, unfinished, context)
     given = {path: state for need in needs for path, state in need.states().items()}
-    written = [
-        path
-        for path, state in cache.states(folders).items()
-        if state not in (started.before.get(path), given.get(path))
-    ]
-    links = [path for path in written if (cache.root / path).is_symlink()]
-    with cache.uploadable([path for path in written if path not in set(links)]) as sent:
-        manifest = cache.manifest(stage.name, settings.key, new_attempt(), sent, links)
-        files.store.publish(manifest, sent, context.track)
+
+    def written() -> dict[str, str]:
+        """States of the files that the stage has written."""
+        states = cache.states(folders)
+        return {path: at for path, at in states.items() if at not in (started.before.get(path), given.get(path))}
+
+    with unfinished.uploaded(written, context.log) if unfinished is not None else nullcontext():
+        stage.run(context)
+    manifest = cache.publish(files.store, stage.name, settings.key, list(written()), track=context.track)
     cache.mark_published(manifest)
+    if unfinished is not None:
+        unfinished.remove()
 
 
 def fetch_source(source: FetchSettings, root: Path, track: Track) -> Path:
@@ -117,9 +124,11 @@ def _prepare(
     needs: Sequence[Manifest],
     cache: Cache,
     folders: Sequence[Path],
-    track: Track,
+    unfinished: Unfinished | None,
+    context: Context,
 ) -> Started:
     """Copy everything that the stage reads. Files that the stage wrote with another key are removed."""
+    track = context.track
     started = cache.started(stage.name)
     own = cache.own_paths(stage.name, folders)
     if started is None or started.key != key:
@@ -134,7 +143,10 @@ def _prepare(
         fetch_source(files.source, cache.root, track)
     cache.copy(files.store, needs, track)
     if started is None:
-        # Files that the stage wrote with another key and that were not removed are also results of the stage.
+        # Files that the stage wrote with another key and that were not removed are also results of the stage, and so
+        # are the files that it wrote on another machine.
+        uploaded = unfinished.fetch(context.log, track) if unfinished is not None else None
+        own |= set(uploaded.states()) if uploaded is not None else set()
         before = {path: state for path, state in cache.states(folders).items() if path not in own}
         started = Started(key, before, stage.leftovers)
         cache.mark_started(stage.name, started)

@@ -1,0 +1,117 @@
+"""Uploads of a stage that is still running. If the machine of the stage is lost, another machine continues from the
+last upload.
+
+The files are published with their own manifest. The name of this manifest is the name of the stage and ``SUFFIX``.
+"""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+
+from fourd.errors import UserError
+from fourd.pipeline.stored.cache import Cache
+from fourd.pipeline.stored.manifest import Manifest
+from fourd.pipeline.stored.work_store import WorkStore
+from fourd.progress import Log, Track
+from fourd.training.run_layout import CHECKPOINTS
+
+UPLOAD_SECONDS = 300.0
+"""Seconds from the end of an upload to the start of the next one."""
+SUFFIX = " unfinished"
+
+States = Mapping[str, str]
+"""Maps the path of a file to its state; see :func:`fourd.pipeline.stored.manifest.file_state`."""
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """The uploads of one stage that writes checkpoints.
+
+    Attributes:
+        store: the folder for intermediate results.
+        cache: the local copy of the folder. The stage writes its files there.
+        name: name of the stage.
+        key: key of the stage.
+        seconds: time between two uploads.
+    """
+
+    store: WorkStore
+    cache: Cache
+    name: str
+    key: str
+    seconds: float
+
+    def fetch(self, log: Log, track: Track) -> Manifest | None:
+        """Copy the last upload to this machine. Returns None if there is no upload with the key of the stage, or if
+        the upload cannot be copied."""
+        try:
+            manifest = self.store.read(self.name + SUFFIX)
+            if manifest is None or manifest.key != self.key:
+                return None
+            self.cache.copy(self.store, [manifest], track)
+        except UserError as error:
+            log(f"{self.name}: starts from the beginning, because the last upload cannot be copied: {error}")
+            return None
+        return manifest
+
+    @contextmanager
+    def uploaded(self, written: Callable[[], States], log: Log) -> Iterator[None]:
+        """Context manager: while its block runs, a thread uploads the files of the stage whenever there are new
+        checkpoints. A failed upload is reported, and the stage goes on.
+
+        Args:
+            written: returns the states of the files that the stage has written so far.
+            log: prints a message.
+        """
+        stopped = threading.Event()
+
+        def repeat() -> None:
+            last: States = {}
+            while not stopped.wait(self.seconds):
+                states = written()
+                if _checkpoints(states) not in ({}, _checkpoints(last)) and self._upload(states, log):
+                    last = states
+
+        thread = threading.Thread(target=repeat, name="uploads")
+        thread.start()
+        try:
+            yield
+        finally:
+            stopped.set()
+            thread.join()
+
+    def remove(self) -> None:
+        """Remove the last upload, because the stage has published its results."""
+        manifest = self.store.read(self.name + SUFFIX)
+        if manifest is not None:
+            self.store.remove(manifest)
+
+    def _upload(self, states: States, log: Log) -> bool:
+        """Upload copies of the files, because the stage can change its files during the upload. Returns whether the
+        upload succeeded."""
+        folder = self.cache.copies(self.name)
+        try:
+            for path in states:
+                if not (self.cache.root / path).is_symlink():
+                    (folder / path).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copy2(self.cache.root / path, folder / path)
+            self.cache.publish(self.store, self.name + SUFFIX, self.key, list(states), copies=folder)
+        except FileNotFoundError:
+            # The stage has replaced a checkpoint during the copying. The next upload contains the new checkpoint.
+            return False
+        except (OSError, UserError) as error:
+            log(f"{self.name}: the checkpoints were not uploaded: {error}")
+            return False
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
+        return True
+
+
+def _checkpoints(states: States) -> dict[str, str]:
+    """The states of the files in folders of checkpoints."""
+    return {path: state for path, state in states.items() if CHECKPOINTS in PurePosixPath(path).parts}

@@ -1,0 +1,148 @@
+"""Tests of uploads of a stage that is still running, with which another machine continues its work."""
+
+from __future__ import annotations
+
+import io
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from fourd.errors import UserError
+from fourd.pipeline.stage import Context, Leftovers, NoSettings, Stage
+from fourd.pipeline.stored.cache import CACHE_VARIABLE, cache_folder
+from fourd.pipeline.stored.manifest import Manifest
+from fourd.pipeline.stored.unfinished import SUFFIX
+from fourd.pipeline.stored.unit import UnitFiles, unit_stage
+from fourd.pipeline.stored.work_store import WorkStore
+from fourd.storage import StorageUrl, find_objects
+from tests.storage.s3_server import Bucket
+
+NAME, LAST_STEP, PATIENCE_S = "train 000", 4, 60.0
+UPLOADED = NAME + SUFFIX
+
+
+@dataclass(frozen=True)
+class CountFiles:
+    """The folder of the steps, and the step after which the machine is lost once its checkpoint was uploaded."""
+
+    run: Path
+    store: WorkStore
+    lost_after: int
+
+
+def count(files: CountFiles, settings: NoSettings, context: Context) -> None:
+    """Write one checkpoint per step, and replace the previous one. While a checkpoint waits for its upload, the metrics
+    grow."""
+    folder = files.run / "checkpoints"
+    folder.mkdir(parents=True, exist_ok=True)
+    start = max((int(path.name) for path in folder.iterdir()), default=0)
+    context.log(f"from step {start}")
+    for step in range(start + 1, LAST_STEP + 1):
+        (folder / str(step)).write_text("x" * step)
+        (folder / str(step - 1)).unlink(missing_ok=True)
+        if step == files.lost_after:
+            _wait_for(files, step)
+            raise KeyboardInterrupt
+
+
+def _wait_for(files: CountFiles, step: int) -> None:
+    """Return when the checkpoint of the step is uploaded. The metrics grow during the upload."""
+    end = time.monotonic() + PATIENCE_S
+    with (files.run / "metrics.jsonl").open("a") as metrics:
+        while time.monotonic() < end:
+            metrics.write("one more line\n")
+            metrics.flush()
+            manifest = files.store.read(UPLOADED)
+            if manifest is not None and f"run/checkpoints/{step}" in manifest.files:
+                return
+            time.sleep(0.01)
+    raise AssertionError("nothing was uploaded")
+
+
+class Machines:
+    """Machines that share only a bucket."""
+
+    def __init__(self, bucket: Bucket, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.store = WorkStore(StorageUrl(f"{bucket.url}/work"))
+        self._folder = folder
+        self._monkeypatch = monkeypatch
+        self.store.open()
+
+    def execute(self, machine: str, key: str = "key", lost_after: int = 0) -> str:
+        """Execute the stage on a machine, and return the printed lines."""
+        self._monkeypatch.setenv(CACHE_VARIABLE, str(self._folder / machine))
+        root = cache_folder(self.store.url)
+        stage = Stage(
+            NAME,
+            count,
+            CountFiles(root / "run", self.store, lost_after),
+            NoSettings(),
+            leftovers=(Leftovers(root / "run"),),
+            is_parallel=True,
+            has_checkpoints=True,
+        )
+        text = io.StringIO()
+        unit = unit_stage(UnitFiles(stage, root, self.store, self._folder, ()), key)
+        unit.run(Context(Console(file=text, width=1000)))
+        return text.getvalue()
+
+    def lose(self, machine: str, after: int) -> None:
+        """Lose a machine after a step whose checkpoint was uploaded."""
+        with pytest.raises(KeyboardInterrupt):
+            self.execute(machine, lost_after=after)
+
+
+@pytest.fixture
+def machines(bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Machines:
+    monkeypatch.setattr("fourd.pipeline.stored.unit.UPLOAD_SECONDS", 0.05)
+    return Machines(bucket, tmp_path, monkeypatch)
+
+
+def test_another_machine_continues_from_the_last_upload(machines: Machines) -> None:
+    """Catches a segment that starts again from step 0 because its machine was lost, and an upload of a file that grows:
+    its object would not have the size in the manifest.
+    """
+    machines.lose("first", after=2)
+    assert UPLOADED in machines.store.open(), "the upload is complete"
+    machines.lose("second", after=3)
+    assert machines.execute("third") == "from step 3\n"
+    manifest = machines.store.read(NAME)
+    assert manifest is not None
+    assert set(manifest.files) == {f"run/checkpoints/{LAST_STEP}", "run/metrics.jsonl"}
+    assert machines.store.read(UPLOADED) is None
+    kept = [item.key for item in find_objects(machines.store.url) if "unfinished" in item.key]
+    assert not kept, "the uploads of the unfinished stage are removed"
+
+
+def test_an_upload_with_other_settings_is_not_used(machines: Machines) -> None:
+    """Catches a training that continues from the checkpoints of another config."""
+    machines.lose("first", after=2)
+    assert machines.execute("second", key="other") == "from step 0\n"
+
+
+def test_a_stage_goes_on_if_uploads_fail(machines: Machines, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches a training of hours that a short failure of the store ends. An upload that cannot be copied also must not
+    end the stage.
+    """
+    machines.lose("first", after=2)
+    publish, failures = WorkStore.publish, list[str]()
+
+    def fail_once(store: WorkStore, manifest: Manifest, *rest: object) -> None:
+        if not failures:
+            failures.append(manifest.name)
+            raise UserError("s3://bucket: expected an answer, got none")
+        publish(store, manifest, *rest)  # type: ignore[arg-type]
+
+    def refuse(store: WorkStore, *rest: object) -> None:
+        raise UserError("s3://bucket: expected an object, got none")
+
+    with monkeypatch.context() as broken:
+        broken.setattr(WorkStore, "publish", fail_once)
+        broken.setattr(WorkStore, "download", refuse)
+        with pytest.raises(KeyboardInterrupt):
+            machines.execute("second", lost_after=3)
+    assert failures == [UPLOADED]
+    assert machines.execute("third") == "from step 3\n"
