@@ -5,7 +5,8 @@
 
 The program opens the page of the scene with an empty browser cache. The server limits the data rate to --mbps. The
 program prints the time from the opening of the page to the start of playback. For playback, the program prints the
-pauses, the images per second and the amount of received data. Without --tier, the program chooses a level as `fourd web
+pauses, the images per second and the amount of received data. The program also prints the time until a frame is shown
+if the time bar is moved to a frame that is not in memory. Without --tier, the program chooses a level as `fourd web
 --max-mbps` does. With --repeat, the frames are repeated with new frame numbers, so that the scene is longer. The
 program needs Chromium and the package playwright.
 """
@@ -18,9 +19,11 @@ import struct
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import tyro
 from pages import open_browser, serving
@@ -78,6 +81,24 @@ async (milliseconds) => {
   };
 }
 """
+SEEK = """
+async (parts) => {
+  const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));
+  let player;
+  while (!(player = document.querySelector('fourd-player'))?.firstImageMs) await sleep();
+  const {stage} = player, times = [];
+  for (const part of parts) {
+    const frame = Math.floor(part * stage.clock.frames);
+    const start = performance.now();
+    player.seek(frame);
+    while (stage.order.frame !== frame) await sleep();
+    times.push(performance.now() - start);
+  }
+  return times;
+}
+"""
+SEEKS = (0.5, 0.9, 0.2, 0.7, 0.35)
+"""Places on the time bar to which the program moves, as parts of the scene."""
 
 
 @dataclass(frozen=True)
@@ -159,19 +180,36 @@ def main(arguments: Arguments) -> None:
             repeat_frames(site / SCENE_NAME, arguments.repeat)
         with serving(SlowServer(site, arguments.served_mbps or arguments.mbps, arguments.latency)) as server:
             rounds = [play(server.url, arguments) for _ in range(arguments.rounds)]
+            seeks = [time for _ in range(arguments.rounds) for time in seek(server.url, arguments)]
     print("| measurement | median | range |\n|---|---|---|")
     for name in rounds[0]:
         values = [measured[name] for measured in rounds]
         print(f"| {name} | {statistics.median(values):.3g} | {min(values):.3g} to {max(values):.3g} |")
+    print(f"| frame after a seek, ms | {statistics.median(seeks):.3g} | {min(seeks):.3g} to {max(seeks):.3g} |")
 
 
 def play(url: str, arguments: Arguments) -> dict[str, float]:
     """Open the page in a new browser and measure one playback."""
+    with opened(url, arguments) as page:
+        result: dict[str, float] = page.evaluate(PLAY, 1000 * arguments.seconds)
+    return result
+
+
+def seek(url: str, arguments: Arguments) -> list[float]:
+    """Open the page in a new browser, and move to several frames as soon as the first image is shown. Return the times
+    in milliseconds until each frame is shown."""
+    with opened(url, arguments) as page:
+        times: list[float] = page.evaluate(SEEK, SEEKS)
+    return times
+
+
+@contextmanager
+def opened(url: str, arguments: Arguments) -> Iterator[Any]:
+    """Yield the page in a new browser."""
     with open_browser() as browser:
         page = browser.new_page(viewport={"width": arguments.size[0], "height": arguments.size[1]})
         page.goto(url, wait_until="commit")
-        result: dict[str, float] = page.evaluate(PLAY, 1000 * arguments.seconds)
-    return result
+        yield page
 
 
 def repeat_frames(scene: Path, times: int) -> None:
