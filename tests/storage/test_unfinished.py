@@ -26,7 +26,8 @@ UPLOADED = NAME + SUFFIX
 
 @dataclass(frozen=True)
 class CountFiles:
-    """The folder of the steps, and the step after which the machine is lost once its checkpoint was uploaded."""
+    """The folder of the steps, and the step after which the machine is lost once its checkpoint was uploaded. If the
+    stage starts from this step, the machine is lost at once."""
 
     run: Path
     store: WorkStore
@@ -40,6 +41,8 @@ def count(files: CountFiles, settings: NoSettings, context: Context) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     start = max((int(path.name) for path in folder.iterdir()), default=0)
     context.log(f"from step {start}")
+    if start and start == files.lost_after:
+        raise KeyboardInterrupt
     for step in range(start + 1, LAST_STEP + 1):
         (folder / str(step)).write_text("x" * step)
         (folder / str(step - 1)).unlink(missing_ok=True)
@@ -67,6 +70,7 @@ class Machines:
 
     def __init__(self, bucket: Bucket, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         self.store = WorkStore(StorageUrl(f"{bucket.url}/work"))
+        self.is_parallel = True
         self._folder = folder
         self._monkeypatch = monkeypatch
         self.store.open()
@@ -81,7 +85,7 @@ class Machines:
             CountFiles(root / "run", self.store, lost_after),
             NoSettings(),
             leftovers=(Leftovers(root / "run"),),
-            is_parallel=True,
+            is_parallel=self.is_parallel,
             has_checkpoints=True,
         )
         text = io.StringIO()
@@ -115,6 +119,15 @@ def test_another_machine_continues_from_the_last_upload(machines: Machines) -> N
     assert machines.store.read(UPLOADED) is None
     kept = [item.key for item in find_objects(machines.store.url) if "unfinished" in item.key]
     assert not kept, "the uploads of the unfinished stage are removed"
+
+
+@pytest.mark.parametrize("is_parallel", [True, False])
+def test_the_copied_checkpoints_belong_to_the_stage(machines: Machines, is_parallel: bool) -> None:
+    """Catches a second start on the same machine that removes the copied checkpoints as files of another stage."""
+    machines.is_parallel = is_parallel
+    machines.lose("first", after=2)
+    machines.lose("second", after=2)
+    assert machines.execute("second") == "from step 2\n"
 
 
 def test_an_upload_with_other_settings_is_not_used(machines: Machines) -> None:

@@ -84,6 +84,10 @@ class Cache:
         write_text_atomically(self._copy(manifest.name), manifest.to_json())
         self._mark(manifest.name).unlink(missing_ok=True)
 
+    def forget(self, name: str) -> None:
+        """Remove the record of a manifest. Its files stay."""
+        self._copy(name).unlink(missing_ok=True)
+
     def own_paths(self, name: str, folders: Sequence[Path]) -> set[str]:
         """Find a stage's files and links in ``folders``, and return their paths. Either the stage wrote these files in
         earlier executions on this machine, or they were copied to this machine because the stage's manifest lists

@@ -70,18 +70,17 @@ def run_unit(files: UnitFiles, settings: UnitSettings, context: Context) -> None
         )
     cache = Cache(cache_folder(files.store.url))
     stage = moved(files.stage, files.root, cache.root)
-    folders = _folders(stage, cache.root)
     needs = _read_needs(files)
     unfinished = None
     if stage.has_checkpoints:
         unfinished = Unfinished(files.store, cache, stage.name, settings.key, UPLOAD_SECONDS)
     with cache.locked():
-        started = _prepare(files, stage, settings.key, needs, cache, folders, unfinished, context)
+        started = _prepare(files, stage, settings.key, needs, cache, unfinished, context)
     given = {path: state for need in needs for path, state in need.states().items()}
 
     def written() -> dict[str, str]:
         """States of the files that the stage has written."""
-        states = cache.states(folders)
+        states = cache.states(_folders(stage, cache.root))
         return {path: at for path, at in states.items() if at not in (started.before.get(path), given.get(path))}
 
     with unfinished.uploaded(written, context.log) if unfinished is not None else nullcontext():
@@ -123,12 +122,11 @@ def _prepare(
     key: str,
     needs: Sequence[Manifest],
     cache: Cache,
-    folders: Sequence[Path],
     unfinished: Unfinished | None,
     context: Context,
 ) -> Started:
     """Copy everything that the stage reads. Files that the stage wrote with another key are removed."""
-    track = context.track
+    track, folders = context.track, _folders(stage, cache.root)
     started = cache.started(stage.name)
     own = cache.own_paths(stage.name, folders)
     if started is None or started.key != key:
