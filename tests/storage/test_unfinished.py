@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import io
+import os
+import signal
+import subprocess
+import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,10 +22,28 @@ from fourd.pipeline.stored.unfinished import SUFFIX
 from fourd.pipeline.stored.unit import UnitFiles, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
 from fourd.storage import StorageUrl, find_objects
-from tests.storage.s3_server import Bucket
+from tests.captures import write_ball_capture
+from tests.storage.s3_server import Bucket, put_folder
+from tests.storage.test_work import Machines as CommandMachines
 
 NAME, LAST_STEP, PATIENCE_S = "train 000", 4, 60.0
 UPLOADED = NAME + SUFFIX
+
+LOST_AFTER_UPLOAD = """
+import os, signal, sys
+from fourd.cli.main import main
+from fourd.pipeline.stored import unit
+from fourd.pipeline.stored.unfinished import Unfinished
+
+unit.UPLOAD_SECONDS, upload = 0.05, Unfinished._upload
+
+def upload_and_die(self, states, log):
+    if upload(self, states, log):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+Unfinished._upload = upload_and_die
+main(sys.argv[1:])
+"""
 
 
 @dataclass(frozen=True)
@@ -159,3 +181,28 @@ def test_a_stage_goes_on_if_uploads_fail(machines: Machines, monkeypatch: pytest
             machines.execute("second", lost_after=3)
     assert failures == [UPLOADED]
     assert machines.execute("third") == "from step 3\n"
+
+
+@pytest.mark.slow
+def test_a_training_continues_on_another_machine(
+    bucket: Bucket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches uploads of a real training that lack a file, so that the scene differs from that of one machine."""
+    source = write_ball_capture(tmp_path / "ball", cameras=4, frames=3, size=48)
+    put_folder(bucket.files, source, f"{bucket.name}/ball")
+    machines = CommandMachines(bucket, tmp_path, monkeypatch)
+    options = ("--max-steps", 60, "--set", "checkpoint_steps=20")
+    first = machines.enter("first")
+    words = machines.words(f"{bucket.url}/ball", "scene.4dv", *options)
+    lost = subprocess.run([sys.executable, "-c", LOST_AFTER_UPLOAD, *words], env={**os.environ})
+    assert lost.returncode == -signal.SIGKILL
+    second = machines.enter("second")
+    machines.make(f"{bucket.url}/ball", "scene.4dv", *options)
+    # The times in the metrics of two trainings differ, so equal lines are lines of the same training.
+    metrics = [next(folder.glob("cache/work/*/run/metrics.jsonl")).read_text() for folder in (first, second)]
+    assert metrics[0].splitlines()[0] == metrics[1].splitlines()[0]
+    assert len(metrics[1].splitlines()) == 6
+    machines.work = StorageUrl(f"{bucket.url}/other")
+    other = machines.enter("other")
+    machines.make(f"{bucket.url}/ball", "scene.4dv", *options)
+    assert (second / "scene.4dv").read_bytes() == (other / "scene.4dv").read_bytes()
