@@ -2,10 +2,10 @@
 
     python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
 
-The worker and the native code decode the same members of the .4dv archive. The members are compressed with zlib. These
-members contain the points, the spherical harmonics, and the source views that are blended for the last camera of the
-scene. The browser uses one worker, and the native code uses one core. Worker and native code are measured
-alternately.
+The worker and the native code decode the points, the spherical harmonics, and the source views that are blended for the
+last camera of the scene. The browser uses one worker, and the native code uses one core. The members of the page are
+compressed with zlib. Worker and native code are measured alternately with the members of the page. The native code is
+also measured alone, with the members of the given scene, which `fourd pack` compresses with Zstandard.
 """
 
 from __future__ import annotations
@@ -70,17 +70,19 @@ class Arguments:
 
 def main() -> None:
     arguments = tyro.cli(Arguments, description=__doc__)
-    print("| scene | points | views | worker: median | 10th to 90th percentile | native: median | ratio |")
-    print("|---|---|---|---|---|---|---|")
+    print(
+        "| scene | points | views | worker: median | 10th to 90th percentile | native: median | ratio | native, alone |"
+    )
+    print("|---|---|---|---|---|---|---|---|")
     for scene in arguments.scenes:
         with tempfile.TemporaryDirectory() as folder:
             site = Path(folder) / "site"
             write_site(scene, site, "full")
-            print(measure(scene.stem, site, arguments.rounds))
+            print(measure(scene, site, arguments.rounds))
 
 
-def measure(name: str, site: Path, rounds: int) -> str:
-    """Return the table row of a scene."""
+def measure(scene: Path, site: Path, rounds: int) -> str:
+    """Return the table row of a scene, whose page is in the folder ``site``."""
     reader = SceneReader(site / SCENE_NAME)
     manifest = reader.manifest
     reader.close()
@@ -93,14 +95,17 @@ def measure(name: str, site: Path, rounds: int) -> str:
             for frame in range(manifest.frame_count):
                 worker.append(page.evaluate("(frame) => decodeFrame(frame)", frame))
                 native.append(decode_natively(archive, manifest, frame, views))
+    with zipfile.ZipFile(scene) as archive:
+        frames = [*range(manifest.frame_count)] * (rounds + 1)
+        alone = [decode_natively(archive, manifest, frame, views) for frame in frames]
     # The first round is not measured, because the browser compiles the JavaScript in it.
-    worker, native = worker[manifest.frame_count :], native[manifest.frame_count :]
+    worker, native, alone = (times[manifest.frame_count :] for times in (worker, native, alone))
     steps = statistics.quantiles(worker, n=10)
     median, other = statistics.median(worker), statistics.median(native)
     points = max(manifest.points or (0,))
     return (
-        f"| {name} | {points:,} | {len(views)} | {median:.1f} ms | {steps[0]:.1f} to {steps[-1]:.1f} ms "
-        f"| {other:.1f} ms | {median / other:.2f} |"
+        f"| {scene.stem} | {points:,} | {len(views)} | {median:.1f} ms | {steps[0]:.1f} to {steps[-1]:.1f} ms "
+        f"| {other:.1f} ms | {median / other:.2f} | {statistics.median(alone):.1f} ms |"
     )
 
 
