@@ -158,7 +158,7 @@ def test_an_upload_with_other_settings_is_not_used(machines: Machines) -> None:
     assert machines.execute("second", key="other") == "from step 0\n"
 
 
-def test_a_stage_goes_on_if_uploads_fail(machines: Machines, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stage_continues_if_uploads_fail(machines: Machines, monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches a training of hours that a short failure of the store ends. An upload that cannot be copied also must not
     end the stage.
     """

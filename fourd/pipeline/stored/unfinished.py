@@ -64,7 +64,7 @@ class Unfinished:
     @contextmanager
     def uploaded(self, written: Callable[[], States], log: Log) -> Iterator[None]:
         """Context manager: while its block runs, a thread uploads the files of the stage whenever there are new
-        checkpoints. A failed upload is reported, and the stage goes on.
+        checkpoints. A failed upload is reported, and the stage continues.
 
         Args:
             written: returns the states of the files that the stage has written so far.
