@@ -24,13 +24,15 @@ import tempfile
 import threading
 import time
 import urllib.request
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from fourd.training.live.state import read_state
 from tests.viewer.web.conftest import CHROMIUM, DEFAULT_FLAGS, DRIVER_FLAGS, FLAGS
+from tools.scale.command_line import parse_with_options
+from tools.scale.local_nodes import cpu_seconds
 
 PAGE_SECONDS = 2.0
 """Interval in seconds between the page's requests."""
@@ -39,20 +41,18 @@ SETTLE_SECONDS = 3.0
 
 
 def main() -> None:
-    words = sys.argv[1:]
-    own, rest = (words[: words.index("--")], words[words.index("--") + 1 :]) if "--" in words else (words, [])
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("capture", type=Path)
     parser.add_argument("--windows", type=int, default=12, help="number of pairs of windows")
     parser.add_argument("--seconds", type=float, default=20.0, help="length of a window")
     parser.add_argument("--browser", action="store_true", help="show the page in Chromium")
     parser.add_argument("--scene", action="store_true", help="also request the scene")
-    arguments = parser.parse_args(own)
+    arguments = parse_with_options(parser)
     with tempfile.TemporaryDirectory() as temporary:
         run = Path(temporary) / "run"
         watching = browsing if arguments.browser else asking
         with (
-            training(arguments.capture, run, rest) as trainer,
+            training(arguments.capture, run, arguments.options) as trainer,
             serving(run) as (server, url),
             watching(url, arguments.scene) as watch,
         ):
@@ -99,7 +99,7 @@ def measure(run: Path, processes: tuple[int, int], watch: Callable[[bool], None]
 
 
 @contextmanager
-def training(capture: Path, run: Path, options: list[str]) -> Iterator[int]:
+def training(capture: Path, run: Path, options: Sequence[str]) -> Iterator[int]:
     """Train until the ``with`` block ends. The ``with`` block starts after 50 training steps. Yields the process id."""
     command = [sys.executable, "-m", "fourd.cli.main", "train", str(capture), "-o", str(run)]
     process = subprocess.Popen([*command, "--max-steps", "10000000", *options], stdout=sys.stderr)
@@ -184,12 +184,6 @@ def next_record(run: Path) -> tuple[int, float]:
             if "psnr_smooth" in (record := json.loads(line)):
                 return record["step"], record["seconds"]
             line = ""
-
-
-def cpu_seconds(process: int) -> float:
-    """CPU time of a process and its threads."""
-    words = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 if __name__ == "__main__":

@@ -131,6 +131,12 @@ def store_bytes(ray: Any) -> int:
     return int(get_memory_info_reply(state).store_stats.object_store_bytes_used)
 
 
+def cpu_seconds(process: int) -> float:
+    """CPU time of a process and its threads. Needs Linux."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def resident_bytes() -> int:
     """Return the memory of this process. Needs Linux."""
     if sys.platform != "linux":

@@ -23,18 +23,19 @@ import statistics
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fourd.capture import open_capture
+from fourd.processes import called_every
+from tools.scale.command_line import parse_with_options
 from tools.scale.cost_model import Capture, Costs, makespan, segments_core_s
-from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
+from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, cpu_seconds, local_nodes
 
 SCENE = "scene.4dv"
 WORK = "scene.work"
@@ -76,8 +77,7 @@ class SegmentClock:
         for pid, name in nodes.stages().items():
             if name.startswith(TRAINED):
                 with suppress(OSError):  # The process has ended.
-                    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-                    now = (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+                    now = cpu_seconds(pid)
                     spent = now - self._processes.get(pid, 0.0)
                     self._segments[name] = self._segments.get(name, 0.0) + spent
                     self._processes[pid] = now
@@ -137,7 +137,7 @@ def train(command: Sequence[str], prepared: Path, folder: Path, workers: int) ->
     start = end = 0.0
     with local_nodes(1, workers, patience=PATIENT) as nodes:
         process = subprocess.Popen([*command, "--ray", nodes.address], cwd=folder, stdout=subprocess.PIPE, text=True)
-        with _sampled(lambda: clock.read(nodes)):
+        with called_every(SAMPLED_S, lambda: clock.read(nodes)):
             assert process.stdout is not None
             for line in process.stdout:
                 if line.startswith(TRAINED):
@@ -163,24 +163,6 @@ def report(timings: Sequence[Timing], capture: Capture) -> None:
         print(f"| {workers} | {core_s:.1f} | {whole:.0f} | {base / whole:.2f} | {predicted:.0f} | {wall:.0f} |")
 
 
-@contextmanager
-def _sampled(action: Callable[[], object]) -> Iterator[None]:
-    """Call ``action`` in a thread, several times per second."""
-    stopped = threading.Event()
-
-    def repeat() -> None:
-        while not stopped.wait(SAMPLED_S):
-            action()
-
-    thread = threading.Thread(target=repeat)
-    thread.start()
-    try:
-        yield
-    finally:
-        stopped.set()
-        thread.join()
-
-
 def _parse_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("capture", type=Path, help="a capture with masks")
@@ -191,11 +173,7 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--steps", type=int, default=100, help="training steps per segment (default 100)")
     parser.add_argument("--scale", type=float, default=1.0, help="scale of the images in training (default 1)")
     parser.epilog = "The words after -- are further options of fourd make."
-    words = sys.argv[1:]
-    own = words[: words.index("--")] if "--" in words else words
-    arguments = parser.parse_args(own)
-    arguments.options = words[len(own) + 1 :]
-    return arguments
+    return parse_with_options(parser)
 
 
 if __name__ == "__main__":

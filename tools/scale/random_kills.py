@@ -29,6 +29,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from fourd.pipeline.cluster import RETRIES
+from tools.scale.command_line import parse_with_options
 from tools.scale.local_nodes import PATIENT, TRAINED, LocalNodes, local_nodes
 
 CORES = 2
@@ -155,11 +156,7 @@ def _parse_arguments() -> argparse.Namespace:
     parser.add_argument("--kills", type=float, default=12.0, help=KILLS_HELP)
     parser.add_argument("--seed", type=int, default=0, help="seed of the random moments of the kills (default 0)")
     parser.epilog = "The words after -- are options of fourd make."
-    words = sys.argv[1:]
-    own = words[: words.index("--")] if "--" in words else words
-    arguments = parser.parse_args(own)
-    arguments.options = tuple(words[len(own) + 1 :])
-    return arguments
+    return parse_with_options(parser)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,6 @@ The files are published with their own manifest. The name of this manifest is th
 from __future__ import annotations
 
 import shutil
-import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from fourd.errors import UserError
 from fourd.pipeline.stored.cache import Cache
 from fourd.pipeline.stored.manifest import Manifest
 from fourd.pipeline.stored.work_store import WorkStore
+from fourd.processes import called_every
 from fourd.progress import Log, Track
 from fourd.training.run_layout import CHECKPOINTS
 
@@ -70,22 +70,16 @@ class Unfinished:
             written: returns the states of the files that the stage has written so far.
             log: prints a message.
         """
-        stopped = threading.Event()
+        last: States = {}
 
-        def repeat() -> None:
-            last: States = {}
-            while not stopped.wait(self.seconds):
-                states = written()
-                if _checkpoints(states) not in ({}, _checkpoints(last)) and self._upload(states, log):
-                    last = states
+        def upload_new() -> None:
+            nonlocal last
+            states = written()
+            if _checkpoints(states) not in ({}, _checkpoints(last)) and self._upload(states, log):
+                last = states
 
-        thread = threading.Thread(target=repeat, name="uploads")
-        thread.start()
-        try:
+        with called_every(self.seconds, upload_new):
             yield
-        finally:
-            stopped.set()
-            thread.join()
 
     def remove(self) -> None:
         """Remove the last upload, because the stage has published its results."""
