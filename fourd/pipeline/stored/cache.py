@@ -162,12 +162,17 @@ class Cache:
             store.publish(manifest, sent, track)
         return manifest
 
-    def copies(self, name: str) -> Path:
-        """An empty folder for copies of the files of a stage that is running on this machine."""
+    @contextmanager
+    def copies(self, name: str) -> Iterator[Path]:
+        """Yield an empty folder for copies of the files of a stage that is running on this machine. The folder is
+        removed afterwards."""
         folder = self._copies(name)
         shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
-        return folder
+        try:
+            folder.mkdir(parents=True)
+            yield folder
+        finally:
+            shutil.rmtree(folder, ignore_errors=True)
 
     @contextmanager
     def _portable_configs(self, local: Mapping[str, Path]) -> Iterator[dict[str, Path]]:

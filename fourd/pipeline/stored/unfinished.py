@@ -90,21 +90,19 @@ class Unfinished:
     def _upload(self, states: States, log: Log) -> bool:
         """Upload copies of the files, because the stage can change its files during the upload. Returns whether the
         upload succeeded."""
-        folder = self.cache.copies(self.name)
         try:
-            for path in states:
-                if not (self.cache.root / path).is_symlink():
-                    (folder / path).parent.mkdir(parents=True, exist_ok=True)
-                    shutil.copy2(self.cache.root / path, folder / path)
-            self.cache.publish(self.store, self.name + SUFFIX, self.key, list(states), copies=folder)
+            with self.cache.copies(self.name) as folder:
+                for path in states:
+                    if not (self.cache.root / path).is_symlink():
+                        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+                        shutil.copy2(self.cache.root / path, folder / path)
+                self.cache.publish(self.store, self.name + SUFFIX, self.key, list(states), copies=folder)
         except FileNotFoundError:
             # The stage has replaced a checkpoint during the copying. The next upload contains the new checkpoint.
             return False
         except (OSError, UserError) as error:
             log(f"{self.name}: the checkpoints were not uploaded: {error}")
             return False
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
         return True
 
 
