@@ -10,9 +10,10 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, option, split_names
+from fourd.cli.options import FRAMES_HELP, VIEWS_HELP, LpipsWeights, describe, option, split_names
 from fourd.configs import assigned_keys, load_overlay, set_values
 from fourd.errors import UserError
+from fourd.ops.gpu import DeviceName
 from fourd.storage import local_path
 from fourd.training.config import TrainConfig
 
@@ -26,6 +27,11 @@ SEGMENT_HELP = (
     "Maximum number of frames of one model. A longer capture is divided into segments. Each segment has its own model "
     "and the whole training budget. Successive segments share 4 frames, in which the scene fades from one segment to "
     "the next. Only for --scene object."
+)
+DEVICE_HELP = (
+    "Device that trains. cuda: an NVIDIA GPU.",
+    "auto: a GPU if torch and the kernels of fourd can use one, otherwise the CPU.",
+    "The stages before and after training use the CPU.",
 )
 CONFIG_KEYS = {
     "scene": "scene",
@@ -100,6 +106,7 @@ class TrainingOptions:
     """Stop after this many seconds of training. fourd train needs --max-steps or --max-seconds."""
     max_steps: Annotated[int | None, option("INT", "none")] = None
     """Stop after this many training steps. fourd train needs --max-steps or --max-seconds."""
+    device: Annotated[DeviceName, describe(*DEVICE_HELP)] = "auto"
     seed: Annotated[int | None, _config_option("seed", "INT")] = None
     """Random seed."""
     lpips_weights: LpipsWeights = None

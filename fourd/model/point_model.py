@@ -266,7 +266,7 @@ class PointModel(nn.Module):
 
 def unit_directions(xyz: Tensor, viewer: Camera) -> Tensor:
     """Unit vectors (N, 3) from the centre of the viewing camera to the points."""
-    centre = torch.tensor(viewer.centre, dtype=xyz.dtype)
+    centre = torch.tensor(viewer.centre, dtype=xyz.dtype, device=xyz.device)
     return nn.functional.normalize(xyz - centre, dim=-1)
 
 

@@ -84,7 +84,7 @@ class ShadowField(nn.Module):
         edge = position.abs().amax(dim=1)
         is_inside = edge < 1
         rows = is_inside.nonzero()[:, 0]
-        times = torch.full((len(rows), 1), 2 * time - 1)
+        times = torch.full((len(rows), 1), 2 * time - 1, device=xyz.device)
         features = self.planes(torch.cat([position[rows], times], dim=1))
         raw = (self.layers(features) - self.layers(torch.zeros_like(features[:1])))[:, 0]
         fade = ((1 - edge[rows]) / FADE).clamp(max=1)

@@ -42,7 +42,7 @@ class SourceViews:
 
     def weighted(self, weights: NDArray[np.float32]) -> SourceViews:
         """Return the same views with the view weights ``weights`` (V,)."""
-        return replace(self, weights=torch.from_numpy(weights))
+        return replace(self, weights=torch.from_numpy(weights).to(self.images))
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,18 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+from fourd.errors import UserError
 from fourd.ops.loading import simd_name
+
+CPU = torch.device("cpu")
+
+DeviceName = Literal["auto", "cpu", "cuda"]
+"""Name of a device. "auto" is a GPU if fourd can use one, and the CPU otherwise."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +79,23 @@ def cuda_unavailable_reason() -> str:
     except ImportError as cause:
         return str(cause)
     return ""
+
+
+def choose_device(name: DeviceName, local_rank: int = 0) -> torch.device:
+    """Return the device with the given name. If several processes of this machine train together, the processes are
+    distributed over the machine's GPUs by their numbers ``local_rank``.
+
+    Raises UserError for "cuda" if fourd cannot use a GPU.
+    """
+    if name == "cpu":
+        return CPU
+    has_device = torch.cuda.is_available()
+    if has_device and not cuda_unavailable_reason():
+        return torch.device("cuda", local_rank % torch.cuda.device_count())
+    if name == "cuda":
+        got = cuda_unavailable_reason() if has_device else f"no GPU that torch {torch.__version__} can use"
+        raise UserError(f"--device: expected an NVIDIA GPU for 'cuda', got {got}; use --device cpu")
+    return CPU
 
 
 def uses_gpu_kernels(tensor: Tensor) -> bool:

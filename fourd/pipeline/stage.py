@@ -18,6 +18,7 @@ from fourd.progress import Log, Terminal, Track, Tracker, console_log
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+    from fourd.ops.gpu import DeviceName
     from fourd.training.distributed.process_group import ProcessGroup
 
 Files = TypeVar("Files", bound="DataclassInstance")
@@ -39,11 +40,13 @@ class Context:
         workers: number of processes that the work may use.
         group: the ranks (processes) that train together. All ranks execute the stages that train, and only rank 0
             executes the other stages. If None, this process works alone.
+        device: device that trains.
     """
 
     console: Console = field(default_factory=lambda: Terminal(quiet=True))
     workers: int = 1
     group: ProcessGroup | None = None
+    device: DeviceName = "cpu"
 
     @property
     def track(self) -> Track:

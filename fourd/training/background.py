@@ -118,6 +118,11 @@ class StaticBackground:
     _step: int = 0
     _cache: dict[int, _CachedPlate] = field(default_factory=dict)
 
+    def to(self, device: torch.device) -> None:
+        """Move the model and the points to ``device``."""
+        self.model.to(device)
+        self.points = self.points.to(device)
+
     def count_step(self) -> None:
         """Count one training step. Cached depths and features of a plate expire after CACHED_STEPS training steps."""
         self._step += 1
@@ -137,16 +142,16 @@ class StaticBackground:
     def hidden_points(self) -> Tensor:
         """(N,) bool, true for the points that are hidden in all plates. A point is hidden in a plate if the point lies
         outside the plate's image or is occluded in the plate."""
-        xyz, spacing = self.points.xyz.double().numpy(), self.points.spacing.numpy()
+        xyz, spacing = self.points.xyz.cpu().double().numpy(), self.points.spacing.cpu().numpy()
         hidden = np.ones(len(xyz), np.bool_)
         for index in self.plates:
             camera = self.camera(index)
             pixels, depth = camera.project(xyz)
             rows = np.flatnonzero(camera.is_in_image(pixels, depth) & hidden)
             column, row = np.minimum(pixels[rows].astype(np.intp), (camera.width - 1, camera.height - 1)).T
-            behind = depth[rows] - occlusion_depth(self.points, camera)[row, column]
+            behind = depth[rows] - occlusion_depth(self.points, camera).cpu().numpy()[row, column]
             hidden[rows] = behind > MAX_DEPTH_BEHIND * spacing[rows]
-        return torch.from_numpy(hidden)
+        return torch.from_numpy(hidden).to(self.points.xyz.device)
 
     def sources(
         self, cameras: Sequence[int], *, train_encoder: bool = False, points: SizedPoints | None = None
@@ -184,13 +189,14 @@ class StaticBackground:
         plates = [self.plates[index] for index in cameras]
         height = max(_round_up(plate.camera.height) for plate in self.plates.values())
         width = max(_round_up(plate.camera.width) for plate in self.plates.values())
-        images = torch.zeros(len(plates), 3, height, width)
-        mattes = torch.zeros(len(plates), height, width)
+        device = self.points.xyz.device
+        images = torch.zeros(len(plates), 3, height, width, device=device)
+        mattes = torch.zeros(len(plates), height, width, device=device)
         for k, plate in enumerate(plates):
             rows, columns = plate.seen.shape
-            image = torch.tensor(plate.rgb).permute(2, 0, 1) / 255
+            image = torch.tensor(plate.rgb, device=device).permute(2, 0, 1) / 255
             images[k, :, :rows, :columns] = image if self.rig is None else self.rig.scene_colours(cameras[k], image)
-            mattes[k, :rows, :columns] = torch.tensor(plate.seen).float()
+            mattes[k, :rows, :columns] = torch.tensor(plate.seen, device=device).float()
         return images, mattes, tuple(self.camera(index).crop(0, 0, width, height) for index in cameras)
 
     def _cached_plate(self, index: int, image: Tensor, camera: Camera) -> _CachedPlate:
@@ -203,7 +209,7 @@ class StaticBackground:
     def _evaluate_plate(self, points: SizedPoints, image: Tensor, camera: Camera) -> _CachedPlate:
         with torch.no_grad():
             encoded = self.model.encode_images(image[None])
-        depth = torch.from_numpy(occlusion_depth(points, camera)) if self.model.config.occlusion else None
+        depth = occlusion_depth(points, camera) if self.model.config.occlusion else None
         return _CachedPlate(self._step, depth, None if encoded is None else encoded[0])
 
 

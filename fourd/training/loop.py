@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from safetensors import SafetensorError
@@ -19,6 +20,7 @@ from safetensors.torch import save_file
 from fourd.errors import UserError
 from fourd.files import atomic_path
 from fourd.formats.picture import write_picture
+from fourd.ops.gpu import CPU
 from fourd.processes import DeferredInterrupt
 from fourd.training.cameras.calibration import write_corrected
 from fourd.training.checkpoints import (
@@ -66,7 +68,13 @@ class Trainer:
     """Trains a run until its budget is spent, starting from its newest checkpoint if there is one."""
 
     def __init__(
-        self, run: Run, lpips: LPIPS | None, console: Console, budget: TrainConfig, group: ProcessGroup = ALONE
+        self,
+        run: Run,
+        lpips: LPIPS | None,
+        console: Console,
+        budget: TrainConfig,
+        group: ProcessGroup = ALONE,
+        device: torch.device = CPU,
     ) -> None:
         """Load the run's newest checkpoint, if there is one.
 
@@ -77,6 +85,7 @@ class Trainer:
             budget: the run's config, but with the limits max_steps and max_seconds of this call. When a run is resumed,
                 these limits may be larger than the limits in config.yaml.
             group: the ranks that train the run together.
+            device: device on which the scene is trained. Checkpoints do not depend on the device.
         """
         if budget.max_steps is None and budget.max_seconds is None:
             raise UserError("--max-steps, --max-seconds: expected at least one of them, got neither; set a limit")
@@ -90,9 +99,9 @@ class Trainer:
             console.print(note, style="yellow")
         saved = None if found is None else points_folder(found)
         background = run.background(saved)
-        self.scene = build_scene(budget, model, run.view_store(), background)
+        self.scene = build_scene(budget, model, run.view_store(), background, device)
         self.refinement = run.new_refinement()
-        self.stepper = Stepper(self.scene, budget, lpips, self.refinement, group)
+        self.stepper = Stepper(self.scene, budget, lpips if lpips is None else lpips.to(device), self.refinement, group)
         cameras, frames = run.capture.cameras, run.capture.frame_count
         self.sampler = StepSampler(budget, cameras, run.training, frames, run.focus, group)
         self.done = 0
@@ -103,7 +112,7 @@ class Trainer:
         group.broadcast_parameters(self.stepper.dense_parameters)
         if group.is_first:
             drop_stale_points(run.checkpoints)
-        self.frames = run.frame_store(saved)
+        self.frames = run.frame_store(saved, device)
         self.renderer = ModelRenderer(self.scene, run.training, run.focus, run.config.train.pixel_filter)
         self._saved_step = self.done if saved is not None else -1
 
@@ -253,7 +262,8 @@ class Trainer:
             tensors.update({f"refinement.{name}": value for name, value in self.refinement.state_dict().items()})
         tensors.update(pack_optimizer(self.stepper.optimizer, "optimizer."))
         state = SavedProgress(self.seconds, self.psnr).to_json()
-        save_checkpoint(self.run.checkpoints, self.done, tensors, state)
+        on_cpu = {name: value.cpu() for name, value in tensors.items()}
+        save_checkpoint(self.run.checkpoints, self.done, on_cpu, state)
         drop_stale_points(self.run.checkpoints)
         if self.refinement is not None:
             write_corrected(self.run.folder, self.run.capture, self.refinement.rig())

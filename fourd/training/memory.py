@@ -60,7 +60,9 @@ def array_outside_heap(array: NDArray[Any]) -> NDArray[Any]:
 
 
 def tensor_outside_heap(value: Tensor) -> Tensor:
-    """Copy a CPU tensor to memory outside the heap."""
+    """Copy a tensor to memory outside the heap. A tensor on a GPU is returned unchanged."""
+    if value.device.type != "cpu":
+        return value
     return torch.from_numpy(array_outside_heap(value.numpy()))
 
 

@@ -7,13 +7,14 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter
 from torch import Tensor
+from torch.nn import functional
 
 from fourd.cameras import Camera
 from fourd.model.sources import SourceViews
 from fourd.ops.points.arrays import render_points_numpy
+from fourd.raster import render_points
 from fourd.training.rendering import NEAR
 
 SURFACE_LAYERS = 4
@@ -31,22 +32,24 @@ class SizedPoints(Protocol):
     def density(self) -> Tensor: ...
 
 
-def surface_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
+def surface_depth(points: SizedPoints, camera: Camera) -> Tensor:
     """Depth (H, W) in world units of the nearest surface. The depth is infinite where alpha is at most 0.5."""
-    ones = np.ones((points.xyz.shape[0], 1), dtype=np.float32)
-    _, alpha, depth = render_points_numpy(
-        points.xyz.numpy(),
-        ones,
-        points.radius.numpy(),
-        points.density.numpy(),
-        camera,
-        layers=SURFACE_LAYERS,
-        near=NEAR,
-    )
-    return np.where(alpha > 0.5, depth, np.float32(np.inf)).astype(np.float32)
+    if points.xyz.device.type == "cpu":
+        # NumPy is faster here: after an operation of torch, the threads of torch wait actively for the next operation,
+        # and slow down the threads of the renderer.
+        ones = np.ones((points.xyz.shape[0], 1), np.float32)
+        arrays = (points.xyz.numpy(), ones, points.radius.numpy(), points.density.numpy())
+        _, alpha, depth = render_points_numpy(*arrays, camera, layers=SURFACE_LAYERS, near=NEAR)
+        return torch.from_numpy(np.where(alpha > 0.5, depth, np.float32(np.inf)))
+    colour = torch.ones_like(points.radius)[:, None]
+    with torch.no_grad():
+        render = render_points(
+            points.xyz, colour, points.radius, points.density, camera, layers=SURFACE_LAYERS, near=NEAR
+        )
+    return torch.where(render.alpha > 0.5, render.depth, torch.inf)
 
 
-def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
+def occlusion_depth(points: SizedPoints, camera: Camera) -> Tensor:
     """Depth (H, W) behind which points are occluded: the surface depth, dilated by the typical size of a point.
 
     For the surface depth, points are rendered as discs that face the camera. On a floor viewed at a grazing angle, each
@@ -54,15 +57,23 @@ def occlusion_depth(points: SizedPoints, camera: Camera) -> NDArray[np.float32]:
     treated as occluded. The dilation assigns to each pixel the farthest surface depth within the median disc radius
     around the pixel.
     """
-    pixels, depth = camera.project(points.xyz.double().numpy())
+    pixels, depth = camera.project(points.xyz.cpu().double().numpy())
     inside = camera.is_in_image(pixels, depth) & (depth > NEAR)
     surface = surface_depth(points, camera)
     if not inside.any():
         return surface
-    radius_px = camera.intrinsics[0, 0] * points.radius.numpy()[inside] / depth[inside]
+    radius_px = camera.intrinsics[0, 0] * points.radius.cpu().numpy()[inside] / depth[inside]
     reach = min(int(np.ceil(np.median(radius_px))), MAX_DILATION_PX)
-    farthest = maximum_filter(np.where(np.isfinite(surface), surface, 0), 2 * reach + 1)
-    return np.where(farthest > 0, farthest, np.float32(np.inf)).astype(np.float32)
+    farthest = _maximum_filter(torch.where(torch.isfinite(surface), surface, 0), reach)
+    return torch.where(farthest > 0, farthest, torch.inf)
+
+
+def _maximum_filter(image: Tensor, reach: int) -> Tensor:
+    """The maximum of ``image`` (H, W) in the square of ``2 * reach + 1`` pixels around each pixel."""
+    if image.device.type == "cpu":
+        return torch.from_numpy(maximum_filter(image.numpy(), 2 * reach + 1))
+    rows = functional.max_pool2d(image[None], (2 * reach + 1, 1), stride=1, padding=(reach, 0))
+    return functional.max_pool2d(rows, (1, 2 * reach + 1), stride=1, padding=(0, reach))[0]
 
 
 def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: bool) -> SourceViews:
@@ -70,5 +81,5 @@ def with_surface_depth(sources: SourceViews, points: SizedPoints, occlusion: boo
     returned unchanged."""
     if not occlusion:
         return sources
-    depths = [torch.from_numpy(surface_depth(points, camera)) for camera in sources.cameras]
+    depths = [surface_depth(points, camera) for camera in sources.cameras]
     return replace(sources, depth=torch.stack(depths))

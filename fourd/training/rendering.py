@@ -97,7 +97,7 @@ def visible_points(clouds: Sequence[FramePoints], viewer: Camera, layers: int, m
     Occlusion between the clouds is taken into account. If ``min_weight`` is 0, all points are visible.
     """
     if min_weight == 0:
-        return [torch.arange(cloud.xyz.shape[0]) for cloud in clouds]
+        return [torch.arange(cloud.xyz.shape[0], device=cloud.xyz.device) for cloud in clouds]
     weight = point_visibility(
         torch.cat([cloud.xyz for cloud in clouds]),
         torch.cat([cloud.radius for cloud in clouds]),

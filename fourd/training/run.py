@@ -26,6 +26,7 @@ from fourd.files import remove_unfinished
 from fourd.formats.ply import read_ply
 from fourd.model import PointModel
 from fourd.model.shadow import ShadowField
+from fourd.ops.gpu import CPU
 from fourd.ops.morton import morton_order
 from fourd.progress import Log
 from fourd.training.background import StaticBackground, create_background
@@ -174,14 +175,14 @@ class Run:
         train = self.config.train
         return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
 
-    def frame_store(self, saved: Path | None) -> FrameStore:
-        """The store of the points of every frame.
+    def frame_store(self, saved: Path | None, device: torch.device = CPU) -> FrameStore:
+        """The store of the points of every frame, which returns points on ``device``.
 
         The points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are used.
         """
         scratch = Scratch(self.folder / SCRATCH)
         budget_mb = self.config.train.memory_mb // 2
-        return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved)
+        return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved, device)
 
     def initial_points(self, frame: int) -> FramePoints:
         """The initial points of a frame in Morton order. The number of points is at most ``config.train.points``."""

@@ -127,7 +127,7 @@ class Stepper:
         colour, coverage = features[..., :3], features[..., 3]
         if self.refinement is not None:
             colour = self.refinement.recolour(colour, alpha, sample.target)
-        background_colour = torch.from_numpy(sample.background_colour)
+        background_colour = torch.from_numpy(sample.background_colour).to(colour)
         prediction = colour + (1 - alpha)[..., None] * background_colour
         truth = target.rgb + (1 - target.known)[..., None] * background_colour
         if target.fills_picture:

@@ -14,6 +14,7 @@ from torch import Tensor
 from fourd.cameras import Camera
 from fourd.capture import Capture
 from fourd.model.sources import SourceViews
+from fourd.ops.gpu import CPU
 from fourd.training.cameras.rig import Rig
 from fourd.training.memory import array_outside_heap
 
@@ -49,10 +50,10 @@ class View:
     def nbytes(self) -> int:
         return self.rgb.nbytes + self.matte.nbytes
 
-    def premultiplied(self) -> tuple[Tensor, Tensor]:
+    def premultiplied(self, device: torch.device = CPU) -> tuple[Tensor, Tensor]:
         """Return RGB (H, W, 3) multiplied by the matte, and the matte (H, W), as float32 tensors in [0, 1]."""
-        matte = torch.from_numpy(self.matte).float() / 255
-        return torch.from_numpy(self.rgb).float() / 255 * matte[..., None], matte
+        matte = torch.from_numpy(self.matte).to(device).float() / 255
+        return torch.from_numpy(self.rgb).to(device).float() / 255 * matte[..., None], matte
 
 
 class ViewStore:
@@ -61,12 +62,14 @@ class ViewStore:
     Attributes:
         capture: the selected views and frames.
         rig: the current cameras. To change the cameras of all views, assign another rig.
+        device: device of the tensors that :meth:`sources` returns. Cached images stay in the memory of the CPU.
     """
 
     def __init__(self, capture: Capture, crop: bool, memory_mb: int) -> None:
         """Open the store. If ``crop`` is true, views are crops around the matte; otherwise they are whole images."""
         self.capture = capture
         self.rig = Rig(capture.cameras)
+        self.device = CPU
         self._crop = crop
         max_bytes = memory_mb * 2**20
         # cachetools raises an error for a value that is larger than the whole cache.
@@ -101,13 +104,13 @@ class ViewStore:
         views = [self.view(camera, frame) for camera in cameras]
         height = _round_up(max(view.rgb.shape[0] for view in views))
         width = _round_up(max(view.rgb.shape[1] for view in views))
-        images = torch.zeros(len(views), 3, height, width)
-        mattes = torch.zeros(len(views), height, width)
+        images = torch.zeros(len(views), 3, height, width, device=self.device)
+        mattes = torch.zeros(len(views), height, width, device=self.device)
         for i, view in enumerate(views):
             rows, columns = view.matte.shape
-            image = torch.from_numpy(view.rgb).permute(2, 0, 1) / 255
+            image = torch.from_numpy(view.rgb).to(self.device).permute(2, 0, 1) / 255
             images[i, :, :rows, :columns] = self.rig.scene_colours(cameras[i], image)
-            mattes[i, :rows, :columns] = torch.from_numpy(view.matte) / 255
+            mattes[i, :rows, :columns] = torch.from_numpy(view.matte).to(self.device) / 255
         padded = tuple(view.camera.crop(0, 0, width, height) for view in views)
         return SourceViews(images, mattes, None, padded)
 

@@ -15,8 +15,10 @@ from fourd.cli.captures.matte import MatteOptions
 from fourd.cli.locations import PATH_OR_URL, OutLocation
 from fourd.cli.options import FramesPerSecond, Workers, option, worker_count
 from fourd.cli.training_options import TrainingOptions
+from fourd.errors import UserError
 from fourd.files import resolved
 from fourd.importing.importer import ImportOptions
+from fourd.ops.gpu import choose_device
 from fourd.pipeline.cluster import join_cluster
 from fourd.pipeline.make import make_scene
 from fourd.pipeline.stage import Context
@@ -78,6 +80,10 @@ def run(arguments: Arguments) -> None:
     config = options.train_config(DEFAULT_SECONDS)
     # The LPIPS weights are loaded here so that invalid weights are reported before any stage runs.
     load_lpips(options.lpips_weights)
+    # The nodes of a cluster are chosen by their cores, and several segments can share a node.
+    if arguments.ray is not None and options.device == "cuda":
+        raise UserError("--device, --ray: expected --device cpu or auto with --ray, got cuda; nodes use their CPUs")
+    choose_device(options.device)  # A missing GPU is reported before any stage runs.
     given = None if arguments.calibration is None else str(resolved(arguments.calibration))
     with nullcontext() if arguments.ray is None else join_cluster(arguments.ray, arguments.ray_cores) as cluster:
         make_scene(
@@ -85,7 +91,7 @@ def run(arguments: Arguments) -> None:
             arguments.out,
             config,
             arguments.mattes.settings(config.seed),
-            Context(console, worker_count(arguments.workers)),
+            Context(console, worker_count(arguments.workers), device=options.device),
             points_from=options.points_from,
             lpips_weights=options.lpips_weights,
             imports=ImportOptions(calibration=given, fps=arguments.fps),

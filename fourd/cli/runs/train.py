@@ -15,6 +15,7 @@ from fourd.cli.options import Workers, worker_count
 from fourd.cli.training_options import TrainingOptions
 from fourd.configs import to_yaml
 from fourd.errors import UserError
+from fourd.ops.gpu import choose_device
 from fourd.pipeline.fetch import fetch_stage, fetched_path
 from fourd.pipeline.graph import RunRequest, stages_to_resume, stages_to_run
 from fourd.pipeline.make import require_new_run
@@ -62,9 +63,10 @@ def _run_stages(arguments: Arguments, group: ProcessGroup) -> None:
     # Progress is printed to stdout, because stderr is reserved for the one-line error message.
     console = Terminal(quiet=not group.is_first)
     options = arguments.training
-    context = Context(console, worker_count(arguments.workers), group)
+    context = Context(console, worker_count(arguments.workers), group, options.device)
     # The LPIPS weights are loaded here so that invalid weights are reported before any stage runs.
     load_lpips(options.lpips_weights)
+    choose_device(options.device)  # A missing GPU is reported before any stage runs.
     given, copies = arguments.capture, arguments.out / SOURCE
     capture = given if isinstance(given, Path) else fetched_path(given, copies)
     files = TrainFiles(capture, arguments.out, options.lpips_weights)

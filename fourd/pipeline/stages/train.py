@@ -6,11 +6,14 @@ from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
+
 from fourd.background.contraction import contraction_around
 from fourd.carving import read_bounds
 from fourd.configs import save_config
 from fourd.files import resolved
 from fourd.formats.ply import read_ply
+from fourd.ops.gpu import choose_device, cuda_unavailable_reason
 from fourd.pipeline.stage import Context, Leftovers, Stage
 from fourd.training.cameras.selection import DataSelection, open_run_views
 from fourd.training.config import TrainConfig
@@ -64,13 +67,24 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
     lpips, group = load_lpips(lpips_weights), context.group or ALONE
     if lpips is None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
+    device = _training_device(context, group)
     with open_run(folder) as run:
         require_frames(run.capture.frame_count, group)
         budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
-        trainer = Trainer(run, lpips, context.console, budget, group)
+        trainer = Trainer(run, lpips, context.console, budget, group, device)
         with closing(trainer.frames):
             summary = trainer.train()
     context.log(f"{folder}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
+
+
+def _training_device(context: Context, group: ProcessGroup) -> torch.device:
+    """The device that trains. The choice is logged, unless there is no GPU."""
+    device = choose_device(context.device, group.local_rank)
+    if device.type == "cuda":
+        context.log(f"device: training on {torch.cuda.get_device_name(device)}")
+    elif context.device == "auto" and torch.cuda.is_available():
+        context.log(f"device: training on the CPU, because the GPU cannot be used ({cuda_unavailable_reason()})")
+    return device
 
 
 def require_divisible(config: TrainConfig, group: ProcessGroup) -> None:

@@ -42,7 +42,8 @@ class Refinement(nn.Module):
     translation is stored as a share of the camera's distance from the scene's centre. A focal correction is the
     logarithm of the factor that scales the focal length. A colour correction is the difference between an affine colour
     map and the identity. Each camera has separate parameter tensors, so that a step on one camera leaves the optimizer
-    state of other cameras unchanged.
+    state of other cameras unchanged. The corrections stay on the CPU if the scene is trained on a GPU, because the
+    cameras are computed on the CPU.
     """
 
     def __init__(
@@ -106,7 +107,7 @@ class Refinement(nn.Module):
 
     def recolour(self, rgb: Tensor, alpha: Tensor, index: int) -> Tensor:
         """Map composited colours (H, W, 3), premultiplied by ``alpha`` (H, W), to the colours of camera ``index``."""
-        return recolour(self._colour_map(index), rgb, alpha) if self.config.colours else rgb
+        return recolour(self._colour_map(index).to(rgb), rgb, alpha) if self.config.colours else rgb
 
     def penalty(self, index: int) -> Tensor:
         """Scalar sum of (correction / standard deviation)^2 over all corrections of a camera."""

@@ -53,6 +53,11 @@ class ProcessGroup:
     size: int = 1
 
     @property
+    def local_rank(self) -> int:
+        """Number of this rank among the ranks on the same machine, from 0."""
+        return int(os.environ.get("LOCAL_RANK", "0")) if self.size > 1 else 0
+
+    @property
     def is_first(self) -> bool:
         """Whether this rank writes logs and checkpoints."""
         return self.rank == 0
@@ -83,21 +88,24 @@ class ProcessGroup:
         if self.size == 1:
             return
         listed = list(parameters)
-        parts = [torch.zeros_like(each) if each.grad is None else each.grad for each in listed]
+        # gloo sends tensors of the CPU. Gradients of a GPU are therefore copied.
+        parts = [(torch.zeros_like(each) if each.grad is None else each.grad).cpu() for each in listed]
         has_gradient = torch.tensor([each.grad is not None for each in listed]).to(parts[0])
         sums = torch.cat([*(part.flatten() for part in parts), has_gradient])
         with self._all_ranks():
             dist.all_reduce(sums)
         *means, counts = sums.split([*(part.numel() for part in parts), len(listed)])
         for each, mean, count in zip(listed, means, counts.tolist(), strict=True):
-            each.grad = (mean / self.size).view_as(each) if count > 0 else None
+            each.grad = (mean / self.size).view_as(each).to(each.device) if count > 0 else None
 
     @torch.no_grad()
     def broadcast_parameters(self, parameters: Iterable[Tensor]) -> None:
         """Copy the parameters of rank 0 to all other ranks."""
         for each in parameters if self.size > 1 else ():
+            value = each.data.cpu()
             with self._all_ranks():
-                dist.broadcast(each.data, 0)
+                dist.broadcast(value, 0)
+            each.data.copy_(value)
 
     def longest(self, seconds: float) -> float:
         """The maximum of ``seconds`` over all ranks."""

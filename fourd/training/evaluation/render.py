@@ -107,5 +107,5 @@ def render_view(clouds: Sequence[RenderablePoints], camera: Camera, layers: int,
     with torch.no_grad():
         render = composite(clouds, camera, layers)
     images = (render.features[..., :3].clamp(0, 1), render.alpha, render.features[..., 3])
-    rgb, alpha, foreground = (filter_pixels_reference(image.numpy(), pixel_filter) for image in images)
-    return RenderedView(rgb, alpha, render.depth.numpy(), foreground)
+    rgb, alpha, foreground = (filter_pixels_reference(image.cpu().numpy(), pixel_filter) for image in images)
+    return RenderedView(rgb, alpha, render.depth.cpu().numpy(), foreground)

@@ -71,7 +71,7 @@ def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hid
     evaluated = background.model.evaluate(points.xyz[rows], points.spacing[rows], 0.0)
     alpha = render_points(
         evaluated.xyz,
-        torch.ones(len(rows), 1),
+        torch.ones_like(evaluated.radius)[:, None],
         evaluated.radius,
         evaluated.density,
         viewer,

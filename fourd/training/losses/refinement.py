@@ -22,4 +22,4 @@ class RefinementTerm:
         return True
 
     def value(self, step: RenderedStep) -> Tensor:
-        return self.refinement.penalty(step.sample.target)
+        return self.refinement.penalty(step.sample.target).to(step.prediction)

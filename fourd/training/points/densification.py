@@ -74,14 +74,16 @@ def densify(points: FramePoints, config: DensifyConfig, unobserved: Tensor, seed
     parents = kept[magnitude.topk(split_count).indices.sort().values]
     parents, partners = _choose_partners(points.xyz, kept, parents, np.random.default_rng(seed))
     points.keep_and_insert(kept, parents, partners)
-    changed = np.append(np.searchsorted(kept.numpy(), parents.numpy()), np.arange(len(kept), points.xyz.shape[0]))
+    places = torch.searchsorted(kept, parents.contiguous()).cpu().numpy()
+    changed = np.append(places, np.arange(len(kept), points.xyz.shape[0]))
     _reduce_spacings(points, changed)
     return Densification(len(parents), count - len(kept))
 
 
 def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
     """Reduce spacing and radius of points whose neighbours are closer than before the points were split."""
-    spacing = torch.minimum(points.spacing[rows], torch.from_numpy(point_spacings(points.xyz.numpy(), rows)))
+    measured = torch.from_numpy(point_spacings(points.xyz.cpu().numpy(), rows)).to(points.spacing)
+    spacing = torch.minimum(points.spacing[rows], measured)
     points.radius[rows] *= spacing / points.spacing[rows]
     points.spacing[rows] = spacing
 
@@ -89,8 +91,8 @@ def _reduce_spacings(points: FramePoints, rows: NDArray[np.intp]) -> None:
 def _choose_partners(xyz: Tensor, kept: Tensor, parents: Tensor, rng: np.random.Generator) -> tuple[Tensor, Tensor]:
     """Pair each parent with a partner that is chosen at random from the parent's NEIGHBOURS nearest neighbours among
     the kept points. If two parents choose each other, the pair is included once."""
-    _, near = cKDTree(xyz[kept].numpy()).query(xyz[parents].numpy(), k=list(range(2, NEIGHBOURS + 2)))
+    _, near = cKDTree(xyz[kept].cpu().numpy()).query(xyz[parents].cpu().numpy(), k=list(range(2, NEIGHBOURS + 2)))
     drawn = np.asarray(near)[np.arange(len(parents)), rng.integers(0, NEIGHBOURS, len(parents))]
-    pairs = torch.stack([parents, kept[torch.from_numpy(drawn)]], 1)
-    pairs = torch.from_numpy(np.unique(pairs.sort(dim=1).values.numpy(), axis=0))
+    pairs = torch.stack([parents, kept[torch.from_numpy(drawn).to(kept)]], 1)
+    pairs = torch.from_numpy(np.unique(pairs.sort(dim=1).values.cpu().numpy(), axis=0)).to(pairs)
     return pairs[:, 0], pairs[:, 1]

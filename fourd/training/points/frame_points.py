@@ -103,7 +103,7 @@ class FramePoints:
         """
         first = kept[:0] if parents is None else parents
         second = first if partners is None else partners
-        zeros = torch.zeros(len(first))
+        zeros = self.spacing.new_zeros(len(first))
         for name, value in self.parameters.items():
             mean = (value[first] + value[second]) / 2
             self.parameters[name] = tensor_outside_heap(torch.cat([value[kept], mean]))
@@ -148,6 +148,13 @@ class FramePoints:
         """Copy all tensors to memory outside the heap. Use this method for points that stay in memory for many
         steps."""
         return self.from_tensors({name: tensor_outside_heap(value) for name, value in self.tensors().items()})
+
+    def to(self, device: torch.device) -> FramePoints:
+        """Return the points with their tensors on ``device``. The scalars ``age`` and ``initial_count`` stay on the
+        CPU, so that reading them does not wait for a GPU."""
+        return self.from_tensors(
+            {name: value.to(device) if value.ndim else value.cpu() for name, value in self.tensors().items()}
+        )
 
     @property
     def nbytes(self) -> int:

@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
+import torch
 from cachetools import LRUCache
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
@@ -14,6 +15,7 @@ from torch import Tensor
 from fourd.errors import UserError
 from fourd.files import atomic_path
 from fourd.limits import require_regular
+from fourd.ops.gpu import CPU
 from fourd.training.points.frame_points import FramePoints
 from fourd.training.points.scratch import Scratch
 
@@ -23,7 +25,13 @@ class FrameStore:
     stored in files, so that memory does not grow with the number of frames."""
 
     def __init__(
-        self, scratch: Scratch, frames: int, make: Callable[[int], FramePoints], memory_mb: int, saved: Path | None
+        self,
+        scratch: Scratch,
+        frames: int,
+        make: Callable[[int], FramePoints],
+        memory_mb: int,
+        saved: Path | None,
+        device: torch.device = CPU,
     ) -> None:
         """Open a store.
 
@@ -34,12 +42,14 @@ class FrameStore:
             memory_mb: maximum size of the points in memory, in MiB. The points of a single frame may exceed this size.
             saved: folder that :meth:`save` has written. The points are read from this folder; if None, initial points
                 are used.
+            device: device of the points that :meth:`get` returns.
         """
         self._scratch = scratch
         self._make = make
         self._saved = saved
         self._cache = _SpillingCache(memory_mb * 2**20, self._spill)
         self._spilled: set[int] = set()
+        self._device = device
         self.frames = frames
 
     @property
@@ -51,7 +61,7 @@ class FrameStore:
         """The points of a frame. The caller may change the points in place, but only before the next call of this
         method. Later changes may be lost."""
         if frame not in self._cache:
-            self._cache[frame] = self._load(frame).copy_outside_heap()
+            self._cache[frame] = self._load(frame).to(self._device).copy_outside_heap()
         return self._cache[frame]
 
     def save(self, folder: Path, frames: Iterable[int] | None = None) -> None:

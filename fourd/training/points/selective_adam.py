@@ -67,6 +67,6 @@ class SelectiveAdam:
     def keep_rows(self, kept: Tensor, new_count: int) -> None:
         """Keep only the state of the rows ``kept`` (K,), and append initial state for ``new_count`` rows."""
         for name, moments in self.moments.items():
-            new = torch.zeros(2, new_count, moments.shape[2])
+            new = moments.new_zeros(2, new_count, moments.shape[2])
             self.moments[name] = tensor_outside_heap(torch.cat([moments[:, kept], new], dim=1))
-        self.steps = tensor_outside_heap(torch.cat([self.steps[kept], torch.zeros(new_count)]))
+        self.steps = tensor_outside_heap(torch.cat([self.steps[kept], self.steps.new_zeros(new_count)]))

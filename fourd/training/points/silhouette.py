@@ -28,7 +28,7 @@ def revert_moves_out_of_silhouettes(
         views: pinhole cameras with their mattes (H, W) in [0, 1].
     """
     moved = points.xyz[rows]
-    left = torch.zeros(len(rows), dtype=torch.bool)
+    left = torch.zeros(len(rows), dtype=torch.bool, device=moved.device)
     for camera, matte in views:
         is_outside = ~_is_inside(moved, camera, matte, outside_image=True)
         left |= is_outside & _is_inside(before, camera, matte, outside_image=False)
@@ -39,7 +39,7 @@ def _is_inside(xyz: Tensor, camera: Camera, matte: Tensor, outside_image: bool) 
     """(N,) bool, true for points (N, 3) where the matte is at least 0.5. For points outside the image, the result is
     ``outside_image``."""
     pixels, depth = project_points(xyz, (camera,))
-    size = torch.tensor([matte.shape[1], matte.shape[0]], dtype=pixels.dtype)
+    size = torch.tensor([matte.shape[1], matte.shape[0]], dtype=pixels.dtype, device=pixels.device)
     grid = (2 * pixels / size - 1)[:, None]
     covered = functional.grid_sample(matte[None, None], grid, align_corners=False, padding_mode="border")[0, 0, 0]
     within = ((grid[0, 0].abs() < 1).all(dim=-1)) & (depth[0] > 0)

@@ -84,12 +84,13 @@ class LocalFit:
 
 
 def fit_planes(xyz: Tensor) -> LocalFit:
-    """Fit a plane to the nearest neighbours of each point in ``xyz`` (N, 3), with N at least NEIGHBOURS.
+    """Fit a plane to the nearest neighbours of each point in ``xyz`` (N, 3), with N at least NEIGHBOURS. The planes are
+    computed on the CPU and returned on the device of ``xyz``.
 
     Near neighbours have larger weights than far neighbours. The plane minimises the weighted sum of squared distances
     (principal component analysis).
     """
-    data = xyz.detach().numpy()
+    data = xyz.detach().cpu().numpy()
     found = nearest_neighbours(data, data, NEIGHBOURS, threads=torch.get_num_threads())
     distance, near = np.asarray(found[0], dtype=np.float32), np.asarray(found[1])
     farthest = np.maximum(distance[:, -1:], np.finfo(np.float32).tiny)
@@ -102,4 +103,5 @@ def fit_planes(xyz: Tensor) -> LocalFit:
     base = torch.from_numpy(data + mean[:, 0])
     planes = torch.cat([normal, (normal * base).sum(dim=1, keepdim=True)], dim=1)
     middle = torch.from_numpy(data + offsets[:, 1:].mean(axis=1))
-    return LocalFit(planes, torch.from_numpy(distance[:, ISOLATION_RANK]), middle)
+    reach = torch.from_numpy(distance[:, ISOLATION_RANK])
+    return LocalFit(planes.to(xyz.device), reach.to(xyz.device), middle.to(xyz.device))

@@ -70,8 +70,8 @@ class FullScene:
             return self.foreground.target(sample)
         margin_px = int(sample.position[0] * (self.config.background.margin_px + 1))
         view = self.views.widened(sample.target, sample.frame, margin_px)
-        rgb = torch.tensor(view.rgb).float() / 255
-        matte = torch.tensor(view.matte).float() / 255
+        rgb = torch.tensor(view.rgb, device=self.views.device).float() / 255
+        matte = torch.tensor(view.matte, device=self.views.device).float() / 255
         return Target(view.camera, rgb, matte, torch.ones_like(matte), fills_picture=True)
 
     def evaluate_step(
@@ -146,8 +146,8 @@ class FullScene:
         window = place_window(camera, self.config.background.window_px, sample.position[1:])
         left, top, width, height = window
         rows, columns = slice(top, top + height), slice(left, left + width)
-        rgb = torch.tensor(plate.rgb[rows, columns]).float() / 255
-        seen = torch.tensor(plate.seen[rows, columns]).float()
+        rgb = torch.tensor(plate.rgb[rows, columns], device=self.views.device).float() / 255
+        seen = torch.tensor(plate.seen[rows, columns], device=self.views.device).float()
         return Target(camera.crop(*window), rgb * seen[..., None], None, seen, fills_picture=True)
 
     def _evaluate_background(

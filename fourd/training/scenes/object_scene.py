@@ -52,7 +52,7 @@ class ObjectScene:
 
     def target(self, sample: StepSample) -> Target:
         view = self.views.view(sample.target, sample.frame)
-        rgb, matte = view.premultiplied()
+        rgb, matte = view.premultiplied(self.views.device)
         return Target(view.camera, rgb, matte, matte, fills_picture=False)
 
     def evaluate_step(
