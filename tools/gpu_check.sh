@@ -35,7 +35,8 @@ if not fourd.__file__.startswith(os.getcwd()):
 if not has_gpu():
     sys.exit("gpu_check: expected a CUDA device and kernels built for it, got none")
 PYTHON
-tests=(-q -k "cuda and not emulated" tests/ops tests/raster tests/lenses tests/baking/test_gpu_player.py)
+tests=(-q -k "cuda and not emulated" tests/ops tests/raster tests/lenses tests/baking/test_gpu_player.py
+  tests/training/test_device.py)
 if [ "${1:-}" = sanitize ]; then
   # torch's memory pool is switched off, so that compute-sanitizer checks each allocation separately.
   PYTORCH_NO_CUDA_MEMORY_CACHING=1 compute-sanitizer --tool memcheck --error-exitcode 1 "$python" -m pytest "${tests[@]}"
