@@ -170,10 +170,15 @@ class Run:
             background.points = FramePoints.from_tensors(load_points(saved / f"{BACKGROUND}.safetensors"))
         return background
 
-    def view_store(self) -> ViewStore:
-        """The store of training images, with the config's crop and cache size."""
+    def view_store(self, device: torch.device = CPU) -> ViewStore:
+        """The store of training images for training on ``device``.
+
+        On a GPU, a step takes less time than decoding an image. The cache is therefore larger than the config's cache
+        size: an eighth of the GPU's free memory. The cache itself is in the memory of the CPU, which is rarely smaller.
+        """
         train = self.config.train
-        return ViewStore(self.capture, train.crop == "mask", train.memory_mb)
+        cache_mb = train.memory_mb if device.type != "cuda" else max(train.memory_mb, _free_gpu_mb(device) // 8)
+        return ViewStore(self.capture, train.crop == "mask", cache_mb)
 
     def frame_store(self, saved: Path | None, device: torch.device = CPU) -> FrameStore:
         """The store of the points of every frame, which returns points on ``device``.
@@ -181,7 +186,7 @@ class Run:
         The points are read from the checkpoint folder ``saved``. If ``saved`` is None, initial points are used.
         """
         scratch = Scratch(self.folder / SCRATCH)
-        budget_mb = self.config.train.memory_mb // 2
+        budget_mb = self.config.train.memory_mb // 2 if device.type != "cuda" else _free_gpu_mb(device) // 2
         return FrameStore(scratch, self.capture.frame_count, self.initial_points, budget_mb, saved, device)
 
     def initial_points(self, frame: int) -> FramePoints:
@@ -279,6 +284,10 @@ def load_models(run: Run) -> TrainedRun:
     frames = run.frame_store(points_folder(found))
     renderer = ModelRenderer(scene, run.training, run.focus, run.config.train.pixel_filter)
     return TrainedRun(run, step, model, frames, renderer)
+
+
+def _free_gpu_mb(device: torch.device) -> int:
+    return torch.cuda.mem_get_info(device)[0] // 2**20
 
 
 def read_run_plates(

@@ -157,12 +157,10 @@ class Stepper:
         self.scene.finish_step()
 
 
-def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[Camera, Tensor]]:
-    """(camera, matte) of the step's target view and of each of its source views."""
-    views = [(camera, matte)]
-    if points.sources is not None:
-        views += list(zip(points.sources.cameras, points.sources.mattes, strict=True))
-    return views
+def _silhouettes(camera: Camera, matte: Tensor, points: OptimizedPoints) -> list[tuple[tuple[Camera, ...], Tensor]]:
+    """Cameras and mattes of the step's target view, and of its source views."""
+    target = ((camera,), matte[None])
+    return [target] if points.sources is None else [target, (points.sources.cameras, points.sources.mattes)]
 
 
 def _require_finite(terms: dict[str, Tensor], number: int) -> None:

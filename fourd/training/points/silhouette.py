@@ -14,7 +14,7 @@ from fourd.training.points.frame_points import FramePoints
 
 
 def revert_moves_out_of_silhouettes(
-    points: FramePoints, rows: Tensor, before: Tensor, views: Sequence[tuple[Camera, Tensor]]
+    points: FramePoints, rows: Tensor, before: Tensor, views: Sequence[tuple[tuple[Camera, ...], Tensor]]
 ) -> None:
     """Undo the moves that took a point out of the silhouette in at least one view.
 
@@ -25,22 +25,23 @@ def revert_moves_out_of_silhouettes(
         points: the cloud. Positions are changed in place.
         rows: (M,) indices of the points that moved.
         before: (M, 3) positions of the moved points before the move.
-        views: pinhole cameras with their mattes (H, W) in [0, 1].
+        views: groups of views of equal size: the V pinhole cameras of a group, and their mattes (V, H, W) in [0, 1].
     """
     moved = points.xyz[rows]
     left = torch.zeros(len(rows), dtype=torch.bool, device=moved.device)
-    for camera, matte in views:
-        is_outside = ~_is_inside(moved, camera, matte, outside_image=True)
-        left |= is_outside & _is_inside(before, camera, matte, outside_image=False)
+    for cameras, mattes in views:
+        is_in_image, is_covered = _silhouette_samples(torch.cat([before, moved]), cameras, mattes)
+        was_inside, is_inside = (is_in_image & is_covered).chunk(2, dim=1)
+        can_leave = is_in_image[:, len(rows) :]
+        left |= (was_inside & can_leave & ~is_inside).any(dim=0)
     points.parameters["xyz"][rows] = torch.where(left[:, None], before, moved)
 
 
-def _is_inside(xyz: Tensor, camera: Camera, matte: Tensor, outside_image: bool) -> Tensor:
-    """(N,) bool, true for points (N, 3) where the matte is at least 0.5. For points outside the image, the result is
-    ``outside_image``."""
-    pixels, depth = project_points(xyz, (camera,))
-    size = torch.tensor([matte.shape[1], matte.shape[0]], dtype=pixels.dtype, device=pixels.device)
-    grid = (2 * pixels / size - 1)[:, None]
-    covered = functional.grid_sample(matte[None, None], grid, align_corners=False, padding_mode="border")[0, 0, 0]
-    within = ((grid[0, 0].abs() < 1).all(dim=-1)) & (depth[0] > 0)
-    return torch.where(within, covered >= 0.5, outside_image)
+def _silhouette_samples(xyz: Tensor, cameras: tuple[Camera, ...], mattes: Tensor) -> tuple[Tensor, Tensor]:
+    """Two masks (V, N) for points (N, 3) and V views: whether the point is inside the image, and whether the matte is
+    at least 0.5 there."""
+    pixels, depth = project_points(xyz, cameras)
+    size = torch.tensor([mattes.shape[2], mattes.shape[1]], dtype=pixels.dtype, device=pixels.device)
+    grid = 2 * pixels / size - 1
+    covered = functional.grid_sample(mattes[:, None], grid[:, None], align_corners=False, padding_mode="border")
+    return (grid.abs() < 1).all(dim=-1) & (depth > 0), covered[:, 0, 0] >= 0.5

@@ -85,7 +85,7 @@ def test_points_do_not_leave_a_silhouette() -> None:
     points = fresh_points(torch.zeros(9, 3), 0.1)
     rows = torch.tensor([1, 3, 4, 6, 8])
     points.parameters["xyz"][rows] = moved
-    revert_moves_out_of_silhouettes(points, rows, before, [(camera, matte)])
+    revert_moves_out_of_silhouettes(points, rows, before, [((camera,), matte[None])])
     got = points.xyz[rows]
     assert torch.equal(got[0], moved[0]), "a move within the silhouette"
     assert torch.equal(got[1], before[1]), "a move out of it"
