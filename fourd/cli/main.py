@@ -14,6 +14,7 @@ from pathlib import Path
 from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
 from fourd.limits import printable
+from fourd.processes import handle_termination
 from fourd.progress import Terminal
 
 COMMANDS = {
@@ -107,7 +108,8 @@ HELP = """fourd turns multi-view video of a moving scene into a 4D point scene.
 
 fourd COMMAND --help lists the command's options and their units.
 Exit codes: 0 success; 1 internal error; 2 wrong input, or a file that cannot be read or written;
-130 interrupted by Ctrl-C (finished results are kept); 141 the program that reads the output ended first.
+130 interrupted by Ctrl-C or SIGTERM (finished results are kept);
+141 the program that reads the output ended first.
 """
 
 
@@ -142,11 +144,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def console_main() -> int:
     """Run the command that the user typed in the terminal, and return the exit code. The process must exit
     afterwards."""
+    # torchrun ends its ranks with SIGTERM. A rank that waits for other ranks could not handle the signal.
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        handle_termination()
     try:
         return main()
     finally:
         # After the command has ended, Ctrl-C would only print a traceback while Python exits.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _reader_is_gone() -> bool:
@@ -244,6 +250,8 @@ def _run(command: str, words: list[str]) -> int:
         hint = f"did you mean '{near[0]}'?" if near else "see fourd --help"
         raise UserError(f"expected a command among {', '.join(COMMANDS)}, got '{command}'; {hint}")
     module = importlib.import_module(f"fourd.cli.{COMMANDS[command]}")
+    if signal.getsignal(signal.SIGTERM) is signal.default_int_handler:
+        handle_termination()  # pycolmap, for example, has replaced the handler in C++.
     with one_line_of_usage():
         arguments = tyro.cli(
             module.Arguments,

@@ -1,4 +1,4 @@
-"""Deferral of Ctrl-C."""
+"""Deferral of Ctrl-C, and termination by the signal SIGTERM."""
 
 from __future__ import annotations
 
@@ -6,32 +6,44 @@ import signal
 import threading
 from types import FrameType, TracebackType
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+def handle_termination() -> None:
+    """Make SIGTERM raise KeyboardInterrupt, as Ctrl-C does. A command that is ended by a batch system or a container
+    then removes unfinished files, and training saves a checkpoint.
+
+    Call this function again after imports: some C++ libraries replace the handler of SIGTERM when they are loaded.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+
 
 class DeferredInterrupt:
     """A context manager. Inside the ``with`` block, the first Ctrl-C only sets :attr:`is_pending`, and the second
-    Ctrl-C raises KeyboardInterrupt.
+    Ctrl-C raises KeyboardInterrupt. SIGTERM is deferred in the same way after a call of :func:`handle_termination`.
 
-    Signals are deferred only in the main thread, because Python handles signals only in the main thread. If the process
-    ignores Ctrl-C or has its own handler for Ctrl-C, the context manager has no effect.
+    Signals are deferred only in the main thread, because Python handles signals only in the main thread. The context
+    manager has no effect on a signal that the process ignores or for which the process has its own handler.
     """
 
     def __init__(self) -> None:
         self.is_pending = False
-        self._is_active = False
+        self._deferred: list[signal.Signals] = []
 
     def __enter__(self) -> DeferredInterrupt:
         is_main = threading.current_thread() is threading.main_thread()
-        if is_main and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
-            signal.signal(signal.SIGINT, self._handle)
-            self._is_active = True
+        for number in SIGNALS if is_main else ():
+            if signal.getsignal(number) is signal.default_int_handler:
+                signal.signal(number, self._handle)
+                self._deferred.append(number)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._is_active:
-            signal.signal(signal.SIGINT, signal.default_int_handler)
-            self._is_active = False
+        for number in self._deferred:
+            signal.signal(number, signal.default_int_handler)
+        self._deferred.clear()
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
         if self.is_pending:

@@ -69,20 +69,21 @@ def test_an_unused_new_folder_is_removed(tmp_path: Path) -> None:
         pass
 
 
-def test_the_first_interrupt_is_deferred_and_the_second_is_not() -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_first_interrupt_is_deferred_and_the_second_is_not(number: signal.Signals) -> None:
     """Catches Ctrl-C that takes effect in the middle of an optimizer step, and a program that Ctrl-C does not end."""
-    before = signal.getsignal(signal.SIGINT)
+    before = signal.getsignal(number)
     try:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(number, signal.default_int_handler)
         with DeferredInterrupt() as interrupt:
             assert not interrupt.is_pending
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), number)
             assert interrupt.is_pending
             with pytest.raises(KeyboardInterrupt):
-                os.kill(os.getpid(), signal.SIGINT)
-        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+                os.kill(os.getpid(), number)
+        assert signal.getsignal(number) is signal.default_int_handler
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(number, before)
 
 
 def test_commands_refuse_a_folder_that_is_in_use(
