@@ -13,6 +13,8 @@ import torch
 from fourd.errors import UserError
 from fourd.ops.gpu import CPU, choose_device, cuda_unavailable_reason
 from fourd.pipeline.make import create_run
+from fourd.pipeline.stage import Context
+from fourd.pipeline.stages.train import train_run
 from fourd.training.config import RefineConfig, TrainConfig
 from fourd.training.loop import Trainer
 from fourd.training.occlusion import _maximum_filter
@@ -85,6 +87,23 @@ def test_the_maximum_filter_of_a_gpu_equals_that_of_the_cpu(device: torch.device
     image = torch.from_numpy(rng.random((23, 31), np.float32))
     for reach in (1, 7):
         assert torch.equal(_maximum_filter(image.to(device), reach).cpu(), _maximum_filter(image, reach))
+
+
+def test_a_gpu_with_too_little_memory_is_one_line(
+    ball_capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches a traceback if the memory of a GPU does not suffice."""
+
+    def run_out(*arguments: object) -> None:
+        raise torch.OutOfMemoryError("CUDA out of memory.\nTried to allocate 20 GiB")
+
+    create_run(ball_capture, tmp_path / "run", SMALL)
+    monkeypatch.setattr(Trainer, "train", run_out)
+    message = (
+        "--device: expected a GPU with enough free memory, got 'CUDA out of memory. Tried to allocate 20 GiB'; use "
+    )
+    with pytest.raises(UserError, match=message):
+        train_run(tmp_path / "run", None, SMALL, Context())
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="this machine has a GPU")

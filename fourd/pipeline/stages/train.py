@@ -11,6 +11,7 @@ import torch
 from fourd.background.contraction import contraction_around
 from fourd.carving import read_bounds
 from fourd.configs import save_config
+from fourd.errors import UserError
 from fourd.files import resolved
 from fourd.formats.ply import read_ply
 from fourd.ops.gpu import choose_device, cuda_unavailable_reason
@@ -24,6 +25,8 @@ from fourd.training.points.spacing import mean_spacing
 from fourd.training.run import Run, RunConfig, SceneConfig, open_run
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
 
+MAX_REASON = 200
+"""Error messages quote at most this number of characters of torch's own message."""
 PREPARED_BY = ("adjust", "carve", "points", "background")
 """Names of the stages whose results training reads."""
 
@@ -71,9 +74,16 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
     with open_run(folder) as run:
         require_frames(run.capture.frame_count, group)
         budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
-        trainer = Trainer(run, lpips, context.console, budget, group, device)
-        with closing(trainer.frames):
-            summary = trainer.train()
+        try:
+            trainer = Trainer(run, lpips, context.console, budget, group, device)
+            with closing(trainer.frames):
+                summary = trainer.train()
+        except torch.OutOfMemoryError as error:
+            reason = " ".join(str(error).split())[:MAX_REASON]
+            raise UserError(
+                f"--device: expected a GPU with enough free memory, got '{reason}'; use fewer --points, a smaller --scale "
+                "or --device cpu, and add --resume if the run has a checkpoint"
+            ) from error
     context.log(f"{folder}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
 
 
