@@ -81,8 +81,8 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
         except torch.OutOfMemoryError as error:
             reason = " ".join(str(error).split())[:MAX_REASON]
             raise UserError(
-                f"--device: expected a GPU with enough free memory, got '{reason}'; use fewer --points, a smaller --scale "
-                "or --device cpu, and add --resume if the run has a checkpoint"
+                f"--device: expected a GPU with enough free memory, got '{reason}'; use fewer --points, a smaller "
+                "--scale or --device cpu, and add --resume if the run has a checkpoint"
             ) from error
     context.log(f"{folder}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
 
