@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FADE_MARGIN = 1.25
-"""Factor for the limit angle of :func:`fading_weights`. If every camera that is not chosen has a smaller angle than the
-largest angle of the chosen cameras, the limit angle is this largest angle times the factor. In all other cases, the
-factor is not used.
+"""Factor for the limit angle of :func:`fading_weights`. The factor is used only if each camera that is not chosen has a
+smaller angle than A, the largest angle of the chosen cameras, or if all cameras are chosen. The limit angle is then A
+times the factor.
 """
 
 
@@ -193,11 +193,11 @@ def fading_weights(
     the weight.
 
     A chosen camera at the angle a from the viewing camera has the view weight 1 - a / b, where b is the limit angle.
-    Let A be the largest angle of the chosen cameras. Among the cameras that are not chosen and whose angles are at
-    least A, b is the smallest angle. At the moment when another camera replaces a chosen camera, both have the view
-    weight 0, so the rendered image does not jump (unstructured lumigraph rendering, Buehler et al. 2001, sec. 4).
-    Angles are measured at the point ``focus``. If this formula gives 0 for all chosen cameras, all view weights are 1
-    instead.
+    Let A be the largest angle of the chosen cameras. Of the angles of the cameras that are not chosen, b is the
+    smallest that is at least A. If there is no such angle, b is FADE_MARGIN * A. At the moment when another camera
+    replaces a chosen camera, both have the view weight 0, so the rendered image does not jump (unstructured lumigraph
+    rendering, Buehler et al. 2001, sec. 4). Angles are measured at the point ``focus``. If this formula gives 0 for all
+    chosen cameras, all view weights are 1 instead.
 
     Args:
         camera: the viewing camera.

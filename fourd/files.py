@@ -24,7 +24,8 @@ UNFINISHED = ".unfinished-"
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``. On success, rename the temporary file to ``target``.
 
-    If ``target`` is a named pipe, a socket or a device, UserError is raised, because renaming would replace it.
+    If ``target`` is a named pipe, a socket or a device, UserError is raised, because the renamed file would replace the
+    pipe, socket or device.
 
     The temporary file is synced to disk before it is renamed. Use this context manager with file writers that take a
     path. If the ``with`` block raises an exception, the temporary file is removed and ``target`` is unchanged. A killed
@@ -184,7 +185,8 @@ def try_lock(descriptor: int) -> bool | None:
     """Lock an open file or folder until its descriptor is closed, and return True. Returns False if another process
     holds a lock.
 
-    Returns None, without locking, on file systems without locks and on Windows, where open files cannot be renamed.
+    Returns None, without locking, on file systems without locks and on Windows. A locked file must stay open, but
+    Windows cannot rename open files.
     """
     if sys.platform == "win32":
         return None

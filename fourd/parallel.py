@@ -38,7 +38,7 @@ def split_into_blocks(items: Sequence[Item], workers: int) -> list[Sequence[Item
 
 
 def run_jobs(work: Callable[[Job], Iterable[Result]], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """Yield the result of ``work`` for each job as soon as it is ready.
+    """Yield the results of ``work`` for all jobs, each result as soon as it is ready. A job can have several results.
 
     With one worker or one job, ``work`` runs in this process, without a pool. The pool's processes are terminated when
     the caller stops the iteration or a job fails. The processes of the pool also exit when their parent process is

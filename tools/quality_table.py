@@ -56,7 +56,7 @@ class Arguments:
 @dataclass(frozen=True)
 class ViewQuality:
     """Measured values of one image, inside the matte's bounding box. ``specks`` is the fraction of the box's pixels
-    that are specks."""
+    that belong to specks, which are small regions with a large error."""
 
     psnr: float
     ssim: float | None

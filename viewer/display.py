@@ -35,8 +35,8 @@ class DisplaySettings:
     def scale_points(self, frame: BakedFrame) -> BakedFrame:
         """Return ``frame`` with scaled radii and densities. If both factors are 1, return ``frame`` itself.
 
-        In a scaled frame, ``background`` is None, because its background points differ from the background that all
-        frames share.
+        In a scaled frame, ``background`` is None, because the scaled background points differ from the background that
+        all frames share.
         """
         if self.point_scale == 1.0 and self.density_scale == 1.0:
             return frame

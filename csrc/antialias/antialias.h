@@ -25,13 +25,13 @@ struct Settings {
     Simd simd;    // An instruction set that this machine supports.
 };
 
-// Writes the blended colours to `out`. Each pixel forms two pairs: one with its right neighbour and one with its lower
-// neighbour. For each pixel, the function writes a Code (maths.h) to `codes`, which describes the silhouette edges that
-// cross the two pairs of the pixel.
+// Writes the blended colours to `out` (count, height, width, channels). Each pixel forms two pairs: one with its right
+// neighbour and one with its lower neighbour. For each pixel, the function writes a Code (maths.h) to `codes` (count,
+// height, width). The Code describes the silhouette edges that cross the two pairs of the pixel.
 void blend(const Mesh& mesh, const Images& images, const Settings& settings, float* out, std::uint8_t* codes);
 
-// The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to `out`. The
-// output arrays `colours` and `positions` may be null.
+// The arguments of the backward pass of blend(). `gradient` is the gradient of the loss with respect to the `out` of
+// blend(), and `codes` is the array that blend() writes. The output arrays `colours` and `positions` may be null.
 struct Gradients {
     const float* gradient;
     const std::uint8_t* codes;

@@ -1,6 +1,7 @@
-// Computes the logits for blending source views with a small MLP. The formula of a logit is
-// range * tanh((out . relu(point + weight * sample) + bias) / range). The kernel never stores the hidden layer for all
-// views and points at once. Callers check shapes, and arrays are dense.
+// Computes the logits for blending source views with a small MLP. The logit of a point in a view is
+// range * tanh((out . relu(point + weight^T sample) + bias) / range), where `sample` is the vector of the channels that
+// the point has in the view. The kernel never stores the hidden layer for all views and points at once. Callers check
+// shapes, and arrays are dense.
 #pragma once
 
 #include <cstddef>
@@ -30,10 +31,11 @@ struct Inputs {
     Simd simd;    // An instruction set that this machine supports.
 };
 
+// Gradients of the loss with respect to the members of Inputs and Mlp with the same names, in the same shapes.
 struct Gradients {
-    float* point;  // Has the shape of Inputs::point.
+    float* point;
     float* samples;
-    float* weight;  // Has the shape of Mlp::weight.
+    float* weight;
     float* out;
     float* bias;  // Shape (1,).
 };

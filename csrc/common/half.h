@@ -11,7 +11,7 @@ namespace fourd {
 
 // Converts half precision to float32. The exponent and the mantissa are shifted into a float, which is then multiplied
 // by 2^112, because the exponent biases differ by 112. The conversion is exact for subnormal numbers too. Infinity and
-// NaN become finite values of 65536 or more.
+// NaN become finite values with a magnitude of 65536 or more.
 FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
     const std::uint32_t shifted = static_cast<std::uint32_t>(half & 0x7fff) << 13;
     float magnitude;

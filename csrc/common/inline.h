@@ -50,7 +50,7 @@ FOURD_INLINE void prefetch_for_write(const void* address) {
 #endif
 }
 
-constexpr std::size_t kCacheLine = 64;  // Of all common processors.
+constexpr std::size_t kCacheLine = 64;  // Size in bytes of a cache line, on all common processors.
 
 // Prefetches `bytes` bytes.
 FOURD_INLINE void prefetch_bytes(const void* first, std::size_t bytes) {

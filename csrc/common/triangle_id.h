@@ -1,7 +1,7 @@
-// Triangle ids as values of a float32 image, which the kernels for triangles share. The value 0 is the background.
-// Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. Above 2^24, float32 cannot represent
-// every integer, so the number n is stored as the float with the bits 0x4a800000 + n. The floats are in the same order
-// as the numbers, also above 2^24.
+// Triangle ids as pixel values of a float32 image. All kernels for triangles share this format. The value 0 is the
+// background. Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. Above 2^24, float32 cannot
+// represent every integer, so the number n is stored as the float with the bits 0x4a800000 + n. The floats are in the
+// same order as the numbers, also above 2^24.
 #pragma once
 
 #include <cstdint>

@@ -14,7 +14,7 @@ constexpr int kWarpSize = 32;  // Number of threads that run in lockstep.
 #ifdef __CUDACC__
 
 // One thread of a warp. All threads of a warp must call the same functions of Lane in the same order. All threads must
-// therefore leave a loop at the same iteration.
+// therefore leave a loop that contains such calls at the same iteration.
 class Lane {
   public:
     FOURD_DEVICE bool any(bool value) const { return __any_sync(kAll, value) != 0; }

@@ -7,8 +7,8 @@
 
 namespace fourd::edge_gradients {
 
-// `gradient` is the gradient of the loss with respect to the colours. Writes to `positions`, which has the shape of
-// Mesh::positions, the gradient with respect to Mesh::positions.
+// `gradient` is the gradient of the loss with respect to Images::colours. The function writes the gradient with respect
+// to Mesh::positions to `positions`. Each gradient has the shape of its input.
 void edge_gradients(const antialias::Mesh& mesh, const antialias::Images& images, const antialias::Settings& settings,
                     const float* gradient, float* positions);
 

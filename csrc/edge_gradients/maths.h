@@ -2,9 +2,10 @@
 // the segment between the centres of two neighbouring pixels. The functions also compute the derivatives of this point
 // with respect to the vertices.
 //
-// N_i are the linear functions of the edges (antialias/maths.h). At a pixel, z/w of a triangle is the sum of b_i z_i,
-// where b_i = N_i / V. The number V is the sum of N_i w_i, which is the same at all pixels. z/w is therefore a linear
-// function of the pixel f: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
+// N_i is the linear function of the edge opposite to vertex i (antialias/maths.h). At a pixel, z/w of a triangle is the
+// sum of b_i z_i, where b_i = N_i / V. The number V is the sum of N_i w_i, which is the same at all pixels. z/w is
+// therefore a linear function of the pixel centre f = (f_a, f_b), with constant coefficients p_a, p_b and p_w:
+// D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
 // b_i * (dz - p_a da - p_b db - p_w dw). At the crossing, both triangles have the same D.
 #pragma once
 
@@ -76,7 +77,8 @@ struct Outline {
     }
 };
 
-// z/w of a triangle as a linear function: its value at the owner, and its decrease per pixel along and across the pair.
+// z/w of a triangle as a linear function: its value `depth` at the owner, and its decrease per pixel along and across
+// the pair. `volume` is the number V (see above).
 struct Plane {
     float volume, depth, fall, fall_across;
 

@@ -27,8 +27,7 @@ struct Query {
 void encode(const Query& query, float* out);
 
 // `gradient` (count, level_count * features) is the gradient of the loss with respect to the encoding. The function
-// overwrites grad_table (entries, features) and grad_coordinates (count, 3). Both grad_table and grad_coordinates may
-// be null.
+// overwrites grad_table (entries, features) and grad_coordinates (count, 3). Each of these two pointers may be null.
 void encode_backward(const Query& query, const float* gradient, float* grad_table, float* grad_coordinates);
 
 }  // namespace fourd::hashgrid

@@ -34,8 +34,8 @@ FOURD_HD static FOURD_INLINE std::uint64_t samples_of(int resolution) {
     return side * side * side;
 }
 
-// Describes a level. The earlier levels occupy the first `before` entries of the table, and padding may follow these
-// entries.
+// Describes a level, which has at most 2^log2_entries entries. The earlier levels occupy the first `before` entries of
+// the table, and padding may follow these entries.
 FOURD_HD static FOURD_INLINE Level level_of(int resolution, int log2_entries, std::size_t before) {
     const std::size_t first = (before + kAlign - 1) / kAlign * kAlign;
     const std::uint32_t side = static_cast<std::uint32_t>(resolution) + 1, max_entries = 1u << log2_entries;
@@ -98,7 +98,8 @@ FOURD_HD static FOURD_INLINE Cell cell_of(const Level& level, const Interpolatio
     return out;
 }
 
-// Adds to out (3,) the gradient of the trilinear interpolation of value (kCorners,) with respect to the coordinates.
+// `value` (kCorners,) has one value for each corner of the cell that contains the point `coordinates` (3,). Adds the
+// gradient of the trilinearly interpolated value with respect to `coordinates` to `out` (3,).
 FOURD_HD static FOURD_INLINE void add_slopes(const Level& level, const float* coordinates, const float* value,
                                              float* out) {
     const Interpolation x = interpolate_axis(level, coordinates[0]), y = interpolate_axis(level, coordinates[1]),

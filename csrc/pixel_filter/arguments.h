@@ -1,4 +1,4 @@
-// Checks of the arguments that the bindings for CPU and GPU share.
+// Checks the arguments of the pixel filter, for the CPU and a GPU.
 #pragma once
 
 #include <nanobind/ndarray.h>

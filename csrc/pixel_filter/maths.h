@@ -8,7 +8,7 @@
 
 namespace fourd::pixel_filter {
 
-// Weighted mean of three neighbours. The mean of three equal numbers is that number, up to rounding.
+// Weighted mean of three neighbours. For three equal numbers, the result is exactly that number.
 FOURD_HD FOURD_INLINE float mean_of(float before, float centre, float after, float side) {
     return centre + side * ((before - centre) + (after - centre));
 }

@@ -31,8 +31,8 @@ struct PlaneArguments {
     std::vector<planes::Plane> planes;
     planes::Query query;
 
-    // `axes` has two coordinate indices per plane: the coordinate along the columns of the plane, then the coordinate
-    // along its rows.
+    // `axes` has two coordinate indices (0 to 3) per plane: of the coordinate that selects the column, then of the
+    // coordinate that selects the row.
     PlaneArguments(const Coordinates& coordinates, const std::vector<Values>& values_, const std::vector<int>& axes,
                    int threads, Simd simd)
         : values(values_) {

@@ -13,7 +13,7 @@ namespace fourd::planes {
 struct Plane {
     const float* values;
     int columns, rows;
-    int x_axis, y_axis;  // Indices (0 to 3) of the coordinates along columns and along rows.
+    int x_axis, y_axis;  // Indices (0 to 3) of the coordinates that select the column and the row.
 };
 
 // The linear interpolation between the two samples around a coordinate. The sample with index `low` has weight

@@ -9,10 +9,10 @@
 
 namespace fourd::points {
 
-// The weight of a point in the depth and normal of the visible surface. The argument is the cosine between the point's
-// normal and the direction to the camera. Points on the far side of the subject are visible where the near side has
-// gaps or was not seen by any camera. Points whose normal faces away from the camera get a small weight, so that they
-// matter only where no other points are visible.
+// front_weight(cosine) is the weight of a point in the mean depth and normal of the visible surface. `cosine` is the
+// cosine of the angle between the point's normal and the direction to the camera. Points on the far side of the subject
+// are visible where the near side has gaps or was not seen by any camera. Points whose normal faces away from the
+// camera get a small weight, so that they matter only where no other points are visible.
 constexpr float kBackWeight = 0.1f;
 
 FOURD_INLINE float front_weight(float cosine) {
@@ -20,8 +20,8 @@ FOURD_INLINE float front_weight(float cosine) {
     return kBackWeight + (1.0f - kBackWeight) * (limited > 0.0f ? limited : 0.0f);
 }
 
-// Computes the weights and the camera depths of points. `xyz` (count, 3) are positions in world axes, and `normals`
-// (count, 3) are unit normals in camera axes.
+// Writes the weights and the camera depths of points to `weights` (count,) and `depths` (count,). `xyz` (count, 3) are
+// positions in world axes, and `normals` (count, 3) are unit normals in camera axes.
 FOURD_INLINE void front_weights(const Pinhole& camera, const float* xyz, const float* normals, std::size_t count,
                                 float* weights, float* depths) {
     float r[9], t[3];

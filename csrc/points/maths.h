@@ -40,8 +40,8 @@ FOURD_HD static inline TileRange tile_range_of(const Splat& splat) {
 }
 
 // Sums of gradients over the pixels that a point hits. Let g be the gradient of the loss with respect to the point's
-// alpha at a pixel. The members dx, dy, square and falloff are the sums over pixels of g * dx, g * dy, g * distance^2
-// and g * falloff. The member z is the sum of the gradients with respect to the camera depth of the point.
+// alpha at a pixel. The members dx, dy, square and falloff are the sums over pixels of g times the member of
+// PixelCoverage with the same name. The member z is the sum of the gradients with respect to the point's camera depth.
 struct SplatGradient {
     float dx, dy, square, falloff, z;
 };
@@ -50,8 +50,8 @@ struct SplatGradient {
 // and is empty if first > last. The bounds are clipped before they are rounded, because this order needs no branches,
 // so that compilers can vectorise the code.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
-    // The float32 rounding error of the hit test is about 4e-7 * rho^2. A margin of 1e-6 ensures that the pixel range
-    // contains all hits.
+    // The hit test has a float32 rounding error of about 4e-7 * rho^2 in the squared distance. The range therefore uses
+    // a rho that is larger by a factor of 1 + 1e-6, so that it contains all hits.
     const double extent = static_cast<double>(rho) * (1.0 + 1e-6);
     double low = static_cast<double>(centre) - extent - 0.5, high = static_cast<double>(centre) + extent - 0.5;
     low = low > 0.0 ? low : 0.0;

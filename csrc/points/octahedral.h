@@ -11,7 +11,8 @@
 
 namespace fourd::points {
 
-// Decodes an octahedral normal, stored as the bytes 127 * x + 128 and 127 * y + 128, to the unit vector `normal`.
+// Decodes an octahedral normal to the unit vector `normal`. The two bytes are 127 * x + 128 and 127 * y + 128, where
+// (x, y) in [-1, 1]^2 is a position in the octahedral map.
 FOURD_INLINE void from_octahedral(const std::uint8_t* bytes, float* normal) {
     const float x = static_cast<float>(bytes[0]) / 127.0f - 128.0f / 127.0f;
     const float y = static_cast<float>(bytes[1]) / 127.0f - 128.0f / 127.0f;

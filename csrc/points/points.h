@@ -41,23 +41,28 @@ struct Canvas {
 
 // An 8-bit image with the visible surface of each pixel.
 struct Surface {
-    Canvas canvas;         // With a black background, the image has the colours of the points multiplied by alpha.
-    float* inverse_depth;  // Shape (height, width): coverage / (mean depth). The coverage is clamp(3 * alpha - 1/2, 0,
-                           // 1).
+    Canvas canvas;  // With a black background, the colours are premultiplied by alpha.
+    // Shape (height, width): coverage / depth. `depth` is the mean camera depth of the points that the pixel hits,
+    // weighted by transmittance * alpha * front_weight (points/front_weight.h). The coverage is
+    // clamp(3 * alpha - 1/2, 0, 1).
+    float* inverse_depth;
     // Shape (height, width, 4): unit normal n as bytes 127 * n + 128, then 255 * coverage. At pixels without points,
     // the normal is 0.
     std::uint8_t* normal;
-    float persistence;     // From 0 to 1. If `persistence` is above 0, all arrays must contain the previous image of
-                           // the same camera before the call. Where both images show the same surface, `persistence` is
-                           // the weight of the previous depth and normal.
+    // From 0 to below 1: the weight of the inverse depth and normal of the previous image, at pixels where the previous
+    // image and the new image show the same surface. If `persistence` is above 0, all arrays must contain the previous
+    // image of the same camera before the call.
+    float persistence;
 };
 
+// The gradient of the loss with respect to the arrays of Image, in the same shapes.
 struct ImageGradient {
     const float* features;
     const float* alpha;
     const float* depth;  // Null if the loss does not depend on the depth.
 };
 
+// The gradient of the loss with respect to the arrays of Cloud, in the same shapes.
 struct CloudGradient {
     float* xyz;
     float* features;

@@ -1,12 +1,12 @@
 // The gradient of the rasterizer, shared by every backend.
 //
-// With b = M^-1 f (maths.h), a change of the vertex p_k = (x, y, w)_k changes b by -M^-1 dp_k b_k. If g is the gradient
-// with respect to b, the gradient with respect to p_k is therefore -b_k M^-T g. M is the same at all pixels of a
-// triangle, so only the products b_k g are summed over pixels. For the derivatives b_x and b_y of b along x and y, the
-// same formula holds with element k of b_x or b_y in place of b_k. Below, g0 and g1 are gradients with respect to b_0
-// and b_1, and gs is the gradient with respect to the sum s = 1/w of all b_k. The struct Planes stores b multiplied by
-// a scale. The gradients g0, g1 and gs are divided by this scale, so that the products of gradients and elements of b
-// do not depend on the scale.
+// If the vertex p_k = (x, y, w)_k moves by dp_k, the vector b = M^-1 f (maths.h) changes by -b_k M^-1 dp_k. If g is the
+// gradient with respect to b, the gradient with respect to p_k is therefore -b_k M^-T g. M is the same at all pixels of
+// a triangle, so only the products b_k g are summed over pixels. Let b_x and b_y be the derivatives of b along x and y.
+// For the gradient with respect to b_x or b_y, the same formula holds with element k of b_x or b_y in place of b_k.
+// Below, g0 and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of
+// all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this scale, so
+// that the products of gradients and elements of b do not depend on the scale.
 #pragma once
 
 #include "rasterize/maths.h"

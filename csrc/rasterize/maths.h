@@ -7,9 +7,11 @@
 // triangle covers it only if the edge is a left or top edge of the triangle. A triangle with a vertex behind the camera
 // or far outside the image is clipped first.
 //
-// u, v and z/w are computed from the unclipped triangle (Olano and Greer 1997, Triangle Scan Conversion using 2D
-// Homogeneous Coordinates). The columns of the matrix M are the vertices (x, y, w). The vector b = M^-1 (f_x, f_y, 1)
-// has the elements b_k = (barycentric weight of vertex k) / w, and z/w is the sum of z_k b_k.
+// The barycentric weights u and v of vertices 0 and 1, and z/w, are computed from the unclipped triangle (Olano and
+// Greer 1997, Triangle Scan Conversion using 2D Homogeneous Coordinates). The columns of the matrix M are the vertices
+// (x, y, w). (f_x, f_y) is a pixel centre in normalised device coordinates, and w is the interpolated w at this point.
+// The vector b = M^-1 f with f = (f_x, f_y, 1) has the elements b_k = (barycentric weight of vertex k) / w, and z/w is
+// the sum of z_k b_k.
 //
 // All functions are static, because they are compiled once per instruction set.
 #pragma once
@@ -24,7 +26,8 @@ namespace fourd::rasterize {
 constexpr int kSubpixelBits = 8;
 constexpr int kSubpixels = 1 << kSubpixelBits;
 constexpr int kHalfPixel = kSubpixels / 2;
-// A triangle with a coefficient above kLargestCoefficient is degenerate, and is culled.
+// A triangle is degenerate, and is culled, if a coefficient of its Planes has an absolute value above
+// kLargestCoefficient.
 constexpr float kLargestCoefficient = 1e10f;
 // Lower limit of scale / w (see Planes). Inside a triangle, scale / w is at least 1.
 constexpr float kSmallestInverseW = 1e-6f;
@@ -134,7 +137,8 @@ struct Edge {
 };
 
 // The edge function from vertex k to the next vertex, with its value at the pixel (column, row). Values are divided by
-// 256 and rounded down, which keeps the sign at every pixel, because the slopes per pixel are multiples of 256.
+// 256 and rounded down. Before the division, the slopes per pixel are multiples of 256, so the sign at every pixel
+// stays the same.
 FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int row) {
     const int next = k == 2 ? 0 : k + 1;
     const std::int32_t dx = piece.x[next] - piece.x[k], dy = piece.y[next] - piece.y[k];

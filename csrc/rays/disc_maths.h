@@ -35,8 +35,8 @@ FOURD_HD FOURD_INLINE bool prepare_discs(const Ray& ray, const float* direction,
     return true;
 }
 
-// Computes the t' at which the ray meets the plane of a disc, and the alpha of the disc at this point. Outside the
-// disc, the alpha is 0 or negative.
+// Computes the t' (rays/maths.h) at which the ray meets the plane of a disc, and the alpha of the disc at this point.
+// Outside the disc, the alpha is 0 or negative.
 template <typename Number>
 FOURD_HD FOURD_INLINE void meet_disc(const DiscRay<Number>& ray, const Number (&centre)[3],
                                      const Number& inverse_square, const Number& density, const Number& one, Number* t,

@@ -1,6 +1,6 @@
-// Compositing of discs along rays. Either each disc faces every ray, or all discs are parallel. If the discs are
-// parallel to the image plane of a pinhole camera, and there is one ray for each pixel, the result equals the image of
-// the point renderer (points/points.h).
+// Compositing of discs along rays. The normal of the discs is either the direction of the current ray, or one vector
+// for all rays. If the discs are parallel to the image plane of a pinhole camera, and there is one ray for each pixel,
+// the result equals the image of the point renderer (points/points.h).
 #pragma once
 
 #include <cstddef>
@@ -46,7 +46,7 @@ DiscTree build_discs(const Discs& discs, int threads);
 
 struct DiscPicture {
     const float* colours;  // Shape (Discs::count, 3): colours of the discs for which the tree was built.
-    const float* facing;   // Shape (3,): the common normal of all discs, or null if discs face each ray.
+    const float* facing;   // Shape (3,): the normal of all discs, or null to use each ray's direction.
     int layers;            // Number K of nearest discs that are composited, from 1 to kMaxDiscLayers.
     float* rgba;           // Shape (Rays::count, 4): colour multiplied by alpha, then alpha.
 };

@@ -2,9 +2,10 @@
 // the same order.
 //
 // A triangle is hit if the watertight test of Woop, Benthin and Wald (2013, Watertight Ray/Triangle Intersection)
-// accepts it, and if the ray meets the padded box of the triangle. The t of a hit is clamped to the box. All operations
-// are monotonic even with rounding. If a box contains another box, a ray's interval of t in the outer box therefore
-// always contains its interval in the inner box. A tree of boxes thus loses no hit.
+// accepts it, and if the ray meets the padded box of the triangle. The t of a hit is clamped to the interval in which
+// the ray is inside this box. All operations are monotonic even with rounding. If a box contains another box, a ray's
+// interval of t in the outer box therefore always contains its interval in the inner box. A tree of boxes thus loses no
+// hit.
 #pragma once
 
 #include <cmath>
@@ -21,7 +22,7 @@ namespace fourd::rays {
 constexpr float kMaxMagnitude = 1e18f;
 constexpr float kMinDirection = 1e-18f;
 // Padding of boxes, as a multiple of the largest absolute coordinate of the ray's origin and the mesh. The rounding
-// errors of the test are at most a quarter of the padding.
+// errors of the watertight test are at most a quarter of the padding.
 constexpr float kPadding = 0x1p-21f;
 // Smallest absolute coordinate of a scaled direction (Ray) in box tests. Smaller coordinates are replaced by kMinShare,
 // so that products with their reciprocals stay finite.
@@ -30,15 +31,17 @@ constexpr float kTiny = 1.17549435e-38f;  // The smallest normal number.
 constexpr float kMaxFloat = 3.402823466e38f;
 constexpr float kInfinity = __builtin_huge_valf();
 
-// A ray, prepared for intersection. The direction is multiplied by the power of two `scale`, so that its largest
-// coordinate is between 1 and 2. The point at the parameter t along the original direction has the parameter
-// t' = t / scale along the scaled direction.
+// A ray, prepared for intersection. The direction is multiplied by the power of two `scale`, so that the largest
+// absolute coordinate of the scaled direction is between 1 and 2. The point at the parameter t along the original
+// direction has the parameter t' = t / scale along the scaled direction.
 struct Ray {
     float origin[3];
-    int x, y, z;        // A permutation of the axes, in which the largest coordinate of the direction is along z.
+    int x, y, z;        // A permutation of the axes. The direction has its largest absolute coordinate along axis z.
     float shear_x, shear_y, shear_z;
-    float inverse[3];
-    // The ray passes the plane at p between t' = p * inverse - enter and t' = p * inverse - leave.
+    float inverse[3];   // Reciprocals of the coordinates of the scaled direction.
+    // The ray meets the plane where coordinate i is p at t' = (p - origin[i]) * inverse[i]. With a padding on both
+    // sides, the plane is a slab. The ray enters the slab at t' = p * inverse[i] - enter[i], and leaves it at
+    // t' = p * inverse[i] - leave[i].
     float enter[3], leave[3];
     float scale, inverse_scale;
     float t_min, t_max;
@@ -178,11 +181,12 @@ FOURD_HD FOURD_INLINE bool intersect(const Ray& ray, const float* a, const float
     return out->t >= ray.t_min && out->t <= ray.t_max;
 }
 
-// The gradient of a hit. The hit solves origin + t * direction = u * a + v * b + (1 - u - v) * c. Let M be the matrix
-// with the columns -direction, a - c and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the
-// gradient with respect to the origin is y, and the gradient with respect to the direction is t * y. The gradients with
-// respect to the corners a, b and c are -u * y, -v * y and -(1 - u - v) * y. If the ray lies in the plane of the
-// triangle, the function returns false and y = 0.
+// The gradient of a hit. The hit solves origin + t * direction = u * a + v * b + (1 - u - v) * c. Let to_t, to_u and
+// to_v be the gradients of the loss with respect to t, u and v. Let M be the matrix with the columns -direction, a - c
+// and b - c, and y = M^-T (to_t, to_u, to_v). By implicit differentiation, the gradient with respect to the origin is
+// y, and the gradient with respect to the direction is t * y. The gradients with respect to the corners a, b and c are
+// -u * y, -v * y and -(1 - u - v) * y. If the ray lies in the plane of the triangle, the function returns false and
+// y = 0.
 FOURD_HD FOURD_INLINE bool hit_gradient(const float* direction, const float* a, const float* b, const float* c,
                                         float to_t, float to_u, float to_v, float* y) {
     double d[3], p[3], q[3];

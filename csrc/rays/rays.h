@@ -82,7 +82,8 @@ struct Rays {
     std::size_t t_min_stride;
     const float* t_max;  // Shape (count,), or one number if t_max_stride is 0.
     std::size_t t_max_stride;
-    // Shape (count,) each, or null. Hits up to (after_t, after_triangle), in the order of (t, triangle), are skipped.
+    // Shape (count,) each, or null. Hits up to and including (after_t, after_triangle), in the order of (t, triangle),
+    // are skipped.
     const float* after_t;
     const std::int32_t* after_triangle;
     int threads;
@@ -103,7 +104,8 @@ void trace(const TreeView& tree, const Rays& rays, const Hits& hits);
 // Writes 1 for each ray that has a hit with t in [t_min, t_max], and 0 for all other rays.
 void occluded(const TreeView& tree, const Rays& rays, std::uint8_t* out);
 
-// The gradients for `count` rays with `layers` hits each.
+// The arguments of trace_backward(), for `count` rays with `layers` hits each. The inputs up to `triangle` have the
+// shapes in Rays and Hits.
 struct HitGradients {
     const float* origins;
     const float* directions;
@@ -111,7 +113,7 @@ struct HitGradients {
     int layers;
     const float *t, *u, *v;
     const std::int32_t* triangle;
-    const float *to_t, *to_u, *to_v;     // Shape (count, layers).
+    const float *to_t, *to_u, *to_v;     // Gradients with respect to t, u and v, of shape (count, layers).
     float *xyz, *to_origins, *to_directions;  // Output arrays. Each gradient has the shape of its input.
     int threads;
 };

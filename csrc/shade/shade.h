@@ -15,8 +15,8 @@ constexpr int kMaxChosen = 64;  // Maximum number of source views to blend.
 struct Points {
     const float* xyz;              // Shape (count, 3).
     const std::uint16_t* sh;       // Shape (count, 3, 16), as float16.
-    const std::uint16_t* weights;  // Shape (count, views), as float16. Weights are not negative.
-    const std::uint8_t* rgb;       // Shape (count, views, 3).
+    const std::uint16_t* weights;  // Shape (count, views), as float16: blend weights, which are not negative.
+    const std::uint8_t* rgb;       // Shape (count, views, 3): colours of the points in the source views.
     std::size_t count;
     std::size_t views;
 };
@@ -27,7 +27,9 @@ struct Settings {
     const float* view_weights;
     int chosen_count;            // From 0 to kMaxChosen.
     double centre[3];            // Position of the camera in world coordinates.
-    float sh_range;              // The SH colour is sh_base + sh_range * tanh(dot(sh, Y(direction))).
+    // The SH colour is sh_base + sh_range * tanh(dot(sh, Y(direction))). Y returns the kTerms spherical harmonics, and
+    // `direction` is the direction from the camera to the point.
+    float sh_range;
     float sh_base;
     int threads;  // At least 1. The result is the same for any number of threads.
     Simd simd;    // An instruction set that this machine supports.

@@ -2,11 +2,12 @@
 // fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
 // The coverage of the pixel p by a triangle is D = sigmoid(x). Inside the triangle, x = d^2 / sigma. Outside the
-// triangle, x = -d^2 / sigma. The number d is the distance of p from the nearest edge or, if Softness::barycentric is
-// true, the smallest barycentric coordinate of p. The inverse 1 / z of the triangle's depth at p is interpolated
-// linearly in the image. The barycentric coordinates of this interpolation are clamped to at least 0 and normalised to
-// the sum 1. The weight of the triangle is D * exp(-z * per_depth). The weight in the paper differs only by a constant
-// factor: it is D * exp((far - z) / ((far - near) * gamma)).
+// triangle, x = -d^2 / sigma. If Softness::barycentric is true, d is the smallest barycentric coordinate of p.
+// Otherwise, d is the distance of p from the nearest edge, in a unit in which the shorter side of the image has the
+// length 2. The inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The barycentric
+// coordinates of this interpolation are clamped to at least 0 and normalised to the sum 1. The weight of the triangle
+// is D * exp(-z * per_depth), where per_depth = 1 / ((far - near) * gamma). The weight in the paper is
+// D * exp((far - z) * per_depth), which is larger by the constant factor exp(far * per_depth).
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -42,9 +43,11 @@ using tiles::tile_span;
 
 struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
-    float sharpness;         // The ratio |x| / d^2: 1 / sigma for barycentric d, else (pixel size)^2 / sigma.
+    // The ratio |x| / d^2: 1 / sigma for barycentric d. Otherwise, the code computes d in pixels, and the ratio is
+    // s^2 / sigma, where s is the side of a pixel in the unit described above.
+    float sharpness;
     float cut;               // A triangle hits the pixels where x >= -cut.
-    float reach;             // The triangle hits a pixel outside it if the distance d is at most `reach`.
+    float reach;             // Largest |d|, outside a triangle, at which the triangle hits a pixel.
     float per_depth;         // Equal to 1 / ((far - near) * gamma).
     float far_depth;         // A triangle hits a pixel only if its depth z at the pixel is at most far_depth.
     float background_depth;  // The background has the weight of a triangle with D = 1 at the depth background_depth.
@@ -63,7 +66,7 @@ struct alignas(64) Face {
 
 FOURD_HD static inline tiles::TileRange tile_range_of(const Face& face) { return face.range; }
 
-// Sums, over the pixels of a triangle, of the gradients with respect to its corners in pixels and their inverse depths.
+// Gradients with respect to the members u, v and inverse_z of a Face, summed over the pixels of the triangle.
 struct ShapeGradient {
     float u[3], v[3], inverse_z[3];
 };
@@ -98,8 +101,8 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
         out.slope_x[k] = zero - edges.y[k] * out.inverse_area * unit;
         out.slope_y[k] = edges.x[k] * out.inverse_area * unit;
     }
-    // If d is a barycentric coordinate, the pixels that the triangle hits lie inside the triangle scaled by
-    // 1 + 3 * reach.
+    // If d is a barycentric coordinate, the pixels that the triangle hits lie inside the triangle scaled about its
+    // centroid by 1 + 3 * reach.
     const Number scale = constant(softness.barycentric ? 1.0f + 3.0f * softness.reach : 1.0f, tag);
     const Number margin = constant(softness.barycentric ? 0.0f : softness.reach, tag);
     const Number left = minimum(minimum(out.u[0], out.u[1]), out.u[2]) * scale + out.x;

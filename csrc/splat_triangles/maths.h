@@ -2,9 +2,10 @@
 // float32 numbers in the same order, so that kernel and reference find the same hits.
 //
 // A projected triangle has the incentre s and the inradius r. phi_k(p) is the signed distance of a pixel p from edge k,
-// which is negative inside the triangle. Because phi_k(s) = -r for every edge, the quotient
-// a_k(p) = phi_k(p) / phi_k(s) is the linear function 1 + slope_x[k] * (p.x - s.x) + slope_y[k] * (p.y - s.y). The
-// window is max(min_k a_k(p), 0)^sigma. For both orientations of the triangle, a_k = lambda_k * P / l_k with the
+// which is negative inside the triangle. At the incentre, phi_k(s) = -r for every edge. The quotient
+// a_k(p) = phi_k(p) / phi_k(s) is therefore 1 at the incentre and 0 on edge k. It is the linear function
+// 1 + slope_x[k] * (p.x - s.x) + slope_y[k] * (p.y - s.y). The alpha of the triangle at p is its opacity times the
+// window max(min_k a_k(p), 0)^sigma. For both orientations of the triangle, a_k = lambda_k * P / l_k with the
 // barycentric coordinates lambda_k, the edge lengths l_k and the perimeter P.
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are

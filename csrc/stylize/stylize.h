@@ -13,8 +13,9 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum number of pixels between the taps of a line filter.
 
-// A line at a pixel is drawn only if squares of several sizes around the pixel have lines on their borders. Other lines
-// are specks. Returns half the side of the largest square, in pixels, which is at most 32.
+// Lines that are very short, called specks, are not drawn. The line at a pixel is drawn only if each square around the
+// pixel with a side of 2, 4, 8, ... pixels has a line on its border. Returns half the side of the largest of these
+// squares, in pixels, which is at most 32.
 constexpr int speck_reach(int thickness) {
     int reach = 8;
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;
@@ -30,7 +31,7 @@ enum class Lines { none = 0, sobel = 1, cross = 2 };
 
 // The numbers of a style, in the order of StyleParameters.numbers in fourd/ops/stylize/parameters.py.
 struct Numbers {
-    // Ray of pixel (x, y) with depth 1: (ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5]).
+    // The ray of pixel (x, y): (ray[0] * x + ray[1] * y + ray[2], ray[3] * x + ray[4] * y + ray[5], 1), in camera axes.
     float ray[6];
     float light[3];  // Unit vector towards the light, in camera axes.
     // Factors of the formula colour = table * (table_alone + table_times_albedo * albedo) + albedo_alone * albedo.

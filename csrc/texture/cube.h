@@ -48,7 +48,8 @@ FOURD_HD FOURD_INLINE CubePosition cube_position(float x, float y, float z) {
     return out;
 }
 
-// The footprint of a lookup on a cube with faces of `size` texels. uv_da has dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY.
+// The footprint of a lookup on a cube with faces of size x size texels. uv_da has the derivatives of the direction
+// (x, y, z) with respect to the picture coordinates (X, Y): dx/dX, dx/dY, dy/dX, dy/dY, dz/dX, dz/dY.
 FOURD_HD FOURD_INLINE Footprint cube_footprint(const CubePosition& at, const float* uv_da, int size) {
     const CubeFace f = cube_face(at.face);
     const float scale = 0.5f * static_cast<float>(size) / at.m, by_s = at.a / at.m, by_t = at.b / at.m;

@@ -61,8 +61,9 @@ FOURD_HD FOURD_INLINE float limited_derivative(float value) {
     return value < -kMaxDerivative ? -kMaxDerivative : value;
 }
 
-// The squared length of the longer axis of a footprint, which is the larger eigenvalue of the symmetric matrix (a, c;
-// c, b).
+// The squared length `square` of the longer axis of a footprint. It is the larger eigenvalue of the symmetric matrix
+// (a, c; c, b), which is J^T J for the Jacobian matrix J = (s_x, s_y; t_x, t_y). `root` is half the difference of the
+// two eigenvalues.
 struct LongerAxis {
     float a, b, c, root, square;
 };

@@ -1,4 +1,4 @@
-// Triangles projected to the image, which the compositors of triangles share.
+// Projects triangles to the image. All compositors of triangles share this code.
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
 // compiled once per instruction set (common/dispatch.h).
@@ -36,7 +36,7 @@ FOURD_HD static inline Number floor_of(Number a) {
     return select(rounded > a, rounded - constant(1.0f, tag), rounded);
 }
 
-// A projected triangle. Index k stands for the vertex k, or for the edge opposite to it.
+// The vertices of a projected triangle: pixel coordinates (u, v) and camera depths z.
 template <typename Number>
 struct Corners {
     Number u[3], v[3], z[3];
@@ -59,7 +59,8 @@ FOURD_HD static inline void project_corner(const Pinhole& camera, const Number* 
     *v = (constant(k[3], tag) * x + constant(k[4], tag) * y) / *z + constant(k[5], tag);
 }
 
-// The edges of a projected triangle. Edge k runs from vertex k + 1 to vertex k + 2.
+// The edges of a projected triangle. Edge k is opposite to vertex k. It runs from vertex (k + 1) % 3 to vertex
+// (k + 2) % 3.
 template <typename Number>
 struct Edges {
     Number x[3], y[3], length[3];
@@ -81,8 +82,8 @@ FOURD_HD static inline Edges<Number> edges_of(const Corners<Number>& at) {
     return out;
 }
 
-// Whether a triangle is within the limits kMaxDepth, kFarthestPixel and kThinnest. If a number is NaN, the result is
-// false, because all comparisons with NaN are false.
+// Whether a triangle is within the limits near_depth, kMaxDepth, kFarthestPixel and kThinnest. If a number is NaN, the
+// result is false, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<Number>& edges, float near_depth) {
     const Number* const tag = nullptr;

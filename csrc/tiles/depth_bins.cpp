@@ -98,7 +98,8 @@ void DepthBins::radix_sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// Counts, for each part, the entries of every tile. The function also copies the tile ranges into the order of ranks.
+// Counts, for each span of ranks, the entries of every tile. The function also copies the tile ranges to
+// ranked_tile_ranges_, in the order of ranks.
 std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());
@@ -115,8 +116,8 @@ std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, 
     return counts;
 }
 
-// Writes the entries of the tiles in the rows [top, bottom). In each tile, the entries of a part follow the entries of
-// the previous parts. The function overwrites the counts of the tiles in these rows in counts_.
+// Writes the entries of the tiles in the rows [top, bottom). In each tile, the entries of a span follow the entries of
+// the previous spans. The function overwrites the elements of counts_ that belong to these tiles.
 void DepthBins::fill_rows(int top, int bottom, Team& team) {
     const std::size_t count = static_cast<std::size_t>(tiles());
     const std::size_t columns = static_cast<std::size_t>(columns_);

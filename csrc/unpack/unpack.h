@@ -1,5 +1,5 @@
-// Decoding of packed scenes. fourd/baking/packed/members.py describes the members; fourd/ops/unpack/op.py documents the
-// operations. Callers check sizes.
+// Decoding of packed scenes. fourd/baking/packed/members.py describes the packed data, and fourd/ops/unpack/op.py
+// documents the operations. Callers check sizes.
 #pragma once
 
 #include <cstddef>
@@ -22,8 +22,9 @@ struct Harmonics {
     const float* mean;   // Shape (kShNumbers).
 };
 
-// One source view: a weight code for each point, then the colour levels of the points that have a colour. The levels
-// are three planes, each with `colours` bytes: green, red - green and blue - green.
+// One source view: a weight code for each point, then the colour levels of the points that have a colour. Levels are
+// differences from the point's mean colour, in quantization steps. The levels are three planes, each with `colours`
+// bytes: green, red - green and blue - green.
 struct View {
     const std::uint8_t* codes;
     const std::uint8_t* levels;
@@ -33,7 +34,7 @@ struct View {
 struct Views {
     const View* views;
     std::size_t view_count, points;
-    const std::uint8_t* mean;      // Shape (points, 3).
+    const std::uint8_t* mean;      // Shape (points, 3): mean colour of each point over the source views.
     const std::uint16_t* weights;  // Shape (kWeightCodes): the blend weight of each code, as a half.
     int colour_step;               // Quantization step of the colour levels, from 1 to 127.
     bool every_point_has_colours;  // If false, only the points whose weight code is not 0 have colours.
@@ -43,7 +44,7 @@ struct Views {
 // 0 is the lowest byte.
 struct Positions {
     const std::uint8_t* planes;  // Shape (code_bytes, points).
-    int code_bytes;              // Number of bytes per code, from 1 to 8.
+    int code_bytes;              // Number of bytes per difference, from 1 to 8.
     std::size_t points;
     const double* lower;  // Shape (3): position of cell 0.
     double step;          // Side length of a cell.

@@ -3,8 +3,8 @@
     python examples/triangles/earth.py
 
 The target images are rendered from the true texture with 4 x 4 samples per pixel. A bilinear lookup reads at most four
-texels per pixel, although a pixel covers many texels where the globe is far away or seen at a grazing angle. With
-mipmaps, the learnt texture has less noise. The program prints the PSNR of both learnt textures.
+texels per pixel. Where the globe is far away or seen at a grazing angle, a pixel covers many more texels. A mipmap
+lookup averages them, so the learnt texture has less noise. The program prints the PSNR of both learnt textures.
 """
 
 from __future__ import annotations

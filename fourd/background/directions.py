@@ -74,7 +74,8 @@ def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: in
 def summarize_cells(
     cells: NDArray[np.intp], distance: Array, rgb: NDArray[np.uint8], count: int
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Compute a distance and a colour for each cell from the points in the cell.
+    """Compute a distance and a colour for each of ``count`` cells from N points with cell indices ``cells`` (N,),
+    distances ``distance`` (N,) and colours ``rgb`` (N, 3).
 
     Returns:
         known: (count,) bool, whether the cell has points.

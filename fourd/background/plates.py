@@ -36,7 +36,7 @@ class PlateView:
     Attributes:
         name: name of the camera.
         camera: pinhole camera of the undistorted plate.
-        rgb: (H, W, 3) uint8 colours; undefined in holes.
+        rgb: (H, W, 3) uint8 colours; undefined in holes, where the plate does not show the background.
         seen: (H, W) bool, true where the background is visible, and false in holes and outside the lens's field of
             view.
     """

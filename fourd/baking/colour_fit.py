@@ -21,8 +21,8 @@ MIN_WEIGHT = 0.02
 """The weight of a direction in the fit is this number plus the visibility, in [0, 1], of the point from this
 direction."""
 RIDGE = (1e-4, 3e-2, 1e-1, 2e-1)
-"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics. The
-regularisation keeps the coefficients from fitting noise."""
+"""Weight of the squared coefficients in the least-squares cost, for the degrees 0 to 3 of the harmonics, relative
+to the sum of the weights of all directions. The regularisation keeps the coefficients from fitting noise."""
 DIRECTIONS = 24
 """Number of viewpoints used for a scene without cameras."""
 _CHUNK = 8192
@@ -96,9 +96,9 @@ class ColourFit:
 def viewpoints(manifest: SceneManifest) -> tuple[Camera, ...]:
     """Return the cameras for which the colours of a scene are evaluated.
 
-    The result contains the cameras of the source views, and cameras halfway between neighbouring source views. For a
-    scene without source views, all cameras of the scene are returned. For a scene without cameras, cameras on a sphere
-    around the scene are returned.
+    The result contains the cameras of the source views, and cameras halfway between neighbouring source views. If a
+    scene has no source views, all its cameras take the place of the source views. If a scene has no cameras, the result
+    contains cameras on a sphere around the scene.
     """
     cameras = manifest.source_cameras or manifest.cameras
     if cameras:

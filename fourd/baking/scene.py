@@ -166,6 +166,7 @@ class SceneManifest:
         producer: program and version that wrote the scene.
         version: version of the file format; set by the writer.
         optional_attributes: names of the optional attributes that the scene has; set by the writer.
+        encoding: quantisation parameters of a packed scene. None if the scene is not packed.
 
     Raises:
         ValueError: if fields contradict each other. The error message names the contradictory fields.

@@ -16,8 +16,9 @@ SEED = 5
 def make_textured_plane(side: int) -> dict[str, Tensor]:
     """Make the arguments of ``texture`` for a plane that is seen obliquely and is turned by 0.4 radians.
 
-    The arguments are a random texture ``tex`` (1, side, side, 3), and ``uv`` and ``uv_da`` of an image of side x side
-    pixels. The texture repeats. The longer axes of the footprints are from 1 to 4.7 texels long.
+    The arguments are a random texture ``tex`` (1, side, side, 3), and ``uv`` (1, side, side, 2) and ``uv_da`` (1, side,
+    side, 4) of an image of side x side pixels. The texture repeats. The footprints of the pixels in the texture have
+    longer axes of 1 to 4.7 texels.
     """
     generator = torch.Generator().manual_seed(SEED)
     places = torch.arange(side, dtype=torch.float64) + 0.5

@@ -85,7 +85,8 @@ def make_baked_frame(count: int, views: int = 17, *, ordered: bool = False) -> t
 
 
 def make_planes(side: int = 64, levels: int = 4, features: int = 8, frames: int = 24) -> tuple[list[Tensor], list[int]]:
-    """Make six K-Planes per level. The second result is a flat list with the two axes of each plane.
+    """Make six K-Planes per level. The results are the planes (rows, columns, features), and a flat list with the two
+    axes of each plane.
 
     A spatial axis has ``side`` samples at the first level. The number of samples doubles from level to level. The time
     axis has ``frames`` samples at every level.

@@ -21,12 +21,13 @@ MIN_SPREAD = 0.5
 """Minimum standard deviation, in squares, of a view's corners perpendicular to the line that fits them best. Corners on
 one line do not determine a pose."""
 MARKER_CLEARANCE = 0.95
-"""Half the side length of the patch around a corner, as a share of the distance to the nearest marker."""
+"""Half the side length of the patch in which a corner is located to sub-pixel accuracy, as a share of the distance from
+the corner to the nearest marker."""
 CHESSBOARD_PATCH = 0.2
 """Half the side length of the patch around a corner of a chessboard, in squares."""
 MAX_CHESSBOARD_PX = 1000
-"""The search for a chessboard starts in a reduced image, whose longer side has this length in pixels. The reduced
-image saves time, because the search takes longest in images without a chessboard.
+"""The search for a chessboard starts in a reduced image, whose longer side has this length in pixels. If the reduced
+image shows no chessboard, the full image is not searched, because that search takes longest without a chessboard.
 """
 
 

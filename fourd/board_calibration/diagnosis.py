@@ -86,10 +86,10 @@ def suggest_fix(board: CalibrationBoard, pictures: Sequence[Grey]) -> str | None
 
 
 def measure_marker_ratio(board: CalibrationBoard, pictures: Iterable[Grey]) -> float | None:
-    """Measure the side of a marker, in squares, in images of a ChArUco board. Returns None if too few markers are
-    found.
+    """Measure the ratio of a marker's side to a square's side in images of a ChArUco board. Returns None if too few
+    markers are found.
 
-    The centres of the markers give the homography from the board to the image, so the result does not depend on
+    The homography from the image to the board is fitted only to the markers' centres, so the result does not depend on
     ``board.marker_m``.
     """
     assert board.dictionary is not None

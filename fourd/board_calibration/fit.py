@@ -53,15 +53,15 @@ MIN_LENS_VIEWS = 5
 MIN_POSE_VIEWS = 3
 """Minimum number of views of a camera whose lens is known."""
 MIN_FITTED_VIEWS = 8
-"""A frame is held out only if each of its cameras keeps at least this number of views in the fit."""
+"""A frame is held out only if each camera that sees the board in it keeps at least this number of views in the fit."""
 MIN_FITTED_PAIRS = 4
-"""A frame is held out only if each pair of its cameras keeps at least this number of shared frames in the fit."""
+"""A frame is held out only if each pair of these cameras keeps at least this number of shared frames in the fit."""
 SCALES_PX = (10.0, 1.0, 0.5)
 """Scales, in pixels, of the Huber loss in the successive adjustments."""
 MEDIAN_PER_STD = 1.177
 """Median length of a normally distributed two-dimensional vector, in standard deviations."""
 CORRELATION = 2.5
-"""The standard deviation of the corners is multiplied by this factor when the corners are weighed against the prior.
+"""The corners' standard deviation is multiplied by this factor to weigh the corners against the prior on the lenses.
 
 The factor is needed because the errors of the corners in one image are correlated. Causes of this correlation are
 motion blur, a board that is not exactly flat, and cameras that do not expose at exactly the same time.
@@ -74,10 +74,10 @@ MAX_MEDIAN = 0.004
 """Maximum median error of a camera, as a share of the image's longer side. A larger error means that the cameras do not
 see one rigid board at the same time."""
 TIMING_GAIN = 0.97
-"""Delays and readouts are used if they reduce the mean error on held-out frames to less than this multiple of the mean
-error without them."""
+"""The cameras' delays and readout durations are kept if they reduce the mean error on held-out frames to less than this
+multiple of the mean error without them."""
 OFFSET_STD = (0.0006, 0.0006, 0.002)
-"""Standard deviations of a corner's displacement on the board along x, y and z, in squares."""
+"""Standard deviations of the prior on a corner's displacement along the board's x, y and z, in sides of a square."""
 MAX_OFFSETS = 60
 """Displacements of corners are adjusted only for boards with at most this number of corners. On boards with more
 corners, the displacements average out."""
@@ -130,7 +130,7 @@ class RigInput:
         where: path of the videos, for error messages.
         names: names of the C cameras.
         sizes: width and height of each camera's images.
-        lenses: known lens of each camera, or None where it is estimated. The poses are ignored.
+        lenses: for each camera, a Camera with the known lens and an unused pose, or None if the lens is estimated.
         board: the board.
         views: views of the board.
         turns: angle in degrees, a multiple of 90, by which each camera's images were rotated to be upright.
@@ -154,7 +154,7 @@ class _Rough:
         corners: corners without gross errors.
         frames: frame number of each position of the board.
         free: (C, 17) mask of the parameters that are adjusted.
-        corner_px: (C,) standard deviations of the corners.
+        corner_px: (C,) standard deviation, in pixels, of the corners' errors in each camera.
     """
 
     state: RigState
@@ -316,7 +316,7 @@ def _choose_timing(
 
 
 def _start(rig: RigInput, rough: _Rough, timed: bool) -> tuple[RigState, Corners, tuple[int, ...], Free]:
-    """The initial values of the last adjustment."""
+    """Initial rig, corners, frame numbers and free parameters for :func:`refine_rig`, with or without timing."""
     count, corners = len(rig.names), rough.corners
     mask, timing = rough.free.copy(), None
     if timed:

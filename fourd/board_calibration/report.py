@@ -47,7 +47,7 @@ class CameraReport:
     Attributes:
         name: the camera's name.
         views: number of frames in which the camera sees the board.
-        corners: number of corners.
+        corners: number of detected corners in all these frames.
         fit_px: root mean square error on the frames of the fit, in pixels.
         held_out_px: root mean square error on held-out frames, in pixels, or None if there are no held-out frames.
         median_px: median error over all frames, in pixels.

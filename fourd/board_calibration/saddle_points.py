@@ -68,7 +68,7 @@ def refine_corners(grey: Grey, flat: Array, pixels: Array, half: float) -> tuple
 
 def _patch_axes(flat: Array, pixels: Array, half: float) -> Array | None:
     """(N, 2, 2): for each corner, a matrix whose columns are the vectors, in pixels, from the centre of the patch to
-    two of its edges. Returns None if no homography fits the corners."""
+    the midpoints of two adjacent edges. Returns None if no homography fits the corners."""
     homography, _ = cv2.findHomography(flat, pixels, cv2.LMEDS)
     if homography is None:
         return None

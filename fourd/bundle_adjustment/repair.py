@@ -36,8 +36,9 @@ MIN_GAIN = 0.9
 """A correction is kept only if the median residual of the held-out matches after the correction is at most this
 multiple of the median residual before the correction."""
 MIN_GAIN_PX = 0.1
-"""A correction is kept only if it decreases this median by at least this number of pixels. Corrections of a good
-calibration follow the noise of the matches, and decrease the median by up to 0.04 pixels."""
+"""A correction is kept only if it decreases the median residual of the held-out matches by at least this number of
+pixels. Corrections of a good calibration follow the noise of the matches, and decrease the median by up to 0.04
+pixels."""
 BAND = 0.03
 """Maximum distance of a match from its epipolar line, as a share of the longer image side."""
 ROTATION_DEG, POSITION, FOCAL, PRINCIPAL = 1.0, 0.01, 0.01, 0.01

@@ -69,7 +69,7 @@ def build_tracks(frames: Sequence[FrameMatches], cameras: Sequence[Camera], band
     """Build feature tracks across cameras from matches. Matches farther than ``band_px`` from their epipolar lines are
     ignored.
 
-    Features of a track are dropped if the track has several features in the same camera.
+    If a track has several features in the same camera, these features are dropped.
     """
     parts, points = [], 0
     for frame in frames:

@@ -44,10 +44,10 @@ def match_cameras(
     """Match pairs of cameras over all given frames.
 
     Features are matched first. Camera pairs with fewer than 20 feature matches are treated as unmatched. Wide baselines
-    can leave a camera with fewer than two matched pairs. If a camera has fewer than two matched pairs, and the world
-    is in metres with z up, all pairs of the camera are also matched on the ground. The ground patches lie at z = 0, in
-    a 5 m square that is centred below the cameras' focus. If the plane z = 0 gives too few matches, the planes 2 cm
-    below and above are also tried. A pair with both feature matches and ground matches keeps the larger set.
+    can leave a camera with fewer than two matched pairs. All pairs of such a camera are also matched on the ground if
+    the world is in metres with z up. The ground patches lie at z = 0, in a 5 m square that is centred below the point
+    that the cameras face. If the plane z = 0 gives too few matches, the planes 2 cm below and above are also tried. A
+    pair with both feature matches and ground matches keeps the larger set.
 
     Args:
         pictures_by_frame: for each frame, one RGB image (H, W, 3) per camera, of the camera's size.

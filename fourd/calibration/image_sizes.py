@@ -49,8 +49,8 @@ class SizeChoice:
         name: the best hypothesis.
         cameras: the cameras of all images under the best hypothesis.
         residuals: epipolar residuals of each hypothesis.
-        means_px: for each hypothesis, the mean over the median residuals of all camera pairs with a resized camera, or
-            None if no pair with a resized camera has enough matches.
+        means_px: for each hypothesis, the mean of the median residuals of all camera pairs that contain a resized
+            camera. The value is None if no such pair has enough matches.
         borders_px: for each hypothesis, the largest difference in pixels between measured and predicted borders, or
             None if the borders were not measured.
         is_clear: whether the evidence is sufficient to choose a hypothesis without asking the user.

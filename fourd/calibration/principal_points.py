@@ -25,7 +25,8 @@ MAX_PAIR_PX = 30.0
 """Upper limit, in pixels, to which the residual of a camera pair is clamped. A larger residual means that the pair's
 matches are wrong, and such a residual changes at random with the principal points."""
 MIN_GAIN = 2.0
-"""Mirrored principal points must decrease the mean residual by at least this multiple of the typical residual."""
+"""Mirrored principal points must decrease the mean residual by at least this multiple of the typical residual, which is
+the median over the camera pairs of their residuals with the chosen principal points."""
 MIN_LEAD = 0.5
 """The residual of the second best combination must exceed the residual of the best combination by at least this
 multiple of the typical residual."""

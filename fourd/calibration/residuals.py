@@ -106,9 +106,9 @@ def match_pairs(
 def select_pairs(cameras: Sequence[Camera]) -> list[Pair]:
     """Select the camera pairs (i, j), i < j, whose images are matched.
 
-    With up to 8 cameras, all pairs are matched. With more cameras, each camera is paired with its 6 nearest neighbours.
-    The nearest neighbours have the smallest cost, which is the angle between the viewing directions plus a small term
-    for the distance between the camera centres.
+    With up to 8 cameras, all pairs are matched. With more cameras, each camera is paired with the 6 cameras of smallest
+    cost. The cost is the angle between the viewing directions in radians, plus a small term for the distance between
+    the camera centres.
     """
     count = len(cameras)
     if count <= ALL_PAIRS_CAMERAS:

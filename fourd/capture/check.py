@@ -39,7 +39,8 @@ MIN_COVERAGE = 1e-4
 MAX_COVERAGE = 0.98
 MAX_MEAN_COVERAGE = 0.6
 MAX_FOCUS_MISS = 0.5
-"""Maximum distance from the common focus to a camera's optical axis, divided by the depth of the focus in the camera.
+"""Maximum distance from the common focus (the point that the cameras face) to a camera's optical axis, divided by the
+depth of the focus in the camera.
 
 Above this maximum, a warning says that the camera faces away from the focus.
 """

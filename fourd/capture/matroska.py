@@ -1,6 +1,7 @@
 """Detection of truncated Matroska and WebM files.
 
-The header of a Matroska file contains the length in bytes but no frame count (RFC 8794, RFC 9559).
+Truncation is detected from the length in bytes, because the header of a Matroska file contains no frame count (RFC
+8794, RFC 9559).
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ MAX_JITTER = 0.05
 """Maximum deviation of a frame's time from a constant frame rate, as a share of the interval between frames. If any
 frame deviates more, the index stores the time of every frame."""
 MAX_RATE_ERROR = 5e-3
-"""The mean rate of unevenly spaced frames is replaced by the nearest standard rate if the two rates differ by less than
-a tolerance. The tolerance grows with the jitter of the frames, up to this share."""
+"""The mean rate of unevenly spaced frames is replaced by the nearest standard rate if the relative difference of the
+two rates is less than a tolerance. The tolerance grows with the jitter of the frames, up to this value."""
 MIN_FPS, MAX_FPS = Fraction(1, 1000), 10_000
 """Minimum and maximum frame rate in 1/s. Scenes have the same limits."""
 PROBE_THREADS = 2

@@ -3,7 +3,8 @@
 HDR signals (ITU-R BT.2100) are converted in these steps:
 
 1. HLG: the inverse OETF gives scene light E. The OOTF with the system gamma 1.2 and a peak of 1000 cd/m2 gives display
-   light ``1000 * Y^0.2 * E``, where Y is the luminance of E. PQ: the EOTF (SMPTE ST 2084) gives display light.
+   light ``1000 * Y^0.2 * E``. Y is the luminance of E, and 0.2 is the gamma minus 1. PQ: the EOTF (SMPTE ST 2084)
+   gives display light.
 2. Display light is divided by 203 cd/m2, the reference white of ITU-R BT.2408.
 3. The primaries are converted from BT.2020 to BT.709. Negative values are set to 0.
 4. Let m be the maximum of red, green and blue. The colour is scaled by f(m) / m. Up to the knee 0.85, f(m) = m, so

@@ -12,8 +12,8 @@ from fourd.cameras import Camera
 from fourd.carving.silhouette import Floats, sample
 
 DEPTH_CELL = 2.5
-"""Side length of a cell of the coarse depth map, as a multiple of the point spacing. The cells are so large that each
-cell onto which the nearest surface projects contains at least one point of this surface."""
+"""Side length of a cell of the coarse depth map, as a multiple of the point spacing. The cells are so large that the
+nearest surface has at least one point in each cell that it covers."""
 
 
 def colour_points(

@@ -50,8 +50,9 @@ shrink."""
 
 CRUMB_FULLNESS = 0.5
 """Factor that decides whether the cell with the fullest neighbourhood on a ray is kept. The filled share of its
-neighbourhood must be at least this factor times the largest filled share on the adjacent rays. Otherwise, the cell is a
-small piece of an excess part, on a ray that passes between the centres of the object's cells."""
+neighbourhood must be at least this factor times the largest filled share on the adjacent rays. Otherwise, the cell is
+treated as a small piece of an excess part. Such a piece is the fullest cell of a ray that passes between the centres of
+the object's cells."""
 
 NEAR_CELLS = 1.3
 """A point belongs to a cell if its distance from the cell's centre is at most this number of side lengths of a cell."""

@@ -124,9 +124,9 @@ def match_names(calibrated: Sequence[str], found: Iterable[str], calibration: Pa
     """Match the names of the cameras that have frames to the names in the calibration.
 
     Equal names match. If no names are equal, two names match if their last numbers are equal, provided that the last
-    numbers of all calibrations differ. If there is still no match, a camera's name matches if it ends with a separator
-    and the calibration's name, such as 2019-08-02-vid01-camA and A. Returns the calibration's name for each camera in
-    ``found`` that has a calibration.
+    numbers of all calibrations differ. If there is still no match, a camera's name matches if it ends with a separator,
+    optionally "cam", and the calibration's name, such as 2019-08-02-vid01-camA and A. Returns the calibration's name
+    for each camera in ``found`` that has a calibration.
 
     Raises:
         UserError: when no camera has a calibration, or several videos have the same calibration.
@@ -236,8 +236,7 @@ def make_camera(
 
 
 def _ends_with(name: str, camera: str) -> bool:
-    """Whether a video's name ends with a separator and a camera's name, such as -A, or with a separator, "cam" and a
-    camera's name, such as -camA."""
+    """Whether a video's name ends with a separator, optionally "cam", and a camera's name, such as -A or -camA."""
     return re.search(rf"(?:^|[-_. ])(?:cam)?{re.escape(camera)}$", name) is not None
 
 

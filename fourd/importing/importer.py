@@ -101,7 +101,7 @@ def import_source(
     source_format: Format, source: Path, out: Path, options: ImportOptions, *, log: Log, warn: Log, track: Track
 ) -> None:
     """Write ``source`` as a capture into the folder ``out``. To complete an interrupted import, call the function
-    again.
+    again. The calibration files are written after the images, videos and mattes.
 
     Args:
         source_format: format of the source.
@@ -113,7 +113,7 @@ def import_source(
         track: wraps loops to report progress.
 
     Raises:
-        UserError: when the source or an option is invalid. The calibration files are written after all other files.
+        UserError: when the source or an option is invalid.
     """
     refuse_symlinks(out, out / DERIVED)
     before = read_record(out)

@@ -95,8 +95,8 @@ def check_same_source(out: Path, before: ImportRecord, source: Path, name: str) 
 
 
 def check_unpacked(out: Path, before: ImportRecord, files: str, offsets: Mapping[str, float], reduce: float) -> None:
-    """Raise UserError if an earlier import unpacked frames into the folder, but from different videos, with different
-    offsets or at a different scale than this import."""
+    """Raise UserError if an earlier import unpacked other videos into the folder, or the same videos with other offsets
+    or at another scale."""
     if before.unpacked and before.files != files:
         raise UserError(
             f"{out}: expected the videos unpacked into this folder, got other videos; import into another folder"

@@ -19,7 +19,8 @@ class RayBundle:
     Attributes:
         origins: (R, 3) world positions.
         directions: (R, 3) world directions, of any length. A point on a ray is ``origin + t * direction``.
-        facing: (3,) normal of the discs that the rays hit, or None if each disc faces the ray.
+        facing: (3,) common normal of the discs that represent the points of a scene, or None if each disc faces the ray
+            that hits it.
         pixels: (R,) index of the pixel of each ray, row by row.
         width, height: size of the image in pixels. A pixel without a ray is black.
     """

@@ -86,10 +86,10 @@ def draw_through_lens(
 ) -> NDArray[np.float32]:
     """Draw a frame through a lens, as RGB (H, W, 3) float32 in [0, 1].
 
-    Points are discs, and their alpha is computed as in the compositor. For a :class:`~fourd.lenses.lens.Pinhole` and a
-    :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image plane. For other lenses, each disc faces the
-    ray. Points have the colours that they show towards the camera, also where a ray reaches them through a mirror or
-    glass.
+    Points are discs, and the alpha at a distance d from a disc's centre is density * (1 - d^2 / radius^2). For a
+    :class:`~fourd.lenses.lens.Pinhole` and a :class:`~fourd.lenses.lens.ThinLens`, discs are parallel to the image
+    plane. For other lenses, each disc faces the ray. A point has the colour that it shows towards the camera, even if a
+    ray reaches the point through a mirror or glass.
 
     Args:
         frame: a frame whose values are all finite.

@@ -44,9 +44,9 @@ NORMALISER_WEIGHT = np.float32(0.3)
 colours is a rough estimate that is larger than the variance of the background's colours. With weight 1, this
 overestimate would move the edge into the subject."""
 PRIOR_DEVIATIONS = (0.6, 0.4, 0.25)
-"""Standard deviation of alpha around the blurred mask, for each pass that estimates alpha. The first passes correct the
-position of the mask. The following passes estimate the colours of both sides from the corrected mask. The last pass
-reduces noise."""
+"""Standard deviation of alpha around the blurred mask, one value for each pass that estimates alpha. Each pass corrects
+the position of the mask. The next pass estimates the colours on both sides of the edge from the corrected mask. The
+small deviation of the last pass reduces noise."""
 ALPHAS = 11
 """Number of values from 0 to 1 at which the posterior of alpha is evaluated."""
 SHARPENING_SIGMA = 0.6

@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 Picture = NDArray[np.uint8]
 
 REDUCED_SIDE = 512
-"""Longest side, in pixels, of the image in the network's coarse stage if no ratio is given."""
+"""Longest side, in pixels, of the reduced image in the network's coarse stage, unless the caller sets the reduction
+ratio."""
 SCRIPTED = (".torchscript", ".pt")
 STATES = 4
 PROBE_SIDE = 64

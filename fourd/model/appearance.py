@@ -49,9 +49,10 @@ class ImageEncoder(nn.Module):
 class BlendHead(nn.Module):
     """MLP that predicts a blend logit for each point and source view.
 
-    The input of the first layer is [point feature, image sample, optional direction]. The part that depends only on the
-    point feature is computed once per point instead of once per point and view. Splitting the layer changes the order
-    of summation, so the logits change by rounding errors.
+    The input of the first layer is [point feature, image sample, optional direction]. This layer is split into one
+    linear layer for each part of the input, and the outputs of these layers are added. The layer ``point`` is therefore
+    computed once per point instead of once per point and view. The split changes the order of summation, so the logits
+    differ from those of a single layer by rounding errors.
     """
 
     def __init__(self, point_features: int, image_channels: int, config: ModelConfig) -> None:
@@ -117,9 +118,9 @@ def mix_own_colours(colours: Tensor, visibility: Tensor, own: Tensor | None, sha
         own: (N, 3) a colour of each point that does not depend on the view. If ``own`` is None, the result is
             ``colours``.
         share: share of the own colour in each mixed colour, in [0, 1). Mixed colours are clamped to [0, 1], because
-            baked scenes store mixed colours as bytes. If the share is 0, the own colour replaces the colours of views
-            in which the point is occluded. For a view with visibility v and colour c, the mixed colour is then ``v * c
-            + (1 - v) * own``.
+            baked scenes store mixed colours as bytes. If the share is 0, as for the background, the own colour replaces
+            the colours of views in which the point is occluded. For a view with visibility v and colour c, the mixed
+            colour is then ``v * c + (1 - v) * own``.
 
     Returns:
         (V, N, 3) mixed colours, differentiable in ``colours`` and ``own``.

@@ -73,15 +73,15 @@ class ModelConfig:
     """Number N' of source views that are blended for a viewing camera."""
     fade_views: bool = True
     """Multiply the blend weights of each source view by 1 - a / b, so that images change smoothly along a camera path.
-    Angles are measured at the scene's focus point, between the directions to the viewing camera and to a source view.
-    In the factor, a is the angle of the source view, and b is the smallest angle of the views that are not blended."""
+    Here, a is the angle between the directions from the scene's focus point to the source view and to the viewing
+    camera. The limit b is the smallest such angle of a view that is not blended but lies beyond all blended views."""
     image_features: int = 8
     """Number of channels of the image encoder's features."""
     encoder_stride: Literal[1, 2] = 2
     """Stride in pixels of the image encoder's features. With stride 1, the encoder takes four times as long as with
     stride 2."""
     occlusion: bool = True
-    """In each source view, ignore the points that are occluded."""
+    """Reduce the blend weights of a source view for points that are occluded in this view."""
     radius_range: tuple[float, float] = (0.5, 6.0)
     """Minimum and maximum radius of points, as multiples of the mean distance between neighbouring points."""
     radius_start: float = 1.3

@@ -17,8 +17,8 @@ class GeometryHead(nn.Module):
     """MLP with two hidden layers that predicts radius and density (4K4D, eq. 1 and supplement).
 
     For the MLP's outputs a and b, ``radius = low + (high - low) * sigmoid(a + offset)`` and ``density = sigmoid(b +
-    5)``. The offset is chosen such that ``a = 0`` gives the configured initial radius. A radius is a multiple of the
-    point spacing.
+    DENSITY_OFFSET)``, where (low, high) is ``ModelConfig.radius_range``. The offset is chosen such that ``a = 0`` gives
+    the initial radius ``ModelConfig.radius_start``. A radius is a multiple of the point spacing.
     """
 
     def __init__(self, in_features: int, config: ModelConfig) -> None:

@@ -61,7 +61,7 @@ class KPlanes(nn.Module):
     def _initial_plane(self, columns: int, rows: int, is_time: bool) -> Tensor:
         shape = (rows, columns, self.config.features)
         if self.config.reduction == "product":
-            # As in K-Planes, time planes are initialised to 1: if all planes were initialised to 0, the gradient of
-            # their product would be 0.
+            # As in K-Planes, no plane is initialised to 0, because the gradient of a product of zeros is 0. Time
+            # planes are initialised to 1, so that the initial features do not depend on time.
             return torch.ones(shape) if is_time else torch.empty(shape).uniform_(0.1, 0.5)
         return torch.empty(shape).uniform_(-0.05, 0.05)

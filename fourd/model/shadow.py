@@ -56,9 +56,9 @@ class ShadowField(nn.Module):
     """Small K-Planes with time planes, followed by a small MLP. The field covers the foreground's bounds, extended by a
     margin.
 
-    The factor is ``1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``. Because the planes are
-    initialised to 0, the factor is exactly 1 before training. The factor also remains 1 wherever the planes never get a
-    gradient.
+    The factor is ``1 + STRENGTH * fade * tanh(GAIN * (MLP(planes(x, t)) - MLP(0)))``, where ``fade`` decreases linearly
+    from 1 to 0 in the border zone; see FADE. Because the planes are initialised to 0, the factor is exactly 1 before
+    training. The factor also remains 1 wherever the planes never get a gradient.
     """
 
     lower: Tensor

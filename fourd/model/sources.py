@@ -29,7 +29,8 @@ class SourceViews:
         depth: (V, H, W) float32 depth of the nearest surface in world units, infinite where there is no surface; None
             if occlusion is not tested.
         cameras: the V cameras of the cropped or padded images.
-        encoded: (V, C, h, w) cached features of the image encoder; None if the features are not cached.
+        encoded: (V, C, h, w) cached features of the image encoder, where h and w are H and W divided by the encoder's
+            stride; None if the features are not cached.
         weights: (V,) view weights in [0, 1], which multiply the blend weights; None if all view weights are 1.
     """
 
@@ -51,8 +52,7 @@ class SourceSamples:
 
     Attributes:
         channels: (V, N, C) image features followed by RGB (the last three channels), differentiable.
-        visibility: (V, N) visibility weights in [0, 1], without gradient. A weight is the squared matte times the
-            occlusion factor.
+        visibility: (V, N) visibility weights in [0, 1], without gradient; see :func:`sample_sources`.
     """
 
     channels: Tensor
@@ -67,19 +67,19 @@ class SourceSamples:
 def sample_sources(xyz: Tensor, sources: SourceViews, features: Tensor | None, softness: Tensor) -> SourceSamples:
     """Project points into every source view and sample the views bilinearly.
 
-    A point's visibility weight in a view is the squared matte times the occlusion factor. The matte is squared because
-    pixels on the silhouette also contain background colour, so their weight must be lower than their coverage. For
-    float32 inputs, one fused kernel projects the points and also samples the views. The fused kernel runs on the CPU
-    or, if the CUDA kernels are compiled, on a CUDA device.
+    A point's visibility weight in a view is the squared matte times the occlusion factor, which ``softness`` defines.
+    The matte is squared because pixels on the silhouette also contain background colour, so their weight must be lower
+    than their coverage. For float32 inputs, one fused kernel projects the points and also samples the views. The fused
+    kernel runs on the CPU or, if the CUDA kernels are compiled, on a CUDA device.
 
     Args:
         xyz: (N, 3) points in world units. The points get gradients through the projection.
         sources: the source views.
         features: (V, C, h, w) features of ``sources`` from the image encoder, at the encoder's resolution; None to
             sample only RGB.
-        softness: (N,) decay length of the visibility weight of each point, in world units. The weight decays
-            exponentially with the point's depth behind the nearest surface in the view. The decay starts two decay
-            lengths behind the surface. No gradient is computed for ``softness``.
+        softness: (N,) decay length s of each point's occlusion factor, in world units. For a point at depth z behind
+            the nearest surface in the view, the factor is ``exp(-max(0, z / s - 2))``. No gradient is computed for
+            ``softness``.
     """
     cameras = _pack_cameras(sources.cameras)
     views = (sources.images, sources.mattes, sources.depth)

@@ -54,7 +54,7 @@ class Outcome:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run a job in this process. The process may have run other jobs before, also with other numbers of cores."""
+    """Run a job in this process. The process may already have run other jobs, with different numbers of cores."""
     node = platform.node()
     if job.version != __version__:
         return Outcome(

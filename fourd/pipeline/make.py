@@ -101,9 +101,9 @@ def make_scene(
     """Run every stage from ``source`` to the scene file ``out``.
 
     Intermediate results are kept in the folder ``work``. This folder contains ``run/``, ``stages.json`` and, if
-    ``source`` needs an import, ``capture/``. If a correction of the calibration reduces the residuals, the folder also
-    contains ``repaired/``, the capture with the corrected calibration. After a change of an input or a setting, the
-    next call repeats only the stages that depend on this input or setting. A stage that was interrupted resumes.
+    ``source`` needs an import, ``capture/``. If the stage ``repair`` corrects the calibration, the folder also contains
+    ``repaired/``, the capture with the corrected calibration. After a change of an input or a setting, the next call
+    repeats only the stages that depend on this input or setting. A stage that was interrupted resumes.
 
     Args:
         source: a capture, or any source that :mod:`fourd.importing` can read. A URL is copied to ``work/source/``.
@@ -156,8 +156,8 @@ def _make_in_folder(request: SceneRequest, folder: Path, runner: Runner) -> None
 
 
 def _make_stored(request: SceneRequest, url: StorageUrl, execute: Execute, is_parallel: bool) -> None:
-    """Run the stages of :func:`make_scene`, and store the results at ``url``. The paths in ``request.run`` are the same
-    on all machines, except the paths of the capture and of the run."""
+    """Run the stages of :func:`make_scene`, and store the results at ``url``. Paths in the local copy of ``url`` differ
+    between the machines. All other paths must be valid on every machine, so relative paths are made absolute."""
     if is_parallel and url.scheme == "memory":
         raise UserError(f"{url}: expected a store that all nodes can reach, got the memory of this process; use s3://")
     out, context, given = request.out, request.context, request.run

@@ -32,10 +32,11 @@ def run_here(stages: Sequence[AnyStage], context: Context) -> Iterator[AnyStage]
 class Runner:
     """Runs stages in a given order.
 
-    If a record file is given, the runner prints the state of each stage. The runner skips a stage whose key is
-    unchanged and whose outputs exist. Before the runner starts a stage whose key has changed, it removes the files that
-    were written with the old key. If no record file is given, the runner executes every stage and prints nothing.
-    Without a record file, the stages themselves detect and keep finished files.
+    If a record file is given, the runner prints the state of each stage. The runner skips a stage if its outputs exist
+    and its key (see :meth:`Stage.key`) is the same as in the record file. Before the runner starts a stage whose key
+    has changed, it removes the files that were written with the old key. If no record file is given, the runner
+    executes every stage and prints nothing. Without a record file, the stages themselves detect and keep finished
+    files.
     """
 
     def __init__(
@@ -80,8 +81,8 @@ class Runner:
                 self._write({stage.name: self._keys[stage.name]})
                 self._report(f"{stage.name}: finished{self._result(stage)}")
             if self._stored is not None:
-                # The results of these stages are copied to this machine, because the files decide which stages come
-                # next, and because the keys of the next stages depend on the files.
+                # The results are copied to this machine for two reasons: the files decide which stages come next, and
+                # the keys of the next stages depend on the files.
                 self._stored.copy()
 
     def _start(self, stage: AnyStage) -> bool:

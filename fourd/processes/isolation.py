@@ -36,8 +36,8 @@ directory."""
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """Environment variables that limit libraries to 1 thread, because the buffers of idle threads count as used memory."""
 WAIT_FACTOR = 20.0
-"""If a call takes longer than its limit of processor time multiplied by this factor, the child process is ended. The
-factor is large because other programs may use the processor, and disks may be slow."""
+"""The child process is ended if the wall-clock time of a call exceeds this factor times the call's limit of processor
+time. The factor is large because other programs may use the processor, and disks may be slow."""
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,8 @@ def list_objects(url: StorageUrl) -> Listing:
 
 
 def find_objects(url: StorageUrl) -> list[StoredObject]:
-    """List all objects in the folder ``url``, which may be empty. Raises UserError."""
+    """List all objects in the folder ``url``, which may be empty. Raises UserError if the store returns an error, an
+    object's name cannot be a file name, or the folder has too many objects."""
     return list(_find(url).values())
 
 
@@ -120,7 +121,8 @@ def download(url: StorageUrl, files: Mapping[str, Path]) -> Iterator[StoredObjec
         files: maps the key of each object, relative to the folder, to the path of its copy.
 
     Raises:
-        UserError: if an object is missing, or if :func:`fetch` would raise an error.
+        UserError: if the store returns an error, an object is missing or changes while it is read, or the disk has too
+            little space.
     """
     found = _find(url) if files else {}
     missing = next((key for key in files if key not in found), None)

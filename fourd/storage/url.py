@@ -56,8 +56,8 @@ def local_path(location: Location | str, use: str) -> Path:
     """Return the path of a file or folder on this machine.
 
     Raises:
-        UserError: if the text is a URL of a store. In the error message, ``use`` says what the local path is needed
-            for.
+        UserError: if the text is a URL of a store. In the error message, ``use`` completes the phrase "expected a local
+            path to".
     """
     found = parse_location(location)
     if isinstance(found, Path):

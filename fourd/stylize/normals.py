@@ -72,8 +72,8 @@ def estimate_normals(xyz: Points, seen: Visibility | None = None) -> Normals:
 
     Args:
         xyz: (N, 3) positions.
-        seen: which cameras see the points, or None if it is not known. The normals of points that no camera sees point
-            away from the centre of the points around them.
+        seen: which cameras see the points, or None if it is not known. If no camera sees a point, its normal is
+            directed away from the mean position of the points around it.
 
     Returns:
         (N, 3) float32. If there are fewer than 3 points, their normals are (0, 0, 1).

@@ -195,7 +195,8 @@ class Style:
     Attributes:
         shading: how a colour depends on the light.
         albedo: share of the captured colours in the surface colours, 0 to 1. The remaining share is white, or ``base``
-            if the shading is none.
+            if the shading is none. Gooch shading has no remaining share: it adds ``albedo`` times the captured colour
+            to the shade colour.
         base: if the shading is none, this colour has the share ``1 - albedo`` in the surface colours.
         paper: colour behind the scene, or None for the background colour of the picture.
         persistence: weight of the previous picture while the camera does not move, from 0 to 0.95. The weight applies

@@ -40,8 +40,8 @@ SILENCE_RMS = 1e-4
 ECHO_SECONDS = 0.06
 """A correlation peak counts as an echo of the highest peak if their lags differ by at most this number of seconds."""
 NOISE_SIGMAS, SURE_SIGMAS = 10.0, 20.0
-"""Height of the correlation peak at which the confidence is 0, and height at which it is 1, in standard deviations of
-the correlation.
+"""Heights of the correlation peak at which a camera pair's confidence is 0 and 1, in standard deviations of the
+correlation.
 
 For short clips without common sound, the highest value of the correlation was below 11 standard deviations.
 """

@@ -57,7 +57,7 @@ class RateConfig:
     = 0, the rate is not reduced. Without this reduction, training moves points at random where no image constrains
     them, and longer training makes novel views worse."""
     sh: float = 5e-3
-    """Learning rate of explicit spherical harmonics and of the colours of background points."""
+    """Learning rate of explicit spherical harmonics and of the points' own colours."""
     final: float = 0.05
     """At the end of the step or time budget, each learning rate has decayed to this share of its configured value."""
     warm_up: int = 20

@@ -220,8 +220,8 @@ class Trainer:
             )
 
     def _validate(self, log: MetricsLog | NoLog) -> None:
-        """Log the mean PSNR of the held-out views at the middle frame, inside the bounding boxes of the mattes. If
-        another rank owns the middle frame, an earlier frame is used.
+        """Log the mean PSNR of the held-out views at the middle frame, inside the bounding boxes of the mattes. If rank
+        0 does not own the middle frame, the nearest earlier frame of rank 0 is used.
 
         Training views are used if no view is held out.
         """

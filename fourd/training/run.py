@@ -173,8 +173,9 @@ class Run:
     def view_store(self, device: torch.device = CPU) -> ViewStore:
         """The store of training images for training on ``device``.
 
-        On a GPU, a step takes less time than decoding an image. The cache is therefore larger than the config's cache
-        size: an eighth of the GPU's free memory. The cache itself is in the memory of the CPU, which is rarely smaller.
+        On a GPU, a step takes less time than decoding an image. The size of the cache is therefore an eighth of the
+        GPU's free memory, but at least the config's cache size. The cache itself is in the memory of the CPU, which is
+        rarely smaller than the memory of the GPU.
         """
         train = self.config.train
         cache_mb = train.memory_mb if device.type != "cuda" else max(train.memory_mb, _free_gpu_mb(device) // 8)

@@ -24,7 +24,9 @@ class StepSample:
         background_colour: (3,) float32 RGB on which prediction and ground truth are composited.
         layers: maximum number K of points that are composited at each pixel.
         is_plate: whether the target is the camera's clean plate instead of the camera's image of the frame.
-        position: three numbers in [0, 1) that determine which part of the target is rendered in a full scene.
+        position: three numbers in [0, 1) that select the rendered part of the target in a full scene. For a frame, the
+            first number determines the margin around the matte. For a plate, the last two numbers (x, y) determine the
+            centre of the window.
     """
 
     frame: int

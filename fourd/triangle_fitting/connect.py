@@ -40,7 +40,7 @@ class OrientedPoints:
 
     Attributes:
         xyz: (N, 3) float64 centres in world units.
-        normals: (N, 3) float64 unit normals. Each normal points towards the cameras that see the triangle.
+        normals: (N, 3) float64 unit normals. Each normal points to the side of the triangle that more pixels show.
         weights: (N,) float64 number of pixels that show the triangle, summed over all views. All weights are above 0.
     """
 
@@ -51,8 +51,8 @@ class OrientedPoints:
 
 @torch.no_grad()
 def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints:
-    """Centres and normals of the visible triangles. ``corners`` (T, 3, 3) contains the visible and the hidden
-    triangles. All triangles are drawn opaque, and a triangle is visible if at least one view shows it."""
+    """Centres and normals of the visible triangles. ``corners`` (T, 3, 3) are the vertices of all triangles in world
+    units. All triangles are drawn opaque, and a triangle is visible if at least one view shows it."""
     count = len(corners)
     xyz, tri = corners.reshape(-1, 3), torch.arange(3 * count, dtype=torch.int32).reshape(count, 3)
     centres, normals = corners.mean(dim=1), unit_normals(corners)
@@ -73,9 +73,10 @@ def visible_points(corners: Tensor, cameras: Sequence[Camera]) -> OrientedPoints
 def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) -> tuple[Tensor, Tensor]:
     """Make one closed mesh from oriented points.
 
-    The signed distance of a point is the weighted mean of its signed distances to the planes of the nearest triangles
-    (Hoppe et al. 1992, but with Gaussian weights). The mesh stays inside the visual hull, because the signed distance
-    is at most the distance to the hull.
+    The mesh is the surface where a signed distance, positive inside, is 0. :func:`plane_distance` computes the signed
+    distance of each grid vertex from the planes of the nearest triangles. Hoppe et al. 1992 use only one plane for each
+    vertex. The signed distance is limited to at most the signed distance to the visual hull. The mesh therefore stays
+    inside the hull.
 
     Args:
         points: oriented points, at least one.
@@ -91,7 +92,7 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
     local = placed.xyz.numpy().astype(np.float64)
     distance = plane_distance(points, local + hull.origin, side)
     to_hull = hull.distance(np.ascontiguousarray(local.T.astype(np.float32)))[0]
-    # At points outside all views, the distance to the hull is infinite.
+    # The distance to the hull is -inf at points that too few views see. The lower limit keeps the distance finite.
     distance = np.minimum(distance, to_hull.clip(-side, None))
     least = LEAST_SHARE * side
     sdf = torch.from_numpy(np.where(np.abs(distance) < least, least, distance).astype(np.float32))
@@ -104,7 +105,8 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
 
 
 def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[np.float64]:
-    """Signed distance (N,) of ``xyz`` (N, 3) to the planes of the nearest points, positive inside."""
+    """Weighted mean (N,) of the signed distances, positive inside, of ``xyz`` (N, 3) to the planes of the NEAREST
+    nearest points. The weight of a point is a Gaussian of its distance times its weight in ``points``."""
     tree = cKDTree(points.xyz)
     away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
     away, index = np.asarray(away).reshape(len(xyz), -1), np.asarray(index).reshape(len(xyz), -1)
@@ -132,8 +134,8 @@ def close_holes(
     graph = coo_array((np.ones(len(start), np.bool_), (start, end)), shape=(count, count))
     label = connected_components(graph, directed=False)[1][start]
     hole = np.unique(label, return_inverse=True)[1]
-    # At each vertex of a hole, as many open edges start as end. Every vertex of the hole is therefore the start of an
-    # open edge.
+    # At each vertex of a hole, as many open edges start as end. The mean over the starts of all open edges therefore
+    # includes every vertex of the hole.
     number = np.bincount(hole)
     centres = np.stack([np.bincount(hole, xyz[start, axis]) / number for axis in range(3)], axis=1)
     caps = np.stack([end, start, count + hole], axis=1)

@@ -67,10 +67,11 @@ def prune_and_grow(
 
 
 def longest_edges_px(corners: Tensor, cameras: Sequence[Camera]) -> Tensor:
-    """Return an upper limit (T,), in pixels, of the length of each triangle's longest edge in the images of
+    """Return an approximate upper limit (T,), in pixels, of the length of each triangle's longest edge in the images of
     ``cameras``.
 
-    The limit is the edge's length in world units times the focal length, divided by the depth of the triangle's centre.
+    The limit is the maximum, over all cameras, of the edge's length in world units times the focal length, divided by
+    the depth of the triangle's centre.
     """
     edge = (corners - corners[:, [1, 2, 0]]).norm(dim=2).amax(dim=1)
     centre = corners.mean(dim=1)

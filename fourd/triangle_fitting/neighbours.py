@@ -48,11 +48,12 @@ def unit_normals(corners: Tensor) -> Tensor:
 
 
 def smoothness_loss(corners: Tensor, neighbours: Neighbours, spacing: float) -> tuple[Tensor, Tensor]:
-    """Measure how much neighbouring triangles (T, 3, 3) deviate from a common plane.
+    """Measure how much neighbouring triangles deviate from a common plane. ``corners`` (T, 3, 3) are the vertices of
+    the triangles.
 
     Returns:
         two losses. The first loss is the mean Huber loss of the distances of the neighbours' centres from the planes of
-        the triangles, measured in spacings. The second loss is the mean of 1 - cos(angle between the normals of two
+        the triangles, in units of ``spacing``. The second loss is the mean of 1 - cos(angle between the normals of two
         neighbours). Without neighbours, both losses are 0.
     """
     centres, normals = corners.mean(dim=1), unit_normals(corners)

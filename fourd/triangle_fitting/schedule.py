@@ -1,10 +1,12 @@
 """The budget of a fit, and the schedule by which soft triangles become opaque.
 
-In the soft phase, the exponent sigma of the window function is 1.16, and opacities are not limited. After the soft
-phase, sigma decreases geometrically to 1e-4. At the same time, a lower limit of the opacity rises from 0.1 to 0.9999,
-so that the triangles become opaque up to their edges. The initial value of sigma, and the ranges of sigma and of the
-lower limit, are from Held et al. 2025. The ranges belong to the paper's method with opaque triangles. In fourd, sigma
-and the lower limit of the opacity depend on the spent share of the budget.
+The alpha of a triangle at a pixel is its opacity times a window function, which falls from 1 at the triangle's incentre
+to 0 at its edges (:func:`fourd.raster.triangles.splat_triangles`). In the soft phase, the exponent sigma of the window
+function is 1.16, and opacities are not limited. After the soft phase, sigma decreases geometrically to 1e-4. At the
+same time, a lower limit of the opacity rises from 0.1 to 0.9999, so that the triangles become opaque up to their edges.
+The initial value of sigma is from Held et al. 2025. The ranges of sigma and of the lower limit are those of the paper's
+method with opaque triangles. In fourd, sigma and the lower limit of the opacity depend on the spent share of the
+budget.
 """
 
 from __future__ import annotations
@@ -40,8 +42,8 @@ class Phase:
 
 
 def phase_at(share: float, settings: TriangleSettings) -> Phase:
-    """Return the phase when the share ``share`` of the budget, in [0, 1], is spent. Phases apply only until the
-    separate triangles are opaque."""
+    """Return the phase when the share ``share`` of the budget, in [0, 1], is spent. When ``share`` reaches
+    ``hard_share``, the fit of opaque triangles starts, which uses only :func:`surface_rate`."""
     rate = SLOWEST_RATE**share
     if share < settings.soft_share:
         return Phase(SIGMA_RANGE[0], 0.0, rate, True)

@@ -23,7 +23,7 @@ class TriangleSettings:
         hard_share: share of the budget, at least ``soft_share``, after which triangles are opaque.
         plane: weight of the loss on the distances of triangles from the planes of their neighbours.
         normal: weight of the loss on the angles between neighbouring triangles.
-        laplacian: weight of the squared Laplacian of connected meshes. The Laplacian is measured in sides of a grid
+        laplacian: weight of the squared Laplacian of connected meshes. The unit of the Laplacian is the side of a grid
             cube.
         crease: weight of the normal-consistency loss of connected meshes.
         agreement: a share in (0, 1]. A hull point must be inside the mattes of at least this share of the views that

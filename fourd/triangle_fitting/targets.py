@@ -38,8 +38,9 @@ class Target:
         return Target(view.camera, torch.from_numpy(view.rgb) * matte[..., None], matte)
 
     def loss(self, rgb: Tensor, alpha: Tensor) -> Tensor:
-        """Loss of a rendered image (H, W, 3) with a black background, and of its alpha (H, W). The loss is the sum of
-        the image's mean absolute error, the image's structural dissimilarity and the alpha's mean absolute error."""
+        """Loss of a rendered image (H, W, 3) with a black background, and of its alpha (H, W). The loss is a weighted
+        sum of three errors: the image's mean absolute error, the alpha's mean absolute error, and the image's
+        structural dissimilarity. The last error is left out for images with a side below WINDOW_PX."""
         colours, matte = (rgb - self.rgb).abs().mean(), (alpha - self.matte).abs().mean()
         loss = (1 - SIMILARITY_WEIGHT) * colours + MATTE_WEIGHT * matte
         if min(rgb.shape[:2]) < WINDOW_PX:

@@ -62,9 +62,9 @@ class Untested(Rays):
 
 @dataclass(frozen=True, eq=False)
 class Rasterized(Rays):
-    """Visibility by a rasterized depth map. A point is visible if it lies at most TOLERANCE_PX / cosine pixels behind
-    the smallest depth of the 3 x 3 pixels around it. ``cosine`` is the cosine of the angle between the viewing ray and
-    the normal."""
+    """Visibility by a rasterized depth map. A point is visible if its depth exceeds the smallest depth of the 3 x 3
+    pixels around it by at most a tolerance. The tolerance is the width of TOLERANCE_PX pixels at the depth of the
+    point, divided by the cosine of the angle between the viewing ray and the normal."""
 
     nearest: dict[Camera, Floats] = field(default_factory=dict)
 

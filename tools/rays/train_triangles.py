@@ -68,7 +68,8 @@ def pinhole_rays(camera: Camera) -> tuple[Tensor, Tensor]:
 
 
 def fisheye_target(camera: Camera, image: np.ndarray, matte: np.ndarray, rays: RaysOf) -> Target:
-    """Resample an image (H, W, 3) and its matte to a fisheye image, cropped to the subject, and store its rays."""
+    """Resample an image (H, W, 3) and its matte to a fisheye image that is cropped to the subject. Store the rays of
+    the cropped image in ``rays``."""
     bundle = Fisheye(FISHEYE_DEG).rays(camera)
     directions = np.tile(camera.forward, (camera.height * camera.width, 1))
     directions[bundle.pixels] = bundle.directions

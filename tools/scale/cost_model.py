@@ -203,8 +203,8 @@ def predict(costs: Costs, capture: Capture, machines: Machines) -> tuple[StageCo
 
 
 def segments_core_s(costs: Costs, capture: Capture, slots: int) -> list[float]:
-    """CPU seconds to train each segment, if ``slots`` processes with one core each train the segments. The first
-    segment of a process also needs the time to start the process."""
+    """CPU seconds to train each segment, if the segments are trained by ``slots`` processes with one core each. The
+    first segment of a process also needs the time to start the process."""
     core_s, count = segment_core_s(costs, capture), len(capture.segments)
     return [core_s + costs.stage_start_s if index < slots else core_s for index in range(count)]
 

@@ -2,12 +2,13 @@
 
     python tools/scale/live_cost.py CAPTURE --windows 12 --seconds 20 -- --scale 0.5 --points 12000
 
-The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. Time is divided into
-windows. In every second window, the program sends requests to the server as often as the page would. In the other
-windows, the server's process is stopped (SIGSTOP). The program prints the ratios of the training speeds in neighbouring
-windows, in two units: steps per second of training time, and steps per second of the training's CPU time. CPU time
-depends less on other programs. With --browser, Chromium shows the page on the same machine in every second window, and
-an empty page in the other windows. With --scene, the tab with the scene is also open.
+The program trains CAPTURE with the options after `--`, and starts `fourd serve` for the run. The training time is
+divided into --windows pairs of time windows of --seconds seconds each. In one window of each pair, the program sends
+requests to the server as often as the page would. In the other window, the server's process is stopped (SIGSTOP). The
+program prints the ratios of the training speeds in the two windows of a pair, in two units: steps per second of
+training time, and steps per second of the training's CPU time. CPU time depends less on other programs. With --browser,
+Chromium shows the page on the same machine in one window of each pair, and an empty page in the other window. With
+--scene, the tab with the scene is also open.
 """
 
 from __future__ import annotations

@@ -5,10 +5,11 @@
     python tools/styles/steadiness.py fox.4dv --renderer sorted
 
 The meshes give the true depth and normal of each pixel. A pixel is unchanged over three successive frames if the true
-depth changes by at most 2% and the true normal by at most 15 degrees, at every pixel within a distance of ``--reach``
-pixels from it. An unchanged pixel is an edge pixel if it has a line in at least one of the three frames. An edge pixel
-flickers if its line is present only in the middle frame, or is missing only in the middle frame. Without meshes, fourd
-draws depth and normals without averaging over time, and the program uses them as the true depth and normals.
+depth changes by at most 2% and the true normal by at most 15 degrees. This must also be true of all pixels within a
+distance of ``--reach`` pixels. An unchanged pixel is an edge pixel if it has a line in at least one of the three
+frames. An edge pixel flickers if its line is present only in the middle frame, or is missing only in the middle frame.
+Without meshes, the true depth and normals are replaced by the depth and normals that fourd draws without averaging over
+time.
 """
 
 from __future__ import annotations

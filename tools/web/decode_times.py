@@ -3,9 +3,10 @@
     python tools/web/decode_times.py scene_full.4dv scene_stream.4dv scene_light.4dv
 
 The worker and the native code decode the points, the spherical harmonics, and the source views that are blended for the
-last camera of the scene. The browser uses one worker, and the native code uses one core. The members of the page are
-compressed with zlib. Worker and native code are measured alternately with the members of the page. The native code is
-also measured alone, with the members of the given scene, which `fourd pack` compresses with Zstandard.
+last camera of the scene. The browser uses one worker, and the native code uses one core. A scene file is a ZIP archive.
+In the page's copy of the scene, the members of the archive are compressed with zlib. Worker and native code are
+measured alternately with this copy. The native code is also measured alone, with the given scene, whose members `fourd
+pack` compresses with Zstandard.
 """
 
 from __future__ import annotations

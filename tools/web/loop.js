@@ -5,8 +5,8 @@
 
 const nextImage = () => new Promise((resolve) => requestAnimationFrame(resolve));
 
-/** Draws from one camera for three seconds, so that the depth order is that of this camera. Returns the canvas as a PNG
- * file in base64. */
+/** Draws from one camera for three seconds, so that the viewer has time to sort the splats by depth for this camera.
+ * Returns the canvas as a PNG file in base64. */
 window.picture = async (camera) => {
   const { draw, canvas } = await window.viewer;
   const end = performance.now() + 3000;

@@ -5,8 +5,8 @@
 
 The program opens the page of the scene with an empty browser cache. The server limits the data rate to --mbps. The
 program prints the time from the opening of the page to the start of playback. For playback, the program prints the
-pauses, the images per second and the amount of received data. The program also prints the time until a frame is shown
-if the time bar is moved to a frame that is not in memory. Without --tier, the program chooses a level as `fourd web
+pauses, the images per second and the amount of received data. The program also moves the time bar to frames that are
+not in memory, and prints the time until each frame is shown. Without --tier, the program chooses a level as `fourd web
 --max-mbps` does. With --repeat, the frames are repeated with new frame numbers, so that the scene is longer. The
 program needs Chromium and the package playwright.
 """
@@ -37,8 +37,8 @@ CHUNK = 1 << 14
 LOCAL_HEADER, SIZES_AT, NAME_LENGTH_AT = 30, 18, 26
 """Size of a local file header in a ZIP archive, and the offsets of two of its fields (ZIP appnote 4.3.7)."""
 CREDIT_SECONDS = 0.05
-"""If the operating system wakes the server too late, the server then sends faster to make up for the delay. It makes up
-for at most this part of the delay, in seconds."""
+"""Maximum delay, in seconds, that the server makes up for. If the operating system wakes the server too late, the
+server then sends faster than the data rate."""
 PLAY = """
 async (milliseconds) => {
   const sleep = () => new Promise((resolve) => setTimeout(resolve, 5));

@@ -147,10 +147,10 @@ class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): in each pixel, a pass finds the nearest and the farthest of the
     remaining layers.
 
-    In each pixel, each of the first K // 2 passes finds up to two layers. If layers remain in a pixel, it may have more
-    than K layers in total, so the layers that were peeled from its back are dropped. Further passes then peel layers
-    from the front, until K layers are composited or no further layer is visible. The result has the K nearest layers,
-    as in :class:`DepthPeeling`.
+    In each pixel, each of the first K // 2 passes finds up to two layers. If layers remain in a pixel after these
+    passes, the layers that were peeled from its back may not be among the K nearest, and are dropped. Further passes
+    then peel layers from the front, until K layers are composited or no further layer is visible. The result has the K
+    nearest layers, as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:

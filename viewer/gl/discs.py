@@ -31,10 +31,9 @@ _MAX_RANKS = 1 << 24
 class Discs:
     """The discs of the visible points.
 
-    If discs are drawn nearest first, they are stored in drawing order, and the rank of a disc is its index plus 1. If
-    sprites are drawn farthest first, they are stored in the order of the frame's points, and an index buffer contains
-    the drawing order. The vertex shader then reads the points in the order of their texels, which takes half as long as
-    reading them in depth order.
+    Discs are stored in drawing order, and the rank of a disc is its index plus 1. Only sprites that are drawn farthest
+    first are stored in the order of the frame's points, and an index buffer contains their drawing order. The vertex
+    shader then reads the points in the order of their texels, which takes half as long as reading them in depth order.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
 // Per-disc outputs that the vertex shaders of all geometry passes share.
 
 uniform vec2 size;     // Width and height of the image in pixels.
-uniform bool upright;  // Whether image row 0 is at the top of the framebuffer, as on screen, or at the bottom.
+uniform bool upright;  // True: image row 0 is at the top of the framebuffer, as on screen. False: at the bottom.
 
 in vec4 disc;   // Centre (u, v), 1 / radius^2 and radius, with lengths in pixels.
 in vec4 paint;  // Red, green, blue and density.

@@ -34,8 +34,8 @@ uniform int painted;        // The quantity that the discs show: COLOURS, NORMAL
 uniform float depth_unit;   // Depths are written as multiples of this length in world units.
 
 const int COLOURS = 0;
-const int NORMALS = 1;  // The normal times the point's weight.
-const int DEPTHS = 2;   // The depth times the point's weight, and the weight itself.
+const int NORMALS = 1;  // The normal times front_weight.
+const int DEPTHS = 2;   // The depth times front_weight, and front_weight itself.
 
 in uint point;
 

@@ -27,7 +27,7 @@ struct Grid {
 
 struct Location {
     const Level& level;
-    std::size_t row;  // Index of the level's first feature in the encoding.
+    std::size_t row;  // Offset, in the array of encodings, of the point's first feature of the level.
     const float* coordinates;
     std::size_t point;
     Cell cell;

@@ -93,7 +93,8 @@ FOURD_INLINE void scatter_sample(const Corners& c, const float* gradient, int fe
     }
 }
 
-// Adds to along_x and along_y, which have one element per feature, the gradient with respect to the position.
+// Computes the contribution of each feature to the gradient with respect to the plane's two coordinates. Adds the
+// contributions to along_x (features,) and along_y (features,).
 template <int Features>
 FOURD_INLINE void add_slopes(const Interpolation& x, const Interpolation& y, const float* gradient, const float* top,
                              const float* bottom, int features, float* along_x, float* along_y) {

@@ -27,7 +27,7 @@ struct Plan {
     const int* y_axis;
     const int* large;  // Indices, in ascending order, of planes that are larger than the caches of a core.
     int large_count;
-    const std::uint32_t* order;
+    const std::uint32_t* order;  // Shape (query->count,): indices of the points in spatial order.
 };
 
 // The positions of the points of a batch, indexed by axis, then by point.

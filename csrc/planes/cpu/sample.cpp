@@ -116,8 +116,8 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     Team team(query.threads);
     QueryPlan planned(query, team.size());
     // One worker processes all points of a plane, in order. Therefore, no locks are needed, and the order of additions
-    // is fixed. A worker processes all its planes together, because these planes read the same cache lines of
-    // `gradient`.
+    // is fixed. For each batch of points, a worker processes all its planes, because the elements of `gradient` for
+    // these planes share cache lines.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

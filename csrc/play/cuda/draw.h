@@ -1,5 +1,6 @@
 // Draws a baked frame on a GPU, from float16 arrays to an 8-bit image. Functions queue work on a stream and do not wait
-// for the GPU. Pointers point to GPU memory.
+// for the GPU. Pointers point to GPU memory, except shading.chosen and shading.view_weights, which point to host
+// memory.
 #pragma once
 
 #include "play/frame.h"
@@ -9,7 +10,7 @@ namespace fourd::play::cuda {
 
 std::size_t workspace_bytes(std::size_t count, int width, int height, std::size_t entries);
 
-// Draws a frame. The array shading.chosen is in host memory.
+// Draws a frame to `canvas`.
 void draw(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
           const points::cuda::EntryBuffer& buffer, const points::Canvas& canvas, void* stream);
 

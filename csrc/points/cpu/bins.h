@@ -14,7 +14,7 @@ class Bins : public tiles::DepthBins {
         DepthBins::fill(cloud.count, settings.camera.width, settings.camera.height, projection(cloud, settings), team);
     }
 
-    // Projects and sorts the points, and counts their entries. Call fill_band afterwards.
+    // Projects and sorts the points, and counts their (point, tile) entries. Call fill_band afterwards.
     void prepare(const Cloud& cloud, const Settings& settings, Team& team) {
         splats_.require(cloud.count);
         DepthBins::prepare(cloud.count, settings.camera.width, settings.camera.height, projection(cloud, settings),

@@ -27,10 +27,12 @@ struct Tile {
 // The scratch memory of the backward pass. A visit is one (entry, block) pair in which the point of the entry may hit
 // pixels of the block. Visits are sorted by entry, then by block.
 struct Visits {
-    float* transmittance;  // Shape (count, 16): transmittance before the entry, negative at pixels without a hit.
+    // Shape (count, 16): for each pixel of the block, the transmittance in front of the point, or -1 if the point does
+    // not hit the pixel.
+    float* transmittance;
     // Shape (count,): the number 16 * entry + block of each visit, or kNoVisit if the visit hits no pixel.
     std::uint64_t* tags;
-    std::size_t count;     // Equal to count_visits(tile).
+    std::size_t count;  // Equal to count_visits(tile).
 };
 
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
@@ -52,8 +54,8 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // Computes the features for draw_surface of the points [begin, end), from their colours and normals. There are at
-    // most kJoinedPoints points. `xyz` (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count,
+    // Computes, for each of the points [begin, end), the features that draw_surface needs. There are at most
+    // kJoinedPoints points. `xyz` (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count,
     // kSurfaceFeatures) are indexed by point. The normals are decoded (points/octahedral.h) and rotated to the axes of
     // the camera.
     void (*join_normals)(const Pinhole& camera, const float* xyz, const float* colours, const std::uint8_t* octahedral,
@@ -62,7 +64,8 @@ struct Loops {
     // Renders the colours and the visible surface. The features of the tile are the output of join_normals.
     void (*draw_surface)(const Tile& tile, const Surface& out);
 
-    // `sums` has 5 + channels floats per slot: one SplatGradient, and then the gradient of the features.
+    // `slots` (tile.count,) has the slot of each entry (tiles/depth_bins.h). `sums` has 5 + channels floats per slot:
+    // one SplatGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 

@@ -5,9 +5,8 @@
 
 namespace fourd::points::cuda {
 
-// The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula. The
-// term for alpha is computed separately, because its precision would be lost in a sum with the value of the layer where
-// alpha is close to 1.
+// The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula, and
+// why the term for alpha is not part of the value of a layer.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];

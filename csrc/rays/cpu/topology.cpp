@@ -202,7 +202,8 @@ std::int32_t build_subtree(Reference* references, const Range& range, int depth,
     return index;
 }
 
-// A task builds the subtree of a range. The members node and lane are the place of the subtree in the top of the tree.
+// A task builds the subtree of a range. In the top of the tree, the subtree becomes child `lane` of the node with the
+// index `node`.
 struct Task {
     Range range;
     std::int32_t node;

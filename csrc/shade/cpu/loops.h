@@ -13,7 +13,7 @@ struct Loops {
     void (*shade)(const Points& points, std::size_t begin, std::size_t end, const Settings& settings, float* out);
 };
 
-// The loops are not compiled for AVX-512, because the 16 harmonics and 4 views of a point already fill AVX2 vectors.
+// The loops are not compiled for AVX-512, because their explicit vector code uses vectors of at most 256 bits.
 FOURD_DISPATCH(Loops, Simd::avx2)
 
 }  // namespace fourd::shade

@@ -1,4 +1,5 @@
-// Shading of baked points (shade/shade.h) on a GPU. All pointers point to GPU memory.
+// Shading of baked points (shade/shade.h) on a GPU. All pointers point to GPU memory, except settings.chosen and
+// settings.view_weights, which point to host memory.
 #pragma once
 
 #include "common/half.h"

@@ -35,13 +35,14 @@ constexpr int kMeans = 5;
 constexpr int kDerivatives = 3;
 
 struct Loops {
-    // Returns the sum of the similarities of one pixel row, over the pixels whose window lies inside the image. Unless
-    // `derivatives` is null, the function also writes the derivatives of the similarities. `scratch` has 2 * kMeans
-    // rows, each with plan.stride floats.
+    // Returns the sum of the similarities of one row of the valid part. Unless `derivatives` (kDerivatives, plan.valid)
+    // is null, the function also writes the derivatives of the similarities to it. `scratch` has 2 * kMeans rows, each
+    // with plan.stride floats.
     double (*compare)(const Plan&, std::size_t row, float* scratch, float* derivatives);
 
-    // Computes the gradient of a row of the picture from the derivatives of all windows that contain the row. `scratch`
-    // has 2 rows, each with plan.stride + kBorder * channels floats.
+    // Computes the gradient of a row of the picture from the derivatives of all windows that overlap the row.
+    // `derivatives` (plan.valid_rows, kDerivatives, plan.valid) has the derivatives of all windows of the picture.
+    // `scratch` has 2 rows, each with plan.stride + kBorder * channels floats.
     void (*gradient)(const Plan&, int row, const float* derivatives, float* scratch, float* out);
 };
 

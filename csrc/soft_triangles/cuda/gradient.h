@@ -48,7 +48,7 @@ struct GradientPixel {
     struct Sums {
         float open;    // Product of 1 - D (maths.h) over the triangles of the pixel.
         float weight;  // Sum of the weights, including the weight of the background.
-        float mean;    // Weighted mean of the values of all triangles of the pixel.
+        float mean;    // Sum of weight * value_of() over the triangles of the pixel, divided by the member `weight`.
     };
 
     FOURD_DEVICE float value_of(std::size_t rank, const float* upstream) const {
@@ -86,8 +86,8 @@ struct GradientPixel {
     }
 };
 
-// Computes the gradient of a triangle from gradients that were summed over pixels. Sums are indexed by rank, which is
-// the position of the triangle in depth order. Culled triangles get zero gradients.
+// Computes the gradient of a triangle from gradients that were summed over pixels. Sums are indexed by rank: visible
+// triangles come first, in index order, and culled triangles come last. Culled triangles get zero gradients.
 struct GradientTriangle {
     Entries entries;
     Mesh mesh;

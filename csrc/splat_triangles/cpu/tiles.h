@@ -34,8 +34,8 @@ struct Loops {
     std::size_t (*project)(const Mesh& mesh, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, TileRange* tile_ranges, Item* items);
 
-    // Renders a tile. `best` is scratch memory of 16 floats per entry. Writes to `weights`, which has one float per
-    // slot, the largest weight of each entry.
+    // Renders a tile. `best` is scratch memory of 16 floats per entry. `slots` has the slot of each entry. The largest
+    // compositing weight of an entry is written to the element of `weights` for the entry's slot.
     void (*render)(const Tile& tile, const Image& out, float* best, const std::size_t* slots, float* weights);
 
     // `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and then the gradient of the features.

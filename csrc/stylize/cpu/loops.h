@@ -8,8 +8,9 @@ namespace fourd::stylize {
 
 constexpr int kRun = 64;  // Number of pixels of a row that are computed together.
 
-// The lines of a picture. All arrays belong to the caller. Each run of pixels is one word, in which bit i belongs to
-// pixel i of the run. Each row starts and ends with one additional word without lines.
+// The lines of a picture. All arrays belong to the caller. In `drawn` and `strong`, each run of pixels is one word, in
+// which bit i belongs to pixel i of the run. Each row of these two arrays starts and ends with one additional word
+// without lines.
 struct LineImage {
     std::uint32_t* state;   // Shape (height, width), as in stylize().
     std::uint64_t* drawn;   // Shape (height, words()): whether a pixel has a line.

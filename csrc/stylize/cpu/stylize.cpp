@@ -10,8 +10,8 @@
 namespace fourd::stylize {
 namespace {
 
-// With 8 rows, the pixels that a task reads fit into the L1 cache, so pixels that two successive runs read are still in
-// the cache for the second run.
+// With 8 rows, the pixels that a task reads for one column of runs fit into the L1 cache. The next column also reads
+// some of these pixels, and finds them in the cache.
 constexpr int kRowsPerTask = 8;
 
 // Decides when the lines of a task's rows can be drawn: all tasks with rows at most `reach` rows away must have

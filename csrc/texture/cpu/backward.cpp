@@ -207,7 +207,7 @@ class Scatter {
     Buffer<float> sums_;
 };
 
-// Uses huge pages for the gradients of uv and uv_da, because these arrays are larger than the gradient of the texture.
+// Uses huge pages for the gradients that have at least one float per pixel: those of uv, uv_da and bias.
 void prefer_huge_pages_for(const Query& query, const Gradients& out) {
     const std::size_t bytes = query.pictures * query.pixels * sizeof(float);
     const std::size_t coordinates = static_cast<std::size_t>(query.coordinates());

@@ -92,8 +92,8 @@ FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t 
     return first;
 }
 
-// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a primitive: the exclusive sum at this
-// rank is the number of entries.
+// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a primitive. With this additional rank,
+// the last element of the exclusive sum of tile_counts is the number of all entries.
 template <typename Splat>
 struct GatherRank {
     Entries<Splat> to;

@@ -41,7 +41,8 @@ FOURD_DEVICE static inline EntryList entry_list(const Entries<Splat>& entries, s
     return {entries.entry_ranks + begin, entries.tile_begin[tile + 1] - begin};
 }
 
-// Composites the primitives of a list front to back until all pixels of the warp are complete. The compositor provides
+// Composites the primitives of a list front to back. The traversal ends early if every pixel of the warp that is inside
+// the image has `layers` layers or a transmittance of at most transmittance_min. The compositor provides
 // pixel_coverage(splat, x, y), which returns how the primitive covers the pixel. The member `alpha` of this coverage is
 // above 0 if the primitive hits the pixel. Calls take(position, rank, splat, coverage, transmittance) for every layer
 // of the pixel. Returns the final transmittance.

@@ -42,14 +42,13 @@ def add_field_depths(
     continued: Sequence[Surface],
     track: Track,
 ) -> list[Surface]:
-    """Fill the unknown cells of measured surfaces with the median depths of the field where another plate confirms
-    them.
+    """Fill the unknown cells of measured surfaces with the median depths of the field, if another plate confirms these
+    depths.
 
-    A cell is confirmed under two conditions: the surface of at least one other plate agrees with the cell's depth, and
-    the number of surfaces that the cell occludes is at most the number of surfaces that agree. Confirmed cells get
-    support 1. Unconfirmed cells take the extrapolated depth of ``continued``. Colours do not determine the depth of a
-    surface that only one plate sees. Where only one plate sees a surface, the field's depth is noise around the
-    extrapolated depth.
+    A cell is confirmed if the surface of at least one other plate agrees with the cell's depth. In addition, the cell
+    must not occlude more surfaces than agree with its depth. Confirmed cells get support 1. Unconfirmed cells take the
+    extrapolated depth of ``continued``. Colours do not determine the depth of a surface that only one plate sees. Where
+    only one plate sees a surface, the field's depth is noise around the extrapolated depth.
 
     Args:
         field: the optimised field.

@@ -20,8 +20,8 @@ from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 
 MIN_INVERSE_RATIO = 0.5
-"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. If the cell's plane is
-seen almost edge-on, the ratio can fall below this minimum, and the depth of the pixel is not used."""
+"""Minimum ratio of the inverse depth at a pixel to the inverse depth at the centre of its cell. Below this ratio, the
+depth of the pixel is not used. Such small ratios occur if the cell's plane is seen almost edge-on."""
 
 
 @dataclass(frozen=True, eq=False)

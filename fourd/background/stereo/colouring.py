@@ -31,8 +31,9 @@ def sample_coloured_points(
         seed: random seed of the points' order.
 
     Returns:
-        the points in random order. The second result lists, for each surface, the depth-map cell of each sampled point.
-        For every N, the first N points are a uniform sample of all points.
+        the points in random order, and one array of cell indices per surface. For every N, the first N points are a
+        uniform sample of all points. The array (M,) of a surface contains the depth-map cells of the M points that were
+        sampled on it.
     """
     samples = sample_surfaces(surfaces, [plate.seen for plate in reduced], points)
     found = _fuse_colours(plates, surfaces, samples)

@@ -44,10 +44,10 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
 
     A completed depth is the minimum of an interpolated depth and the depth of the nearest enclosing plane. The
     interpolated depth comes from harmonic interpolation of inverse depth. The interpolation starts from known cells
-    that lie on no enclosing plane. The interpolation is exact for planar surfaces, and also uses points that are known
-    or completed in other images. A cell remains unknown if it would occlude a known surface of another image. All
-    unknown cells of an image remain unknown if less than a quarter of the image's cells are known. Completed cells have
-    support 0, because no other image confirms them.
+    that lie on no enclosing plane, and from points that are known or interpolated in other images. For planar surfaces,
+    the interpolation is exact. A cell remains unknown if it would occlude a known surface of another image. All unknown
+    cells of an image remain unknown if less than a quarter of the image's cells are known. Completed cells have support
+    0, because no other image confirms them.
 
     Args:
         surfaces: one surface per image.

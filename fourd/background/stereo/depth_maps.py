@@ -36,8 +36,8 @@ MIN_RELIABLE = 30
 """Minimum number of points that are seen in three or more plates. Below this number, points that are seen in only two
 plates are also used."""
 NEAR_FACTOR, FAR_FACTOR = 0.5, 4.0
-"""Factors that widen the depth range: the depth of the nearest triangulated point is multiplied by the first factor,
-and the depth of the farthest point by the second."""
+"""Factors that widen the depth range. The first factor multiplies the 1st percentile of the depths of the triangulated
+points, and the second factor multiplies the 99th percentile."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +91,8 @@ class ReducedPlate:
     Attributes:
         camera: pinhole camera of the reduced plate.
         rgb: (H, W, 3) uint8 colours.
-        seen: (H, W) bool, true for pixels that contain no part of a hole.
+        seen: (H, W) bool, true for pixels that contain no part of a hole. A hole is an area in which the plate does not
+            show the background.
     """
 
     camera: Camera

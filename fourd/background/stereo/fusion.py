@@ -108,8 +108,8 @@ def fuse_depth_maps(cameras: Sequence[Camera], maps: Sequence[DepthMap]) -> list
 
     A cell is kept if at least one other image confirms it. In addition, the number of known surfaces that the cell
     occludes must be smaller than the number of images that confirm the cell. One confirmation is enough, because often
-    only two cameras see a wall. With two cameras, one cell in 60 is confirmed although its depth is wrong. Connected
-    components of fewer than 25 cells are removed.
+    only two cameras see a wall. If only two cameras see a surface, one in 60 of its cells is confirmed although its
+    depth is wrong. Connected components of fewer than 25 cells are removed.
     """
     surfaces = [
         Surface(camera, depths, depths.scores > MIN_SCORE, np.zeros(len(depths.scores), np.intp))

@@ -19,10 +19,10 @@ from fourd.background.stereo.patches import Floats, GreyView
 Array = NDArray[np.float64]
 
 GUIDE_WEIGHT = 0.01
-"""Weight with which the interpolation pulls the correction towards 0. The correction therefore decays with the distance
-from known cells. The weight is divided by the square of the share of known cells. If almost all cells are
-known, the correction decays to one half over seven cells. If few cells are known, they are unreliable, and the
-correction decays over a shorter distance."""
+"""Weight with which the interpolation pulls the correction, which is added to the guide's inverse depth, towards 0. The
+correction therefore decays with the distance from known cells. The weight is divided by the square of the share of
+known cells. If almost all cells are known, the correction decays to one half over seven cells. If few cells are known,
+they are unreliable, and the correction decays over a shorter distance."""
 MIN_GUIDE_FACTOR = 0.25
 """Minimum of the corrected inverse depth, as a multiple of the guide's inverse depth. Without this minimum, the
 correction could make the inverse depth negative."""

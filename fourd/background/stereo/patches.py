@@ -141,9 +141,9 @@ class PatchSimilarity:
     def scores(self, cells: NDArray[np.intp], planes: Floats) -> Floats:
         """Score planes (n, 3) of cells (n,).
 
-        The score of a plane is the mean of its two best correlations, so that occlusion in the other source images does
-        not lower the score. If the cell is visible in only one source image, the score is the correlation with this
-        image minus SINGLE_SOURCE_PENALTY.
+        The score of a plane is the mean of its two highest correlations with source images. Occlusion in the remaining
+        source images therefore does not lower the score. If the cell is visible in only one source image, the score is
+        the correlation with this image minus SINGLE_SOURCE_PENALTY.
 
         Returns:
             (n,) scores of at most 1, or -1 if the cell is visible in no source image.

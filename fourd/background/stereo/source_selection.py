@@ -17,9 +17,10 @@ RAYS = 12
 DEPTHS = 8
 BEST_ANGLE_DEG = 15.0
 ANGLE_SPREAD = 0.9
-"""Width of a source camera's score, which is a bell-shaped function of log(angle). The angle at a point is the angle
-between the rays from the point to the source camera and to the camera whose depth is computed. The score is 1 at 15
-degrees, 1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that is seen from the opposite side)."""
+"""Half width at half maximum, in ln(angle), of a source camera's score. The score is a bell-shaped function of
+ln(angle). The angle at a point is the angle between the rays from the point to the source camera and to the camera
+whose depth is computed. The score is 1 at 15 degrees, 1/2 at 6 and at 37 degrees, and 1/7 at 130 degrees (a floor that
+is seen from the opposite side)."""
 MIN_GAIN = 0.01
 """Minimum increase of the objective, divided by the number of sampled points. A source camera is not added if the
 increase is below this minimum."""

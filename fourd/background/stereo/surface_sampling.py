@@ -18,14 +18,14 @@ SAME_SURFACE = 0.05
 difference, the sample also counts as a sample of the other surface."""
 BISECTION_STEPS = 8
 MIN_SIDE_PX = 1.0
-"""Side length of the smallest squares in pixels."""
+"""Minimum side length, in pixels, of the squares into which :func:`sample_surfaces` divides the images."""
 EDGE_TOLERANCE = 0.05
 """Maximum relative error of the inverse depth that a cell's plane predicts at a neighbouring cell. A cell is at a depth
 edge if the errors at the neighbours on both sides exceed this maximum."""
 MAX_PARTS = 2
-"""Maximum number of parts into which a square is divided along each axis. With more parts, all gaps between
-points on steep surfaces are closed. However, each point of a floor then hides the lower half of the points behind it,
-and the texture of the floor appears half a point too high in the image."""
+"""Maximum number of parts into which a square is divided along each axis. With more parts, all gaps between points on
+steep surfaces are closed. However, each point of a floor then hides the lower half of the points behind it. The texture
+of the floor is then shifted upwards in the image by half the size of a point."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +51,12 @@ def sample_surfaces(surfaces: Sequence[Surface], seen: Sequence[Bools], points: 
     """Sample all surfaces, with at most ``points`` samples in total.
 
     Each image is tiled with squares. All squares have the same size, which is the smallest size that gives at most
-    ``points`` samples. Squares on surfaces at grazing angles are divided into parts. Undivided squares would leave gaps
-    between the samples in cameras that see the surface less obliquely than the image's camera. The centre of each part
-    is sampled if ``seen`` (H, W) is true at the centre. A centre is not sampled if an earlier sample, from any image,
-    already lies on the surface within the part. Near objects therefore get more points than far objects, but the number
-    of points does not depend on how many images show a surface. Cells that other images confirm are sampled first, and
-    extrapolated cells afterwards.
+    ``points`` samples. A square is divided into parts if the image's camera sees its surface at a grazing angle.
+    Without this division, a camera that sees the surface less obliquely would see gaps between the samples. The centre
+    of each part is sampled if ``seen`` (H, W) is true at the centre. A centre is not sampled if an earlier sample, from
+    any image, already lies on the surface within the part. Near objects therefore get more points than far objects, but
+    the number of points does not depend on how many images show a surface. Cells that other images confirm are sampled
+    first, and extrapolated cells afterwards.
 
     Returns:
         the samples of each image.

@@ -40,8 +40,8 @@ class CloudEncoding:
             green, then 16 for blue.
         sh_mean: (48,) float32, mean of the coefficients.
         sh_step: quantisation step of the factors.
-        weight_steps: number of codes for each doubling of the blend weight. Code 1 is the largest blend weight of the
-            point, and code 0 is the weight 0.
+        weight_steps: number of codes for each halving of the blend weight. Code 1 is the largest blend weight of the
+            point, larger codes are smaller weights, and code 0 is the weight 0.
         colour_step: quantisation step of the colours in the source views, in units of 1/255. The step is at most
             MAX_COLOUR_STEP.
         every_point_has_colours: whether colours are stored for all source views of each point. If false, colours are

@@ -122,8 +122,8 @@ def _sample_cameras(camera: Camera, samples: int) -> Iterator[Camera]:
 
 
 def _clip(xyz: NDArray[np.float32], camera: Camera) -> NDArray[np.float32]:
-    """Clip coordinates (V, 4). The far plane is farther than all vertices. Of the vertices in front of the camera, only
-    those with a depth below ``_NEAR_SHARE`` times the far plane's depth can be nearer than the near plane."""
+    """Clip coordinates (V, 4). The far plane is farther than all vertices. The near plane is nearer than all vertices
+    in front of the camera, but its depth is at least ``_NEAR_SHARE`` times the depth of the far plane."""
     points = xyz.astype(np.float64) @ camera.rotation.T + camera.translation
     depth = points[:, 2]
     in_front = depth[depth > 0]

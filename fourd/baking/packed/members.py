@@ -1,11 +1,11 @@
 """Encoding and decoding of one cloud of points, whose members are in a frame's folder or in the background's folder.
 
-The cloud has N points in Morton order, and its members are listed below. All arithmetic on colours is modulo 256:
+The cloud has N points in Morton order. All arithmetic on colours is modulo 256. The cloud has these members:
 
 - ``points``: differences of successive Morton codes as byte planes, then radius codes (two byte planes), then density
   codes.
-- ``sh``: zigzag-coded factors of each row of ``sh_basis``: first the low bytes of all rows, then the high bytes of all
-  rows.
+- ``sh``: zigzag-coded int16 factors (K, N) of the K rows of ``sh_basis``: first the low bytes of all factors, then the
+  high bytes of all factors.
 - ``colour``: mean colour of each point over the source views, as three planes: green, red - green and blue - green.
   Each plane stores the differences between successive points.
 - ``views/VVV``: codes of the blend weights of source view V, then the colours of the points. A colour is stored as the
@@ -39,7 +39,8 @@ LARGEST_WEIGHT = 1024.0
 times the largest weight are normal float16 numbers."""
 _MAX_RADIUS_CODE = 2**16 - 1
 _MAX_LEVEL = 127
-"""Largest difference between a colour and its mean colour, in quantisation steps. Levels are signed bytes."""
+"""Largest difference between a colour of a point and the point's mean colour, in quantisation steps. The difference is
+stored as a signed byte."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,8 @@ def morton_sorted(frame: BakedFrame, encoding: CloudEncoding) -> NDArray[np.int6
 def encode_cloud(frame: BakedFrame, encoding: CloudEncoding, rounding: ColourRounding) -> dict[str, bytes]:
     """Return the uncompressed content of each member. The points must be in the order of :func:`morton_sorted`.
 
-    If the encoding has an ``image_scale``, the views have no colours.
+    If the encoding has an ``image_scale``, the members of the views contain only the codes of the blend weights. The
+    caller then appends the images.
     """
     members = {POINTS: _encode_points(frame, encoding), SH: _encode_sh(frame.sh, encoding)}
     if frame.view_count:

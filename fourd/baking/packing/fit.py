@@ -29,8 +29,8 @@ class CloudSamples:
 
     Attributes:
         lower, upper: (3,) float64, smallest and largest coordinates.
-        radius_lower: smallest radius above 0.
-        radii: sampled radii.
+        radius_lower: smallest radius above 0, in world units.
+        radii: (S,) float32, sampled radii in world units.
         sh: (S, 48) float32, sampled spherical-harmonics coefficients.
         has_own_unseen_colours: see :func:`fourd.baking.packed.colours.has_own_unseen_colours`.
     """
@@ -108,8 +108,8 @@ def fit_encoding(samples: CloudSamples, precision: Precision, image_scale: float
 def _sh_basis(sh: NDArray[np.float32], step: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the principal components (K, 48) of the coefficients, and the mean (48,) of the coefficients.
 
-    Components that are at most half a quantisation step in all samples are left out, because they would be rounded to
-    0.
+    A component is left out if its factors are at most half a quantisation step in all samples, because these factors
+    would be rounded to 0. A factor is the coordinate of a sample along a component.
     """
     if len(sh) == 0:
         return np.zeros((0, SH_NUMBERS), np.float32), np.zeros(SH_NUMBERS, np.float32)

@@ -180,7 +180,8 @@ class _Packer:
     def _prepare(self, cloud: BakedFrame, *, is_background: bool = False) -> BakedFrame:
         """Convert a cloud for the tier, with normals if the packed scene has them.
 
-        Normals are estimated before the conversion, because the source views show which side is outside.
+        Normals are estimated before the conversion, because they need the source views, which show the outer side of a
+        surface. The conversion for the tier "light" removes the source views.
         """
         if not self.has_normals:
             return self.convert(replace(cloud, normals=None))

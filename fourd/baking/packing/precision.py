@@ -16,13 +16,13 @@ class Precision:
 
     Attributes:
         positions_per_radius: number of position steps per median radius.
-        colour_step: quantisation step of colours. The step is at least 2, because colour differences are divided by the
-            step and stored as signed bytes.
+        colour_step: quantisation step of colours, in units of 1/255. The step is at least 2, because colour
+            differences, which range from -255 to 255, are divided by the step and stored as signed bytes.
         mean_colour_step: step to which mean colours are rounded, in units of 1/255.
         unseen_colour_step: step to which the colours of a point are rounded in views with a blend weight of 0, in units
             of 1/255. If None, these colours are replaced by the point's mean colour.
-        min_visibility: dynamic points are left out if their visibility is below this minimum in all views of the
-            capture and in all views between them. The visibility of a point is in [0, 1].
+        min_visibility: dynamic points are left out if their visibility is below this minimum in all views of
+            :func:`fourd.baking.colour_fit.viewpoints`. The visibility of a point is in [0, 1].
         crf: constant quality of the images of the source views, from 0 (best) to 63. If None, the colours are stored
             for each point instead of in images.
         texels_per_radius: number of image texels that the median radius of the points spans.

@@ -14,8 +14,8 @@ def find_visible(cloud: BakedFrame, manifest: SceneManifest, least: float) -> ND
     """Return the indices, in ascending order, of the points whose visibility is at least ``least`` in one or more
     views.
 
-    The views are those of :func:`fourd.baking.colour_fit.viewpoints`: the views of the capture and the views between
-    them. The visibility of a point is in [0, 1]. The background does not hide dynamic points.
+    The views are those of :func:`fourd.baking.colour_fit.viewpoints`: the source views, and views halfway between
+    neighbouring source views. The visibility of a point is in [0, 1]. The background does not hide dynamic points.
     """
     if least <= 0 or cloud.point_count == 0:
         return np.arange(cloud.point_count)

@@ -26,7 +26,8 @@ class SplatCloud:
         rotation: (N, 4) float32, unit quaternions (w, x, y, z) from the splat's axes to the world.
         opacity: (N,) float32 in [0, 1], at the centre of the splat.
         sh: (N, 3, T) float32, spherical-harmonics coefficients, where T is 1, 4, 9 or 16. The colour is
-            ``0.5 + sum(sh * Y(d))``, where d is the direction from the camera to the splat.
+            ``0.5 + sum(sh * Y(d))``. Y(d) are the T spherical harmonics in the unit direction d from the camera to the
+            splat.
 
     Raises:
         ValueError: for a wrong shape. The message names the array.
@@ -110,8 +111,9 @@ def _harmonics_rotation(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
     """The matrix (16, 16) that rotates the coefficients of the spherical harmonics. The matrix mixes only coefficients
     of the same degree.
 
-    The matrix is the solution of a linear system: the colours before and after the rotation must be equal in each
-    direction. The system has more equations than unknowns but still has an exact solution.
+    The matrix is the solution of a linear system: the colour in each direction d after the rotation must equal the
+    colour in the direction R.T @ d before the rotation, where R is ``rotation``. The system has more equations than
+    unknowns but still has an exact solution.
     """
     directions = np.random.default_rng(0).normal(size=(4 * SH_TERMS, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

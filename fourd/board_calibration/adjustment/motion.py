@@ -13,7 +13,7 @@ from fourd.board_calibration.adjustment.rig import Poses
 Array = NDArray[np.float64]
 
 HALF_WINDOW = 2
-"""Number of frames on each side from which a motion is computed."""
+"""Maximum number of frames on each side of a frame from which the motion at this frame is computed."""
 END_WINDOW = 3
 """Number of frames from which the motion is computed in the first and in the last frame of a sequence."""
 MAX_GAP = 2
@@ -49,7 +49,7 @@ def board_motion(frames: Sequence[int], boards: Poses) -> Array:
 
 
 def _window(run: NDArray[np.intp], place: int) -> NDArray[np.intp]:
-    """The frames of a sequence from which the motion at ``place`` is computed."""
+    """Indices of the frames from which the motion at the position ``place`` of the sequence ``run`` is computed."""
     half = min(HALF_WINDOW, place, len(run) - 1 - place)
     if half:
         return run[place - half : place + half + 1]

@@ -27,8 +27,6 @@ others."""
 SWEEPS = 4
 """Number of steps of the expectation maximisation per call."""
 MIN_CORNER_PX = 0.01
-MIN_RATIO = 0.02
-"""A standard deviation of shared errors is at least this share of its initial value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +34,7 @@ class ViewNoise:
     """Standard deviations of the errors of corners.
 
     Attributes:
-        corner_px: (C,) standard deviation of the independent errors in each camera, along each axis.
+        corner_px: (C,) standard deviation, in pixels, of the independent errors in each camera, along each axis.
         turn: standard deviation of the shared rotation about each axis through the middle of the board, in radians.
         shift_m: standard deviation of the shared shift along each axis, in metres.
         jitter: standard deviation of the shared delay, in frames.
@@ -58,9 +56,9 @@ class Views:
     """N corners, grouped by view.
 
     Attributes:
-        index: (N,) view of each corner.
-        camera: (V,) camera of each view.
-        board: (V,) position of the board in each view.
+        index: (N,) index of each corner's view.
+        camera: (V,) index of each view's camera.
+        board: (V,) index of the board's pose in each view.
         rows: (V, M) indices of the corners of each view. M is the largest number of corners of a view. Unused elements
             are N.
     """
@@ -105,8 +103,7 @@ def shared_derivatives(state: RigState, corners: Corners, found: Projection) -> 
     middle = (corners.xyz.min(axis=0) + corners.xyz.max(axis=0)) / 2
     arm = state.boards.rotation[corners.board] @ middle
     by_turn, by_shift = found.by_board[..., :3], found.by_board[..., 3:]
-    # A rotation R about the middle m of the board equals the rotation R about the board's origin plus the shift m - R @
-    # m.
+    # A rotation R about the board's middle m equals the rotation R about the board's origin plus the shift m - R @ m.
     return np.concatenate([by_turn + by_shift @ cross_matrices(arm), by_shift, found.by_time[..., None]], axis=2)
 
 
@@ -122,7 +119,7 @@ def weigh(
         shared: (N, 2, 7) derivatives with respect to the shared errors.
         noise: standard deviations.
         camera: (N,) camera of each corner.
-        huber_px: (C,) scale of the Huber loss.
+        huber_px: (C,) scale of the Huber loss in pixels.
     """
     std = noise.shared_std
     weights = Weights(np.ones(len(residual)), np.ones(len(views.camera)))

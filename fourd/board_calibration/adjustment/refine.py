@@ -24,10 +24,10 @@ DAMPING = 1e-6
 HUBER = 1.0
 """Scale of the Huber loss, as a multiple of the corners' standard deviation."""
 TURN_STD, SHIFT_STD, JITTER_STD = 1e-3, 2e-4, 0.05
-"""Initial standard deviations of the shared errors of a view: of the rotation in radians, of the shift as a share of
-the board's size, and of the delay in frames."""
+"""Initial standard deviations of the errors that all corners of a view share: rotation in radians, shift as a fraction
+of the board's largest extent, and delay in frames."""
 MIN_SHARE = 0.02
-"""A standard deviation of shared errors does not fall below this share of its initial value."""
+"""Each standard deviation of the shared errors is at least this fraction of its initial value."""
 CONVERGED = 0.01
 """The rounds end when the relative change of every standard deviation is at most this value."""
 

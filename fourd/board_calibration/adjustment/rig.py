@@ -22,7 +22,7 @@ readout) in the vector of its parameters."""
 PARAMETERS = 17
 """Number of parameters per camera."""
 BOARD_PARAMETERS = 6
-"""Number of parameters per position of the board: rotation, translation."""
+"""Number of parameters per pose of the board: rotation, translation."""
 MIN_DEPTH = 1e-6
 
 
@@ -32,9 +32,9 @@ class Corners:
 
     Attributes:
         camera: (N,) indices of the cameras.
-        board: (N,) indices of the board's positions.
+        board: (N,) indices of the board's poses, one pose per frame.
         xyz: (N, 3) corners in board coordinates, in metres.
-        pixels: (N, 2) observations in the distorted images.
+        pixels: (N, 2) observed positions in pixels of the distorted images.
         ids: (N,) numbers of the corners on the board.
         back: (N,) whether the corner is on the back of a double-sided board.
     """
@@ -175,7 +175,7 @@ class Projection:
 
 
 def collect_corners(board: CalibrationBoard, views: Sequence[BoardView], frames: Sequence[int]) -> Corners:
-    """Collect the corners of the views in ``frames``. The index of a board's position is the index of its frame."""
+    """Collect the corners of the views in ``frames``. The index of a board's pose is the index of its frame."""
     index = {frame: number for number, frame in enumerate(frames)}
     used = [view for view in views if view.frame in index]
     counts = [len(view.corners) for view in used]
@@ -194,7 +194,7 @@ def project(state: RigState, corners: Corners) -> Projection:
     """Project corners, with derivatives.
 
     A rotation's parameters are a rotation vector w that is applied from the left: R -> exp([w]x) R. Depths below 1e-6 m
-    are replaced by 1e-6 m before the division.
+    are replaced by 1e-6 m before the perspective division.
     """
     count = len(corners.camera)
     turn_board = state.boards.rotation[corners.board]

@@ -3,7 +3,7 @@
 The solver is the Levenberg-Marquardt algorithm. Iteratively reweighted least squares implement the Huber loss. The
 shared errors of each view and the poses of the board are eliminated by Schur complements (Triggs et al., Bundle
 Adjustment - a Modern Synthesis, 2000, sec. 6.1). The computing time therefore grows linearly with the number of frames.
-The inverse of the reduced normal equations is the covariance of the cameras' parameters.
+The covariance of the cameras' parameters is computed from the matrix of the reduced normal equations.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ def _with_prior(system: System, state: RigState, free: Free) -> System:
 
 
 def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
-    """Precision (P, P) of the prior, and distances (P,) from the prior's mean."""
+    """Precision matrix (P, P) of the prior, and differences (P,) of the parameters from the prior's mean."""
     count = len(state.cameras) * PARAMETERS
     size = count + free.shape_unknowns
     precision, offset = np.zeros((size, size)), np.zeros(size)
@@ -170,7 +170,7 @@ def _prior(state: RigState, free: Free) -> tuple[Array, Array]:
         start, mask = index * PARAMETERS, free.cameras[index]
         if mask[LENS].all():
             lens = lens_vector(camera)
-            # The deviation from square pixels is (fx - fy) / f, which is linear in fx and fy.
+            # log(fx / fy) is approximated by (fx - fy) / f. f is the mean of fx and fy, and is treated as a constant.
             aspect = np.zeros(PARAMETERS)
             aspect[LENS][:2] = np.array([1, -1]) / (PRIOR_ASPECT * lens[:2].mean())
             centre = PRIOR_CENTRE * max(camera.width, camera.height)
@@ -200,10 +200,10 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     Fixed parameters have a standard deviation of 0.
 
     The covariance is H^-1 G H^-1. H is the matrix of the reduced normal equations. G is the sum of the outer products
-    of the frames' gradients, plus the precision of the prior (sandwich estimate with clusters, Liang and Zeger 1986).
-    The estimate remains valid if errors are correlated within a frame, or larger than the error model assumes. H is
-    multiplied by the ratio of the Huber loss's mean curvature to the mean weight (Huber, Robust Statistics, 1981, sec.
-    7.6).
+    of the frames' gradients, divided by c^2, plus the precision of the prior (sandwich estimate with clusters, Liang
+    and Zeger 1986). c is the ratio of the Huber loss's mean curvature to the mean weight (Huber, Robust Statistics,
+    1981, sec. 7.6). The estimate remains valid if errors are correlated within a frame, or larger than the error model
+    assumes.
     """
     views = group_views(corners)
     weights, _ = _weigh(state, corners, views, errors)
@@ -213,7 +213,7 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
-    # The mean of the prior is also uncertain, so its variance is added to the variance of the gradients.
+    # The prior's mean is uncertain too. The prior's gradient thus has the covariance ``precision``, which is added.
     precision, _ = _prior(state, free)
     covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
     variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)

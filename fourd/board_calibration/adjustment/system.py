@@ -1,7 +1,7 @@
-"""Normal equations of a rig: a sum over views, in which the shared errors of each view are eliminated.
+"""Normal equations of a rig: a sum over views. In each view, the errors that all its corners share are eliminated.
 
-The unknowns are the C cameras (17 parameters each), the shape of the board (3 * K + 1 parameters) and the F positions
-of the board (6 parameters each).
+The unknowns are the C cameras (17 parameters each), the shape of a board with K corners (3 * K + 1 parameters) and the
+F positions of the board (6 parameters each).
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Free:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Normal equations of P shared unknowns (cameras, then the board's shape) and F boards.
+    """Normal equations of P shared unknowns (cameras, then the board's shape) and F poses of the board.
 
     Attributes:
         shared: (P, P) matrix of the shared unknowns.
@@ -72,8 +72,8 @@ class System:
         return step, np.einsum("fij,fj->fi", inverse, rest)
 
     def predicted_decrease(self, shared: Array, boards: Array) -> float:
-        """Scalar product of a step and the right-hand side. The product is at most twice the decrease of the quadratic
-        model."""
+        """Scalar product of a step and the right-hand side. The cost's quadratic model decreases by at least this value
+        in the step."""
         return float(self.rhs_shared @ shared + np.sum(self.rhs_boards * boards))
 
     def reduce(self, damping: float) -> tuple[Array, Array]:
@@ -144,8 +144,8 @@ def squared_error(
 
 
 def _eliminate(padded: Array, std: Array, weight: Array) -> Array:
-    """Gram matrices (V, Q, Q) of all columns except the last seven. The last seven columns are the shared errors, which
-    are eliminated."""
+    """Gram matrices (V, Q, Q) of the first Q of the Q + 7 columns of ``padded``. The last seven columns belong to the
+    shared errors, which are eliminated."""
     kept = padded[..., :-SHARED]
     gram = np.swapaxes(kept, 1, 2) @ kept
     if not std.any():

@@ -16,8 +16,8 @@ from fourd.cameras import Camera
 class MatchScore:
     """Summary of the distances of matches from their epipolar lines.
 
-    If the cameras are 90 degrees apart, a third of the feature matches can be wrong. The wrong matches would then
-    affect the mean distance more than the calibration does.
+    The median is used instead of the mean. If the cameras are 90 degrees apart, a third of the feature matches can be
+    wrong, and these matches affect the mean distance more than the calibration does.
 
     Attributes:
         median_px: median distance in pixels, or NaN without matches.

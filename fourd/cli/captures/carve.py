@@ -54,7 +54,7 @@ class Arguments:
     points cover the whole visual hull."""
     inset: float = 0.0
     """Distance by which points are moved into the visual hull, in multiples of the mean distance between neighbouring
-    points. Training moves points inwards, because discs extend beyond their points."""
+    points. Training moves points inwards, because each point is drawn as a disc that extends beyond the point."""
     scale: float = 1.0
     """Scale factor of the images. A factor of 0.5 halves width and height."""
     seed: int = 0

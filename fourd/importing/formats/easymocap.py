@@ -1,7 +1,7 @@
 """EasyMocap and EasyVolcap: intri.yml and extri.yml beside images/CAM/ or videos/CAM.ext.
 
-Mattes in masks/CAM/ are optional. Captures of fourd use the same files. Pixel coordinates are not converted. EasyVolcap
-and fourd use COLMAP's convention of pixel coordinates.
+Mattes in masks/CAM/ are optional. Captures of fourd use the same files. Pixel coordinates are not converted, because
+EasyVolcap and fourd both use COLMAP's convention of pixel coordinates.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ def read(source: Path, frames: Path | None = None) -> Imported:
 def _make_camera(path: Path, name: str, calibration: Calibration, frames: Frames | None) -> Camera:
     """Make a camera from its calibration.
 
-    If the calibration has no image size, the size is read from the first image. If the camera has no frames, the image
-    size is 1 x 1.
+    If the calibration has no image size, the size is read from the first image, or is 1 x 1 for a camera without
+    frames.
     """
     width, height = calibration.width, calibration.height
     if width is None or height is None:

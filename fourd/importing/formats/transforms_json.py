@@ -65,8 +65,9 @@ def looks_like(source: Path) -> bool:
 def read(source: Path) -> Imported:
     """Read the cameras of ``source``.
 
-    If the entries have times, the entries of one folder form a camera, provided that in every folder all entries have
-    the same pose and intrinsics. Otherwise, the entries with the same pose and intrinsics form a camera.
+    Without times, each entry is a camera. With times, the entries of one folder form a camera if, in every folder, all
+    entries have the same pose and intrinsics. If they differ, the entries with the same pose and intrinsics form a
+    camera.
 
     Raises:
         UserError: when the JSON is invalid, a value is missing or invalid, a lens is a fisheye, a path is outside the

@@ -1,7 +1,9 @@
 """Multi-view consistency: a soft visual hull for each view, computed from the evidence of all other views.
 
-A voxel's score is the smallest log-odds among the views in which the voxel is visible. With many views, the score is a
-slightly larger value, for example the second smallest log-odds, so that a few views may be wrong.
+The evidence of a view is an image of log-odds that a pixel shows the subject. A voxel's log-odds in a view are the
+largest log-odds within the voxel's projection. A voxel's score is the smallest of its log-odds over the views in which
+the voxel is visible. With many views, the score is a slightly larger value, for example the second smallest log-odds,
+so that a few views may be wrong.
 """
 
 from __future__ import annotations

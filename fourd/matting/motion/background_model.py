@@ -139,9 +139,9 @@ def fit_deviations(plain: Floats, shaded: Floats, changed: Floats) -> Deviations
 def fit_background(rgb: Picture, weights: Floats, noise: float) -> BackgroundModel:
     """Fit a background model to frames.
 
-    At each pixel, the colour in each frame is compared with the colours in all frames. The frame whose matching frames
-    have the largest total weight is chosen. The model consists of the weighted mean and variance of the colours in the
-    matching frames of the chosen frame.
+    At each pixel, the total weight of all frames with a similar colour is computed for each frame. The frame with the
+    largest total weight is chosen. The model is the weighted mean and variance of the colours that are similar to the
+    colour in the chosen frame.
 
     Args:
         rgb: (T, h, w, 3) uint8 frames.

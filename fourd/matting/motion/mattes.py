@@ -26,7 +26,7 @@ Picture = NDArray[np.uint8]
 MAX_SIDE_PX = 640
 """Maximum length in pixels of the longest side of the images from which log-odds are computed.
 
-In larger images, the refinement of edges adds the missing detail.
+If the recorded images are larger, the refinement of edges at full size adds the missing detail.
 """
 
 

@@ -47,8 +47,8 @@ class MotionExtent:
         threshold = max(MIN_CHANGE, NOISE_FACTOR * noise)
         still = float(np.median(sample.motion_px)) + MIN_MOTION_PX
         # For each pixel, the second largest change over the frames is used, because a flash that lasts one frame
-        # affects only the largest change. In frames with large optical flow at the pixel, for example of a swinging
-        # foot, the largest change is used as well.
+        # affects only the largest change. Changes in frames with large optical flow at the pixel, for example of a
+        # swinging foot, are never ignored, even if only one frame has such a change.
         largest = np.partition(change, -2, axis=0)[-2] if len(change) > 2 else change.max(axis=0)
         largest = np.maximum(largest, np.where(sample.motion_px > MOVING_FACTOR * still, change, 0).max(axis=0))
         region = (largest > threshold).astype(np.uint8)

@@ -21,8 +21,8 @@ from fourd.ops.meshes.ids import decode_ids
 from fourd.raster.triangles import antialias, interpolate, rasterize
 
 MAX_OFFSET_CELLS = 0.4
-"""Maximum offset of a grid vertex along each axis, in units of a cube's side. Neighbouring vertices of the grid are at
-least 0.87 cube sides apart, so offsets up to this maximum do not invert any tetrahedron."""
+"""Maximum offset of a grid vertex along each axis, in units of a cube's side. The maximum keeps each vertex near its
+grid position. Without offsets, neighbouring vertices are at least 0.87 cube sides apart."""
 
 DEPTH_STEPS = 20
 """Number of steps between two renderings of the depth images. The depth images determine which points are visible."""

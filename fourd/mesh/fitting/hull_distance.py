@@ -26,7 +26,7 @@ SMOOTHING_CELLS = 1.2
 parts."""
 
 DISTANCE_CELLS = 1.5
-"""Maximum absolute distance, in units of a cube's side."""
+"""Limit of the absolute values of all signed distances, in units of a cube's side."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +105,8 @@ class _RemovedParts:
 
     Attributes:
         hull: the grid of cells.
-        share: array with the shape of the grid. For each cell, it contains the share in [0, 1] of the cell's
-            neighbourhood that is removed.
+        share: float32 array with the shape of the grid: for each cell, the removed share of its neighbourhood, in
+            [0, 1]. The cells of the neighbourhood have Gaussian weights (SMOOTHING_CELLS).
         surface: (3, N) centres of cells next to the remaining surface, relative to the origin of the silhouettes.
     """
 
@@ -117,9 +117,10 @@ class _RemovedParts:
     def depth(self, xyz: NDArray[np.float32], limit: float) -> NDArray[np.float32]:
         """Amount (N,) by which the signed distance at points (3, N) decreases because of the removed parts.
 
-        For points at most ``limit`` from the surface, the distance decreases by at most ``2 * limit``. At a flat
-        surface, the smoothed occupancy changes by 1 / (sigma * sqrt(2 * pi)) per unit of distance. The removed share of
-        a neighbourhood is divided by this slope to get a distance.
+        The amount is at most ``2 * limit``, which changes the distance ``limit`` to ``-limit``. At a flat surface, the
+        occupancy, smoothed with a Gaussian, changes by 1 / (sigma * sqrt(2 * pi)) per unit of distance. Here, sigma is
+        SMOOTHING_CELLS times the side of a cell. The removed share of a neighbourhood is divided by this slope to get a
+        distance.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)

@@ -20,8 +20,8 @@ A high power gives sharp textures, because few views are mixed. A low power make
 visible."""
 
 MIN_COSINE = 0.1
-"""A view does not colour a point if the cosine is at most this value, because the view sees the point at a grazing
-angle."""
+"""A view does not colour a point if the cosine between the normal and the direction to the camera is at most this
+value, because the view sees the point at a grazing angle."""
 
 CHUNK = 1 << 19
 """Number of points that are coloured in one block. The block size limits the memory for large textures."""

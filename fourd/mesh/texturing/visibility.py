@@ -68,7 +68,8 @@ class Occluder:
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = ((start - centre) * normal).sum(axis=1) / height
             # Near the contour, the ray through a corner of the pixel meets the tangent plane far away or not at all.
-            # Limiting t keeps the start of the ray near the point.
+            # The ray starts at ``centre + t * towards``, which has the depth of ``start`` if t is 1. Limiting t keeps
+            # the start of the ray near the point.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)

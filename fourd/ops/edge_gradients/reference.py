@@ -34,9 +34,10 @@ def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: 
 class _MovingEdges(torch.autograd.Function):
     """Returns ``color`` unchanged.
 
-    The backward pass treats each crossing as an edge that moves between two pixel centres. If the edge moves away from
-    the owner by dt, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``. It is not known which
-    pixel changes, so the gradient is the mean of the gradients of the two cases.
+    The backward pass treats each crossing as an edge that moves between two pixel centres. The owner is the pixel whose
+    triangle is nearer. If the edge moves away from the owner by dt pixels, the colour of one of the two pixels changes
+    by ``dt * (c_owner - c_other)``. It is not known which pixel changes, so the gradient is the mean of the gradients
+    of the two cases.
     """
 
     @staticmethod

@@ -18,7 +18,7 @@ def encode_hash_grid(coordinates: Tensor, table: Tensor, shape: HashGridShape) -
     """Interpolate every level of a hash grid trilinearly and concatenate the features.
 
     The function computes the encoding of Instant-NGP, with the same constants (Mueller et al. 2022, Instant Neural
-    Graphics Primitives with a Multiresolution Hash Encoding, sec. 3). A level of the grid has s = resolution + 1
+    Graphics Primitives with a Multiresolution Hash Encoding, sec. 3). A level with r cells per side has s = r + 1
     samples per side. If a level has at most 2^log2_entries samples in total, the sample with indices (x, y, z) is in
     row ``x + y * s + z * s^2`` of the level. In a level with more samples, the sample (x, y, z) is in row ``(x xor
     2654435761 * y xor 805459861 * z) mod 2^log2_entries``, computed in 32 bits.

@@ -61,8 +61,8 @@ class PointPlayer:
             sh, blend_weights, rgb, shading: inputs of :func:`fourd.ops.shade.op.shade_points`.
             camera: a pinhole camera without lens distortion.
             layers: maximum number of points that a pixel composites.
-            near: points with a camera depth below this number of world units are culled. background: red, green and
-                blue behind the points, in [0, 1].
+            near: points with a camera depth below this number of world units are culled.
+            background: red, green and blue behind the points, in [0, 1].
             threads: number of threads; 0 means the environment variable FOURD_THREADS, or all cores if it is not set.
             out: C-contiguous (H, W, 4) uint8 array to draw into. If ``out`` is None, a new array is allocated.
 

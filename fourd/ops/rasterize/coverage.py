@@ -28,8 +28,8 @@ class Pieces:
     Attributes:
         corners: (P, 3, 2) int64 x and y of the vertices, in units of 1/256 pixel.
         triangle: (P,) int64 triangle of each piece, in ascending order.
-        reference: (P, 2) int64 column and row of the reference pixel, which is the origin of the triangle's linear
-            functions.
+        reference: (P, 2) int64 column and row of the reference pixel. This pixel is the origin of the linear functions
+            in :class:`fourd.ops.rasterize.reference.Planes`.
     """
 
     corners: Tensor
@@ -110,7 +110,8 @@ def _guard(side: int) -> int:
 
 
 def _clip(corners: list[Corner], axis: int, sign: int, guard: int) -> list[Corner]:
-    """Cut off the part of a polygon where ``guard * w + sign * x`` is negative (Sutherland and Hodgman 1974)."""
+    """Cut off the part of a polygon where ``guard * w + sign * corner[axis]`` is negative (Sutherland and Hodgman
+    1974)."""
     out: list[Corner] = []
     distance = [guard * corner[2] + sign * corner[axis] for corner in corners]
     for i, here in enumerate(corners):

@@ -20,7 +20,8 @@ class Planes:
     """Linear functions over the image, one row for each triangle.
 
     Attributes:
-        b: (T, 3, 3) for each vertex, the linear function ``weight / w * m``, where m is the largest |w| of the
+        b: (T, 3, 3) for each vertex, the linear function ``weight / w * m``. ``weight`` is the perspective-correct
+            weight of the vertex at a pixel, w is the clip coordinate at the pixel, and m is the largest |w| of the
             triangle's vertices. The last axis contains the value at the reference pixel, and the slopes per pixel along
             x and y.
         depth: (T, 3) z/w: the value at the reference pixel, and the slopes per pixel along x and y.
@@ -96,8 +97,8 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
     """Compute the linear functions of triangles in float64, and round them to the dtype of ``pos``.
 
     Let M be the matrix with the columns (x, y, w) of the vertices, and f a pixel centre in normalised device
-    coordinates. Then element k of b = M^-1 @ (f_x, f_y, 1) is the weight of vertex k divided by w (Olano and Greer
-    1997).
+    coordinates. Then element k of M^-1 @ (f_x, f_y, 1) is the weight of vertex k at the pixel centre, divided by w at
+    the pixel centre (Olano and Greer 1997).
 
     Args:
         pos: (V, 4) clip coordinates.

@@ -47,7 +47,7 @@ class GpuDiscTree:
         t_max: float | Tensor = torch.inf,
         layers: int = 12,
     ) -> Tensor:
-        """Composite the K nearest discs of each ray, as :meth:`fourd.ops.rays.discs.DiscTree.composite` does.
+        """Composite the ``layers`` nearest discs of each ray, as :meth:`fourd.ops.rays.discs.DiscTree.composite` does.
 
         The arguments are float32 tensors on the device of the tree, without gradient. The work is queued on torch's
         current stream. The call returns before the colours are complete.

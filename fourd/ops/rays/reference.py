@@ -124,7 +124,8 @@ def _box_interval(corners: Tensor, origins: Tensor, scaled: Tensor, magnitude: T
 def _with_weights(
     xyz: Tensor, tri: Tensor, origins: Tensor, directions: Tensor, t: Tensor, triangle: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return t, u, v and the triangle of each hit: ``origin + t * direction = u * a + v * b + (1 - u - v) * c``."""
+    """Return t, u, v and the triangle of each hit. With the triangle's vertices a, b and c, t, u and v solve
+    ``origin + t * direction = u * a + v * b + (1 - u - v) * c``."""
     ray, layer = (triangle >= 0).nonzero(as_tuple=True)
     a, b, c = xyz[tri.long()[triangle[ray, layer].long()]].unbind(1)
     d, p, q = -directions[ray], a - c, b - c

@@ -24,9 +24,10 @@ CHUNK = 1 << 21
 
 
 class Projected(NamedTuple):
-    """M triangles projected to the image. The point (``x``, ``y``) is a triangle's incentre. A triangle's three edge
-    distances are scaled to 1 at the incentre, and ``slope_x`` and ``slope_y`` (M, 3) are their slopes along x and y.
-    ``smallest`` is the value of the window at which alpha is 1/255."""
+    """M triangles projected to the image. All arrays have the shape (M,), except ``slope_x`` and ``slope_y`` (M, 3).
+    (``x``, ``y``) is the incentre in pixels. ``slope_x`` and ``slope_y`` are the slopes, per pixel along x and y, of
+    the signed distances from the three edges, scaled to 1 at the incentre. ``smallest`` is the value of the smallest
+    scaled distance at which alpha is 1/255, but at least SMALLEST_WINDOW."""
 
     x: Tensor
     y: Tensor
@@ -100,8 +101,8 @@ def triangles_in_range(corners: Tensor, near: float) -> Tensor:
 
 
 def edges_of(u: Tensor, v: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Return x, y and the length of the edges (M, 3), and twice the signed area (M,). Edge k runs from vertex k + 1 to
-    vertex k + 2."""
+    """Return the x components, the y components and the lengths of the edges, (M, 3) each, and twice the signed area
+    (M,). Edge k runs from vertex k + 1 to vertex k + 2, modulo 3."""
     x = u[:, [2, 0, 1]] - u[:, [1, 2, 0]]
     y = v[:, [2, 0, 1]] - v[:, [1, 2, 0]]
     # On some processors, torch does not round float32 square roots correctly, and thin triangles amplify the rounding

@@ -3,30 +3,33 @@
 A pixel has the albedo F (colour / alpha), the coverage s, the unit normal N and the camera depth z. V is the unit
 vector towards the camera, and L is the unit vector towards the light. The stylizer computes these quantities:
 
-- The closed surface. Points leave gaps through which a farther surface is visible. A pixel in a gap of up to five
-  pixels lies between two surfaces that are nearer than the surface at the pixel. The pixel is filled with the farther
-  one of these two surfaces.
+- The closed surface. Points leave gaps through which a farther surface is visible. A pixel is in a gap if nearer
+  surfaces lie on both sides of it, in its row or in its column, at most three pixels away. The pixel gets the depth and
+  the normal of the farther one of these two nearer surfaces.
 - The tone t = (1 + N.L) / 2 and the detail d. The style selects the detail: N.V, clamp(o + p * z) or clamp(\\|o + p *
-  z\\|).
-- The colour C = S(t, d) * (a + b * F) + c * F, where S is the shade table. Toon styles have a = 0, b = 1.5 and c = 0.
-  X-Toon styles (Barla et al. 2006) also use d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from
-  the cool colour to the warm colour. Where N.V is below a threshold, C is mixed with the angle colour.
+  z\\|), where o is ``detail_offset`` and p is ``detail_per_depth`` of :class:`Numbers`.
+- The colour C = S(t, d) * (a + b * F) + c * F, where S is the shade table, and a, b and c are ``table_alone``,
+  ``table_times_albedo`` and ``albedo_alone``. Toon and X-Toon styles (Barla et al. 2006) have c = 0. Only in X-Toon
+  styles, S depends on d. Styles after Gooch et al. (1998) have a = 1 and b = 0, and S ranges from the cool colour to
+  the warm colour. Where N.V is below ``angle_threshold``, C is mixed with ``angle_colour``.
 - Hatching with two layers of parallel lines. The lines widen where sqrt(t * g) is low, where g is the grey value of F.
 - Lines of strength e. A Sobel filter or a cross filter on 1 / z and on the cosines between normals finds the lines
   (Saito and Takahashi 1990). If the state of the previous picture is given, lines fade in where the surface is at rest:
-  a line that becomes stronger gets the strength e + p * (e_before - e). To find where the surface is at rest, the
-  stylizer sums the inverse depths at the filter's nine taps. Where the surface is at rest, the sum differs by at most
-  3% between the previous and the new picture.
+  a line with the previous strength e_before < e gets the strength e + ``persistence`` * (e_before - e). A surface
+  counts as at rest at a pixel if the sum of the inverse depths at the filter's nine taps differs by at most 3% between
+  the previous and the new picture.
 - Lines near holes. The back of a surface is visible only through holes in the points. Because depths around holes are
   irregular, a line is removed if a tap of the filter shows the back of a surface. The line stays if another tap shows
   no surface.
-- Specks. Very short lines are not drawn. The line at a pixel is drawn only if every square around the pixel has a line
-  of at least the strength LEAST_STRENGTH on its sides. The sides of the squares are 2, 4, 8, ..., 2 * r pixels long,
-  where r is the result of ``speck_reach``. The state for the next picture still contains the specks.
-- The picture. C is composited over the paper with opacity s, and the line colour is composited with opacity e.
+- Specks. Very short lines are not drawn. Each pixel is the centre of several squares, whose sides are 2, 4, 8, ..., 2 *
+  r pixels long, where r is the result of ``speck_reach``. The line at the pixel is drawn only if each of these squares
+  has a line of at least the strength LEAST_STRENGTH on its sides. The state for the next picture still contains the
+  specks.
+- The picture. C is composited over the paper with opacity s. Then the line colour is composited over the result with
+  opacity ``line_opacity`` * e.
 
-The inverse depth 1 / z of a plane is a linear function of the pixel position. The cross filter therefore draws no lines
-on planes.
+The inverse depth 1 / z of a plane is a linear function of the pixel position. The cross filter uses second differences
+of 1 / z, which are 0 on planes, so it draws no lines on planes.
 """
 
 from __future__ import annotations
@@ -145,11 +148,11 @@ class Numbers:
         line_opacity, line_colour: opacity and colour of the strongest line.
         hysteresis: where the previous picture has a line, the thresholds are multiplied by ``1 - hysteresis``. At least
             0 and below 1.
-        persistence: weight p, at least 0 and below 1. Where the surface is at rest and a line becomes stronger, p is
+        persistence: at least 0 and below 1. Where the surface is at rest and a line becomes stronger, this number is
             the weight of the line's previous strength.
-        hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. The first layer starts where the light is
-            below hatch_levels[0]. hatch_width is the largest share of ink in a layer. With hatch_width 0, there is no
-            hatching.
+        hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. Layer k, 0 or 1, has lines where the light
+            sqrt(t * g) is below hatch_levels[k]. hatch_width is the largest share of a layer's area that is ink. With
+            hatch_width 0, there is no hatching.
         paper: the colour behind the surface.
     """
 

@@ -78,12 +78,12 @@ def draw_lines(shaded: NDArray[np.uint8], lines: NDArray[np.uint8], numbers: Num
 
 
 def remove_specks(lines: NDArray[np.uint8], reach: int) -> NDArray[np.uint8]:
-    """Remove very short lines from the strengths (H, W). The squares around each pixel have sides of 2, 4, 8, ..., ``2
-    * reach`` pixels. The line at the pixel stays if each square has a line of at least LEAST_STRENGTH on its sides.
-    Pixels outside the picture count as pixels without lines.
+    """Remove very short lines from the strengths (H, W). Each pixel is the centre of several squares with sides of 2,
+    4, 8, ..., ``2 * reach`` pixels. The line at the pixel stays if each of these squares has a line of at least
+    LEAST_STRENGTH on its sides. Pixels outside the picture count as pixels without lines.
 
-    A group of connected lines is a speck if it does not reach the sides of the largest square. The smaller squares also
-    remove a speck if other specks lie on the sides of its largest square.
+    A group of connected lines is a speck if it does not reach the sides of the largest square. The smaller squares are
+    needed because another speck can lie on the sides of the largest square.
     """
     kept, half = lines, 1
     while half <= reach:
@@ -211,7 +211,7 @@ def look_up(table: NDArray[np.uint8], tone: Image, detail: Image) -> Image:
 
 
 def hatching(light: Image, numbers: Numbers) -> Image:
-    """Share of ink (H, W) in [0, 1]. ``light`` is the light of each pixel, in [0, 1]."""
+    """Share of ink (H, W) in [0, 1]. ``light`` (H, W) is sqrt(t * g), as in :mod:`fourd.ops.stylize.parameters`."""
     height, width = light.shape
     y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
     ink = np.zeros(light.shape, np.float32)

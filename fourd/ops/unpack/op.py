@@ -71,10 +71,11 @@ def unpack_views(
 
     Args:
         contents: for each view, N weight codes, then the colour levels of M points as three planes: green, red - green
-            and blue - green, modulo 256. The M points are the points whose code is not 0, or all points.
-        mean: (N, 3) mean colours. A colour is the mean colour plus ``colour_step`` times the signed level. If
-            ``colour_step`` is 1, the sum is taken modulo 256. If ``colour_step`` is larger, the sum is clamped to [0,
-            255]. Points without levels have the mean colour.
+            and blue - green, modulo 256. The M points are the points whose weight code is not 0, or all points if
+            ``every_point_has_colours`` is true.
+        mean: (N, 3) mean colours. A colour is the mean colour plus ``colour_step`` times the level, read as a signed
+            8-bit number. If ``colour_step`` is 1, the sum is taken modulo 256. If ``colour_step`` is larger, the sum is
+            clamped to [0, 255]. Points without levels have the mean colour.
         weights: (256,) blend weight of each code.
         colour_step: quantization step of the signed levels, from 1 to 127.
         every_point_has_colours: whether all points have colours, so that M = N.

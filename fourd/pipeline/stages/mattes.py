@@ -17,7 +17,8 @@ from fourd.pipeline.stage import Artefact, Context, Stage
 from fourd.pipeline.stages.check import INPUT_PATTERNS
 
 QUALITY = DERIVED / "matte_quality.json"
-"""File with one number for each frame and camera: the share of the matte that the hull of the other views covers."""
+"""JSON file with three numbers for each measured frame and camera, which compare the matte with visual hulls; see
+``fourd.carving.matte_quality.MatteQuality``."""
 
 
 @dataclass(frozen=True)
@@ -65,8 +66,8 @@ def run_mattes(files: MatteFiles, settings: MatteStageSettings, context: Context
 
 
 def write_quality(capture: Capture, context: Context) -> None:
-    """Measure the share of each matte that the hull of the other views covers. Write the shares to QUALITY, and report
-    poor mattes."""
+    """Compare the mattes of a few frames with visual hulls, and write the results to QUALITY. Report mattes of which
+    the visual hull of the other views covers only a small share."""
     quality = measure_mattes(capture, track=context.track)
     if quality is None:
         return

@@ -1,5 +1,5 @@
-"""Repair: corrects a calibration with large residuals. A correction is used only if it reduces the residuals of
-held-out matches.
+"""Repair: corrects a calibration with large residuals. A residual is the distance of a feature match from its epipolar
+line. A correction is used only if it reduces the residuals of held-out matches.
 
 The given capture is not changed. The corrected capture is a new folder, with links to the files of the given capture
 and with corrected calibration files.

@@ -98,7 +98,8 @@ class Cache:
         return {path for path, state in self.states(folders).items() if state != started.before.get(path)}
 
     def states(self, folders: Sequence[Path]) -> dict[str, str]:
-        """States of all files and links in folders of the local copy, by path. Temporary files are left out."""
+        """Map the path of each file and link in ``folders`` to its state; see ``manifest.file_state``. Temporary files
+        are left out."""
         found: dict[str, str] = {}
         for folder in folders:
             for parent, names, files in os.walk(folder):

@@ -1,7 +1,8 @@
 """Uploads of a stage that is still running. If the machine of the stage is lost, another machine continues from the
 last upload.
 
-The files are published with their own manifest. The name of this manifest is the name of the stage and ``SUFFIX``.
+The files are published with their own manifest. The name of this manifest is the name of the stage, followed by
+``SUFFIX``.
 """
 
 from __future__ import annotations

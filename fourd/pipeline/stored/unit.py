@@ -141,8 +141,9 @@ def _prepare(
         fetch_source(files.source, cache.root, track)
     cache.copy(files.store, needs, track)
     if started is None:
-        # Files that the stage wrote with another key and that were not removed are also results of the stage, and so
-        # are the files that it wrote on another machine.
+        # ``before`` must not contain files of the stage itself, because unchanged files in ``before`` are not
+        # published. Files of the stage are those of its earlier executions, and those that it uploaded from another
+        # machine.
         uploaded = unfinished.fetch(context.log, track) if unfinished is not None else None
         own |= set(uploaded.states()) if uploaded is not None else set()
         before = {path: state for path, state in cache.states(folders).items() if path not in own}

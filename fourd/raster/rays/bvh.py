@@ -21,7 +21,8 @@ class Bvh:
     Attributes:
         xyz: (V, 3) float32 positions for which the tree was built or refitted, without gradient.
         triangles: (T, 3) int32 vertex indices.
-        nodes, blocks: the native records of the tree, as rows of floats.
+        nodes, blocks: (N, 64) and (B, 80) float32. Each row has the bytes of one node of the tree or of one block of up
+            to eight triangles.
         magnitude: largest absolute coordinate of the triangles, in world units.
         cost_when_built: :attr:`cost` of the tree when it was built.
     """

@@ -95,7 +95,8 @@ def splat_along_rays(
 
 
 class _Window:
-    """Computes the windows of triangles from barycentric weights, either in space or in the image of a camera."""
+    """Computes min_k a_k, the base of the window function of :func:`splat_along_rays`, from barycentric weights: in the
+    image of ``camera``, or in space if ``camera`` is None."""
 
     def __init__(self, corners: Tensor, camera: Camera | None) -> None:
         if camera is None:
@@ -110,7 +111,8 @@ class _Window:
         self.scale = length.sum(1, keepdim=True) / length
 
     def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
-        """Return min_k a_k (M,) for triangles (M,) and barycentric weights (M, 3) in space."""
+        """Return min_k a_k (M,) for M hits, given the triangle indices (M,) and the barycentric weights (M, 3) in
+        space."""
         if self.depths is not None:
             # Barycentric weights in the image are proportional to the weights in space multiplied by the depths of the
             # vertices.
@@ -130,7 +132,8 @@ def _alpha(window: Tensor, opacity: Tensor, sigma: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class _Soup:
-    """The attributes of all triangles: features (T, C), opacity (T,), sigma (T,) and windows."""
+    """The attributes of all triangles: features (T, C), opacity (T,), sigma (T,), and ``window``, which computes the
+    base of the window function at a hit."""
 
     features: Tensor
     opacity: Tensor

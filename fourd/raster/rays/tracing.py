@@ -66,8 +66,8 @@ def trace(
 
     Args:
         bvh: tree over the triangles.
-        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. The gradient of the positions flows to this
-            tensor, because the tree has no gradient.
+        xyz: (V, 3) float32 positions in world units, equal to ``bvh.xyz``. ``bvh.xyz`` is detached, so the gradient of
+            the positions flows only to this tensor.
         origins: (R, 3) float32 in world units, with absolute values of at most 1e18.
         directions: (R, 3) float32, of any length. The point at t is ``origin + t * direction``. The largest absolute
             coordinate of a direction must be between 1e-18 and 1e18. A ray outside the limits for origins and
@@ -154,7 +154,8 @@ def _check_rays(
     threads: int,
     backend: str,
 ) -> tuple[Tensor, Tensor]:
-    """Check the rays, and return t_min and t_max as tensors with one element or one for each ray."""
+    """Check the rays, and return t_min and t_max as tensors with one element for all rays, or one element for each
+    ray."""
     if backend not in ("auto", "reference"):
         raise ValueError(f"backend: expected 'auto' or 'reference', got {backend!r}")
     if threads < 0:

@@ -58,11 +58,10 @@ def antialias(
     rendering", section 3.5).
 
     Each pixel is compared with its right and its lower neighbour. Let p and q be two neighbouring pixels that show
-    different triangles, where p shows the triangle with the smaller z/w. If a silhouette edge of this triangle crosses
-    the segment between the centres of p and q, let t be the distance in pixels from the centre of p to the crossing. If
-    t < 0.5, the colour of p changes by (0.5 - t) * (q - p), where p and q stand for the colours of the pixels. If t >=
-    0.5, the colour of q changes by (t - 0.5) * (p - q). Edges whose angle to the segment is below 45 degrees are
-    ignored.
+    different triangles, where p shows the triangle with the smaller z/w. Let c_p and c_q be the colours of p and q. If
+    a silhouette edge of this triangle crosses the segment between the centres of p and q, let t be the distance in
+    pixels from the centre of p to the crossing. If t < 0.5, c_p changes by (0.5 - t) * (c_q - c_p). If t >= 0.5, c_q
+    changes by (t - 0.5) * (c_p - c_q). Edges whose angle to the segment is below 45 degrees are ignored.
 
     An edge is a silhouette edge if it belongs to only one triangle or to more than two triangles, or if its two
     triangles lie on the same side of the edge in the image.

@@ -40,8 +40,9 @@ def interpolate(
 
     Returns:
         ``out`` (B, H, W, C) and ``out_da`` (B, H, W, 2 * D) for D channels in ``diff_attrs``. ``out_da`` has the
-        derivatives with respect to the pixel position along columns (X) and rows (Y), in the order d0/dX, d0/dY, d1/dX,
-        d1/dY and so on. Pixels that show no triangle, or a triangle with index T or more, have the value 0.
+        derivatives with respect to the pixel position along columns (X) and rows (Y). Their order is d0/dX, d0/dY,
+        d1/dX, d1/dY and so on, where 0 and 1 are the first two channels in ``diff_attrs``. Pixels that show no
+        triangle, or a triangle with index T or more, have the value 0.
 
         ``out`` is differentiable in ``attr`` and in u and v of ``rast``. ``out_da`` is differentiable in ``attr`` and
         in ``rast_db``. Second derivatives are not supported. On the CPU, gradients are bit-identical for any number of

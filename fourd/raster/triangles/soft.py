@@ -60,8 +60,8 @@ def rasterize_soft(
             "barycentric": d_ij is the smallest barycentric coordinate.
         cutoff: triangles are skipped at pixels where D_ij is below ``cutoff``. The cutoff is in (0, 0.5).
         near, far: range of camera depths in world units. A triangle is culled if it has a vertex nearer than ``near``,
-            if it is thinner than 1e-4 pixels, or if one of its values is not finite. Culled triangles have zero
-            gradients. A triangle is skipped at pixels where its depth is larger than ``far``.
+            if its inradius is at most 1e-4 pixels, or if a vertex is not finite. Culled triangles have zero gradients.
+            A triangle is skipped at pixels where its depth is larger than ``far``.
         eps: normalised depth of the background.
         backend, threads: as in :func:`fourd.raster.triangles.splat_triangles`.
 

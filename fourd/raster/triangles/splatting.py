@@ -28,10 +28,11 @@ class TriangleRender:
     Attributes:
         features: (H, W, C) composited features.
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) weighted mean of the camera depths of the composited triangles' centres, in world units, or None
-            if ``geometry`` is false. The depth is 0 where ``alpha`` is 0.
-        normal: (H, W, 3) weighted sum of the unit normals of the composited triangles, in world coordinates and
-            pointing towards the camera, or None if ``geometry`` is false.
+        depth: (H, W) weighted mean of the camera depths of the composited triangles' centres, in world units. The
+            weight of a triangle is the triangle's alpha times the transmittance in front of the triangle. The depth is
+            0 where ``alpha`` is 0. None if ``geometry`` is false.
+        normal: (H, W, 3) weighted sum of the unit normals of the composited triangles, with the same weights. The
+            normals are in world coordinates and point towards the camera. None if ``geometry`` is false.
         weight: (T,) largest compositing weight of each triangle over all pixels, not differentiable. The weight is 0 if
             the triangle is not visible.
     """
@@ -82,8 +83,9 @@ def splat_triangles(
         camera: a pinhole camera without lens distortion.
         layers: maximum number of triangles that are composited per pixel, or None for no limit.
         near: camera depth of the near plane, in world units. Triangles with a vertex nearer than this depth are culled.
-            Triangles are also culled if they are thinner than 1e-4 pixels, if their opacity is below 1/255, if their
-            sigma is not positive, or if one of their values is not finite. Culled triangles have zero gradients.
+            Triangles are also culled if their inradius is at most 1e-4 pixels, if their opacity is below 1/255, if
+            their sigma is not positive, or if a vertex, the opacity or sigma is not finite. Culled triangles have zero
+            gradients.
         geometry: whether to render depths and normals. Without depths and normals, rendering takes about 40% less time.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.

@@ -1,9 +1,9 @@
 """Filtered texture sampling (public API).
 
 The mip level of a pixel is the base-2 logarithm of the longer axis of its footprint in the texture, in texels (Heckbert
-1989, Fundamentals of Texture Mapping and Image Warping). Let (s, t) = (u * W, v * H) be the position in the texture in
-texels, and (X, Y) the position in the image in pixels. With A = |d(s, t)/dX|^2, B = |d(s, t)/dY|^2 and C = d(s, t)/dX .
-d(s, t)/dY, the level is
+1989, Fundamentals of Texture Mapping and Image Warping). Let (s, t) = (u * W, v * H) be the position in texels in a
+texture of width W and height H, and (X, Y) the position in the image in pixels. Let A = |d(s, t)/dX|^2 and B = |d(s,
+t)/dY|^2, and let C be the dot product of d(s, t)/dX and d(s, t)/dY. Then the level is
 
     0.5 * log2(0.5 * (A + B) + sqrt(0.25 * (A - B)^2 + C^2)) + bias,
 
@@ -53,7 +53,8 @@ def texture(
     backend: Backend = "auto",
     threads: int = 0,
 ) -> Tensor:
-    """Sample a texture at every pixel, with the semantics of ``nvdiffrast.torch.texture``. Returns (B, H', W', C).
+    """Sample a texture at every pixel, with the semantics of ``nvdiffrast.torch.texture``. Returns an image of H' x W'
+    pixels, (B, H', W', C).
 
     The centre of the texel in column j and row i is at (u, v) = ((j + 0.5) / W, (i + 0.5) / H). The result is
     differentiable in tex, uv, uv_da, mip_level_bias and in mip levels that are given as tensors. The gradient of tex

@@ -153,8 +153,8 @@ class Refinement(nn.Module):
         return replace(cloud, xyz=xyz + (in_camera - in_camera.detach()) @ rotation.detach(), radius=radius)
 
     def _colour_map(self, index: int) -> Tensor:
-        """A camera's affine colour map (3, 4). The mean of the colour maps of all training cameras is kept at the
-        identity, because a colour change that all cameras share belongs to the scene and not to the cameras."""
+        """A camera's affine colour map (3, 4). A colour change that all cameras share belongs to the scene. The mean of
+        the colour maps of all training cameras is therefore kept at the identity."""
         mean = torch.stack([tint.detach() for tint in self.tints]).mean(dim=0)
         return IDENTITY + self.tints[self.places[index]] - mean
 

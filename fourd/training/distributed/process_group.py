@@ -67,8 +67,7 @@ class ProcessGroup:
         return range(self.rank, frames, self.size)
 
     def first_ranks_frame(self, frame: int) -> int:
-        """The index of ``frame`` if rank 0 owns this frame, otherwise the index of the nearest earlier frame that rank
-        0 owns."""
+        """The index of the last frame that rank 0 owns, among the frames up to and including the index ``frame``."""
         return frame - frame % self.size
 
     @property
@@ -122,8 +121,8 @@ class ProcessGroup:
                 dist.barrier()
 
     def require_same(self, what: str, text: str) -> None:
-        """End all ranks if the text of any rank differs from the text of rank 0. The message names the rank with the
-        different text, and the first line that differs. All ranks call this method.
+        """End all ranks if the text of any rank differs from the text of rank 0. The message contains ``what`` (a name
+        of the text), the rank with the different text, and the first line that differs. All ranks call this method.
         """
         if self.size == 1:
             return

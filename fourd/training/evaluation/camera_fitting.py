@@ -88,8 +88,9 @@ def fit_test_camera(
 
 @dataclass(frozen=True, eq=False)
 class _NormalEquations:
-    """The normal equations at one pose: mean squared error, J^T J (6, 6), -J^T r (6,), and the fitted colour map. J is
-    the Jacobian of the image, and r is the residual."""
+    """The normal equations at one pose. Let J be the Jacobian of the image with respect to the pose, and r the rendered
+    minus the true image. ``error`` is the mean of r^2, ``matrix`` is J^T J (6, 6), and ``right`` is -J^T r (6,).
+    ``colours`` is the fitted colour map (3, 4), or None if colours are not fitted."""
 
     error: float
     matrix: Array

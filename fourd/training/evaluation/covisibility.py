@@ -1,8 +1,8 @@
 """Pixels of a held-out view whose surface is visible in a training view.
 
-If no training view shows a surface, its colours can only be guessed. The PSNR over all other pixels is the masked PSNR
-(mPSNR) of Gao et al., "Monocular Dynamic View Synthesis: A Reality Check" (2022). Gao et al. compute visibility from
-optical flow. fourd computes it from the rendered depth of the static background.
+If no training view shows a surface, its colours can only be guessed. The PSNR without the pixels of such surfaces is
+the masked PSNR (mPSNR) of Gao et al., "Monocular Dynamic View Synthesis: A Reality Check" (2022). Gao et al. compute
+visibility from optical flow. fourd computes it from the rendered depth of the static background.
 """
 
 from __future__ import annotations
@@ -18,9 +18,10 @@ from fourd.training.evaluation.metrics import psnr
 from fourd.training.evaluation.render import ModelRenderer
 
 DEPTH_TOLERANCE = 0.03
-"""A surface is visible in a training view if its depth is greater than the view's depth by at most this fraction."""
+"""A surface point is visible in a training view if its depth in this view is at most (1 + DEPTH_TOLERANCE) times the
+rendered depth at its pixel."""
 SUBJECT = 128
-"""Matte value from which a pixel belongs to the subject."""
+"""Minimum matte value, from 0 to 255, of a pixel that belongs to the subject."""
 
 Depth = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -74,16 +75,17 @@ def visible_in_any(camera: Camera, depth: Depth, cameras: Sequence[Camera], dept
 def covisible_psnr(
     picture: NDArray[np.float32], truth: NDArray[np.float32], matte: NDArray[np.uint8], covisible: Mask
 ) -> float | None:
-    """PSNR in dB over the pixels whose background is visible in a training view, and over the pixels of the subject.
+    """PSNR in dB over one set of pixels: those whose background is visible in a training view, and those of the
+    subject.
 
     Args:
         picture: (H, W, 3) rendered colours in [0, 1].
         truth: (H, W, 3) true colours in [0, 1].
-        matte: (H, W) matte of the subject.
+        matte: (H, W) uint8 matte of the subject, 255 on the subject.
         covisible: (H, W) mask of :func:`covisible_masks`.
 
     Returns:
-        The PSNR, or None if there is no such pixel.
+        The PSNR, or None if the set of pixels is empty.
     """
     mask = covisible | (matte >= SUBJECT)
     return float(psnr(picture, truth, mask)) if mask.any() else None

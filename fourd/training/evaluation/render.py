@@ -27,7 +27,7 @@ class RenderedView:
     Attributes:
         rgb: (H, W, 3) colours on black, clamped to [0, 1].
         alpha: (H, W) opacity in [0, 1].
-        depth: (H, W) depth in world units.
+        depth: (H, W) mean depth of the composited points in world units, 0 where no point covers the pixel.
         foreground: (H, W) the contribution of foreground points to alpha.
     """
 
@@ -51,7 +51,8 @@ class ModelRenderer:
             training: indices of the training cameras.
             focus: (3,) point in world units. Angles between cameras are measured at this point. The cameras with the
                 smallest angles to the viewing camera become the source views.
-            pixel_filter: weight of a neighbouring pixel in the filter of rendered images.
+            pixel_filter: weight of a neighbouring pixel in the filter of rendered images, from 0 to 0.25. With 0,
+                images are not filtered.
         """
         self.scene = scene
         self.training = training

@@ -27,9 +27,8 @@ MAX_STATE_BYTES = 1 << 14
 MAX_REASON = 500
 """Maximum number of characters of each text in a :class:`TrainingState`."""
 SILENT_SECONDS = 60.0
-"""If the lock of a training cannot be tested, and the training's last state is older than this number of seconds, the
-training is assumed to have ended. The lock cannot be tested for a training on another machine, or on a system without
-locks."""
+"""The lock of a training on another machine, or on a system without locks, cannot be tested. Such a training is assumed
+to have ended if its last state is older than this number of seconds."""
 
 Phase = Literal["training", "paused", "finished", "stopped", "failed"]
 
@@ -66,8 +65,8 @@ class TrainingState:
 def write_state(run: Path, state: TrainingState) -> None:
     """Replace the state file of a run.
 
-    The file is replaced atomically but not synced to the disk, because syncing can take longer than a training step,
-    and the state is not needed after a power failure.
+    The file is replaced atomically but not synced to the disk. Syncing can take longer than a training step, and the
+    state is not needed after a power failure.
     """
     path = run / LIVE / STATE_NAME
     temporary = path.with_name(f"{UNFINISHED}{STATE_NAME}")

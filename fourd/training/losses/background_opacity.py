@@ -64,7 +64,8 @@ def mean_squared_transmittance(background: StaticBackground, viewer: Camera, hid
     """Mean of (1 - alpha)^2 over an image of the background. Only the parameters of the background's model get a
     gradient.
 
-    Point positions get no gradient, because the plates determine the positions.
+    Point positions get no gradient, because the plates determine the positions. Points whose compositing weight is at
+    most ``hidden_weight`` at all pixels are skipped; see :func:`visible_points`.
     """
     points = background.points
     rows = visible_points([points], viewer, LAYERS, hidden_weight)[0]

@@ -20,8 +20,8 @@ from fourd.training.losses.term import LossTerm
 def common_terms(
     config: TrainConfig, spacing: float, lpips: LPIPS | None, refinement: Refinement | None
 ) -> tuple[LossTerm, ...]:
-    """Loss terms that are used in every scene. New terms must be added at the end, because the order of the terms
-    determines the order in which gradients are summed.
+    """Loss terms that are used in every scene. Add new terms at the end: the order of the terms determines the
+    order in which gradients are summed, and another order changes the rounding errors.
 
     Args:
         config: training config of the run.

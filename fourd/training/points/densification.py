@@ -28,8 +28,8 @@ class Densification:
 
 
 def accumulate_gradient_magnitudes(points: FramePoints, rows: Tensor, gradient: Tensor) -> None:
-    """For each of the points ``rows`` (M,), add the magnitude of its gradient in a training step to its gradient
-    history. ``gradient`` (M, 3) is the gradient with respect to positions.
+    """Add the gradient magnitudes of one training step to the gradient history of the points with the indices ``rows``
+    (M,). ``gradient`` (M, 3) is the gradient of the loss with respect to their positions.
 
     The magnitude is the norm of a point's gradient times the point's spacing. To first order, the magnitude is the
     largest change of the loss when the point moves by one spacing. The magnitude does not depend on the unit of length,

@@ -117,7 +117,7 @@ class TrainingScene(Protocol):
         rates by ``factor``."""
 
     def finish_step(self) -> None:
-        """Tell the scene that a training step has ended and has updated the parameters."""
+        """Notify the scene that a training step has ended and has updated the parameters."""
 
     def densify(self, points: FramePoints, sample: StepSample, spent: float) -> None:
         """Split and remove points after a step, if densification is due at this step. ``spent`` is the spent share of
@@ -131,7 +131,8 @@ class TrainingScene(Protocol):
         self, points: FramePoints, frame: int, camera: Camera, sources: SelectedViews
     ) -> list[RenderablePoints]:
         """All points of a scene at one frame, with the foreground first. ``frame`` is the frame's index in the selected
-        frames. Colours are blended from the views of the source cameras with the indices ``sources``."""
+        frames. ``sources`` contains the indices and the view weights of the cameras from whose images the colours are
+        blended."""
 
     def reference_picture(self, view: View) -> NDArray[np.float32]:
         """The true image (H, W, 3) in [0, 1] with which a rendering of the view is compared."""

@@ -30,8 +30,8 @@ from fourd.viewer.publish.runs.status import MAX_PICTURES, ActiveRun, describe, 
 from fourd.viewer.publish.site import copy_training_page
 
 STATUS_SECONDS = 1.0
-"""Minimum time in seconds between two computations of the answers. Between two computations, all pages get the last
-computed answers."""
+"""Minimum time in seconds between two computations of the state and the curves of the run. Between two computations,
+all pages get the state and the curves that were computed last."""
 ASKED_SECONDS = 10.0
 """A scene is baked only if a page has requested it within this time, in seconds."""
 BAKING_SHARE = 0.02

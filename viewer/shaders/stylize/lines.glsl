@@ -1,6 +1,6 @@
 // Finds lines, as find_lines of fourd/ops/stylize/reference.py does. This text is also valid GLSL ES 3.00.
 
-uniform float ray[6];  // See the class Numbers of fourd/ops/stylize/parameters.py.
+uniform float ray[6];  // The first two rows of the inverse intrinsic matrix, one after the other.
 uniform sampler2D closed_depth;
 uniform sampler2D closed_normal;
 uniform int line_filter;  // 0 for none, 1 for Sobel, 2 for the cross filter.

@@ -9,7 +9,7 @@ uniform float depth_unit;     // Length of the unit of `depths`, in world units.
 uniform bool is_upside_down;  // Whether row 0 of the inputs is the bottom of the image.
 uniform sampler2D old_inverse_depth;
 uniform sampler2D old_normal;
-uniform float persistence;  // Weight of the previous image's surface. With weight 0, this surface is ignored.
+uniform float persistence;  // Weight of the previous image's surface. With weight 0, the previous surface is ignored.
 
 layout(location = 0) out vec4 albedo;
 layout(location = 1) out float inverse_depth;

@@ -13,7 +13,11 @@ import { damaged, inflate } from "./inflate.js";
  * @property {Plane[]} planes
  */
 
-/** @typedef {{bytes: Uint8Array, offset: number, stride: number, step: number, width: number, height: number}} Plane */
+/**
+ * A plane of 8-bit values in `bytes`. `offset` is the index of the first value. `stride` and `step` are the numbers of
+ * bytes from one row to the next, and from one value of a row to the next.
+ * @typedef {{bytes: Uint8Array, offset: number, stride: number, step: number, width: number, height: number}} Plane
+ */
 
 /** @typedef {{left: number, top: number, width: number, height: number, frame: Uint8Array}} StoredImage */
 

@@ -8,7 +8,7 @@ import { FrameTextures } from "./frame_textures.js";
  * A picture to draw: points, camera, and blending settings.
  * @typedef {object} Picture
  * @property {(Cloud | null)[]} clouds Dynamic points and background.
- * @property {Uint8Array | null} shadow
+ * @property {Uint8Array | null} shadow Factors of the colours of the M background points (M,), in units of 1/128.
  * @property {import("../sort/sorter.js").SortedPoints} order
  * @property {Camera} camera The image has the size of this camera.
  * @property {{views: number[], weights: number[]}} selection Source views and their view weights.

@@ -24,8 +24,8 @@ export function selectSourceViews(camera, manifest) {
 }
 
 /**
- * A view at the angle a has the weight 1 - a / b. Among the angles of the views that are not selected, the limit angle
- * b is the smallest that is not below the largest selected angle.
+ * A selected view at the angle a has the weight 1 - a / b. Let A be the largest angle of the selected views. The limit
+ * angle b is the smallest angle that is at least A among the views that are not selected.
  * @param {number[]} views
  * @param {number[]} angles
  */

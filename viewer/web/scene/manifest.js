@@ -37,16 +37,16 @@ import { largestContent } from "./limits.js";
  * @typedef {object} Manifest
  * @property {NamedCamera[]} sources Source views.
  * @property {NamedCamera[]} cameras Source views, then other cameras of the capture.
- * @property {number[]} focus
+ * @property {number[]} focus Point (3,) of the world at which the angles between cameras are measured.
  * @property {number[]} points Number of dynamic points of each frame.
  * @property {number} mostPoints Largest number of dynamic points of a frame.
  * @property {number} fps
- * @property {number} layers
- * @property {number} neighbours
+ * @property {number} layers K, the maximum number of points that are composited per pixel.
+ * @property {number} neighbours Number of source views that are blended for a viewing camera.
  * @property {boolean} fadeViews
  * @property {number} shRange
  * @property {number} shBase
- * @property {number} near
+ * @property {number} near Smallest depth of points that are drawn, in world units.
  * @property {number} pixelFilter Weight of a neighbour in the 3-tap pixel filter along rows and along columns, from 0
  *   to 0.25.
  * @property {{points: number, shadow: boolean} | null} background

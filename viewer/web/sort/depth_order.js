@@ -3,7 +3,7 @@
  * drawn.
  * @typedef {object} SortCamera
  * @property {number[]} rotation 3 x 3, R_camera_world.
- * @property {number[]} translation
+ * @property {number[]} translation (3,) T_camera_world, in world units.
  * @property {number[]} intrinsics 3 x 3, in pixels.
  * @property {number} width
  * @property {number} height

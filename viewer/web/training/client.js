@@ -3,19 +3,19 @@
  * @typedef {object} Status
  * @property {string} title
  * @property {number | null} segment Number of the segment, counted from 1. Null for a run without segments.
- * @property {string} session
+ * @property {string} session Identifies the training to which requests are sent.
  * @property {"training" | "paused" | "finished" | "stopped" | "failed" | "ended" | "idle"} phase
  * @property {string} reason
  * @property {number} step
  * @property {number | null} max_steps
- * @property {number | null} spent
- * @property {number} seconds
+ * @property {number | null} spent Fraction of the budget that has been spent.
+ * @property {number} seconds Training time.
  * @property {number | null} remaining_seconds
  * @property {boolean} is_held_out
- * @property {number | null} psnr
- * @property {number | null} validation_psnr
- * @property {number[]} pictures
- * @property {number} broken_lines
+ * @property {number | null} psnr In dB, of the training views, smoothed.
+ * @property {number | null} validation_psnr In dB.
+ * @property {number[]} pictures Training steps of the validation pictures.
+ * @property {number} broken_lines Number of lines of the log that are not valid records.
  */
 /** The values of a measurement. @typedef {{step: number[], value: number[]}} Series */
 /** State of the scene. @typedef {{state: "none" | "baking" | "ready" | "failed", step: number, message: string}} SceneState */
