@@ -38,7 +38,7 @@ class Headless:
         size: width and height of the images in pixels. If ``size`` is None, videos have DEFAULT_SIZE, and screenshots
             have the size of the selected camera. In a scene without cameras, None means DEFAULT_SIZE for screenshots
             too.
-        settings: display settings. If ``layers`` is 0, the K of the scene is used.
+        settings: display settings. If ``layers`` is 0, the maximum number of layers that the scene stores is used.
     """
 
     source: Path

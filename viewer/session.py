@@ -39,8 +39,8 @@ class Session:
     """
 
     def __init__(self, settings: DisplaySettings, style_name: str | None = None) -> None:
-        """If ``settings.layers`` is 0, the K of each scene is used. ``style_name`` is the name of the preset, or the
-        path of the style file, from which the style in ``settings`` was loaded."""
+        """If ``settings.layers`` is 0, the maximum number of layers that each scene stores is used. ``style_name`` is
+        the name of the preset, or the path of the style file, from which the style in ``settings`` was loaded."""
         self.settings = settings
         self.style_name = style_name
         self.style_file = None if style_name in PRESETS else style_name

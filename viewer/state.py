@@ -40,7 +40,7 @@ class ViewerState:
         recorder: recorder of the camera path, or None while no path is being recorded.
         recorded_path: the last recording of this scene.
         is_panel_open: whether the panel is visible.
-        camera_index: the capture camera selected in the panel.
+        camera_index: index of the capture camera that is selected in the panel.
     """
 
     def __init__(self, window: Window, session: Session, renderer: WindowRenderer) -> None:

@@ -16,8 +16,8 @@ from fourd.viewer.rendering.renderers import Renderer, RendererChoice, RendererN
 from fourd.viewer.window import Window
 
 _FAINT = 0.01
-"""Relative tolerance of the strength of lines. A paused image is drawn again until the strength of each line differs
-from its final value by at most this fraction.
+"""Tolerance of the strength of lines that fade in. A paused image is drawn again until the difference between the
+strength of each line and its final strength is at most this fraction of the initial difference.
 """
 
 

@@ -1,10 +1,11 @@
 // Finds silhouette edges, and the points where these edges cross the segment between two neighbouring pixel centres.
 //
-// Relative to the centre f of a pixel, a vertex (x, y, z, w) in clip space has the coordinates (a, b, w), where
-// a = x - f_x * w and b = y - f_y * w. The edge from vertex j to vertex k goes through the point f where N = a_j b_k -
-// b_j a_k is 0. N is a linear function of f, also where w <= 0. If f moves by t steps of length s along the axis of a,
-// N decreases by t * D, where D = s * (w_j b_k - b_j w_k). The segment between the pixel centres therefore crosses the
-// edge at t = N / D.
+// Relative to the centre f = (f_x, f_y) of a pixel in normalised device coordinates, a vertex (x, y, z, w) in clip
+// space has the coordinates (a, b, w), where a = x - f_x * w and b = y - f_y * w. The edge from vertex j to vertex k
+// goes through the point f where N = a_j b_k - b_j a_k is 0. N is a linear function of f, also where w <= 0. Let s be
+// the distance between neighbouring pixel centres along x. If f moves by t * s along x, N decreases by t * D, where
+// D = s * (w_j b_k - b_j w_k). The segment from f to the centre of the right neighbour therefore crosses the edge at
+// t = N / D. Along y, the same formulas hold with a and b exchanged.
 #pragma once
 
 #include <cstddef>
@@ -19,8 +20,8 @@ namespace fourd::antialias {
 // The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to kTolerancePx pixels
 // away from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
-// Largest derivative of a crossing's position (Crossing::slope), in pixels per unit of clip space. Edges with a
-// derivative above kMaxSlope have no gradient.
+// Largest absolute derivative in Crossing::slope, in pixels per unit of clip space. Edges with a derivative above
+// kMaxSlope have no gradient.
 constexpr float kMaxSlope = 1.0e18f;
 
 struct Mesh {
@@ -52,8 +53,8 @@ FOURD_HD static inline float side_of(const Vertex& p, const Vertex& q, const Ver
     return (p.x * (e.y * d.w - e.w * d.y) + p.y * (e.w * d.x - e.x * d.w)) + p.w * (e.x * d.y - e.y * d.x);
 }
 
-// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette unless another
-// triangle shares the edge and, in the image, lies on the opposite side of the edge.
+// Bit i is 1 if the edge opposite to vertex i of the triangle is a silhouette. An edge is a silhouette unless two
+// triangles share it and lie on opposite sides of it in the image.
 FOURD_HD static inline std::uint8_t silhouettes_of(const Mesh& mesh, std::size_t first_vertex, std::size_t triangle) {
     const int* of = mesh.triangles + 3 * triangle;
     if (!mesh.has(of[0]) || !mesh.has(of[1]) || !mesh.has(of[2])) return 0;
@@ -79,10 +80,10 @@ struct Pair {
     int row, column, axis;
 };
 
-// Describes the edges that cross the two pairs of a pixel, as bits of a byte. Bits 0 to 2 describe the pair with the
-// right neighbour. Bits 0 and 1 are the number (1 to 3) of the edge that crosses the pair, or 0 if no edge crosses it.
-// Bit 2 is 1 if the edge belongs to the triangle of the right neighbour. Bits 3 to 5 describe the pair with the lower
-// neighbour in the same way.
+// Describes, as bits of a byte, the silhouette edges that cross the two pairs of a pixel. Bits 0 to 2 describe the pair
+// with the right neighbour. Bits 0 and 1 are 0 if no edge crosses the pair, and otherwise 1 plus the index (0 to 2) of
+// the edge in its triangle. Bit 2 is 1 if the edge belongs to the triangle of the right neighbour. Bits 3 to 5 describe
+// the pair with the lower neighbour in the same way.
 using Code = unsigned;
 constexpr int kBitsPerPair = 3;
 
@@ -99,8 +100,8 @@ FOURD_HD static inline Code code_of(int edge_number, bool neighbour, int axis) {
 // is perpendicular to it.
 struct Sight {
     float along, across;            // The centre of the owner in normalised device coordinates.
-    // Distances between neighbouring pixel centres. step_along is negative if the owner is the second pixel of the
-    // pair.
+    // Distances between neighbouring pixel centres in normalised device coordinates. step_along is negative if the
+    // owner is the second pixel of the pair.
     float step_along, step_across;
     int axis;
 
@@ -126,8 +127,9 @@ FOURD_HD static inline Seen see(const Sight& sight, const Vertex& v) {
     return {a - sight.along * v.w, b - sight.across * v.w, v.w};
 }
 
-// The line through p and q, as the linear function N (see above). `value` is N at the owner. fall_along and fall_across
-// are the decreases of N per step in the directions `along` and `across`.
+// The line through p and q, as the linear function N that is 0 on the line (see the top of this file). `value` is N at
+// the centre of the owner. fall_along and fall_across are the decreases of N per pixel in the directions `along` and
+// `across`.
 struct Line {
     float value, fall_along, fall_across;
 
@@ -139,10 +141,10 @@ struct Line {
 
 FOURD_HD static inline float magnitude(float value) { return value < 0 ? -value : value; }
 
-// Returns the number (1 to 3) of the silhouette edge where the segment from the owner to the other pixel leaves the
-// triangle. Returns 0 if the segment leaves the triangle at no silhouette edge. An edge is ignored if its angle to the
-// segment, in pixel coordinates, is less than 45 degrees. Every piece of a silhouette is therefore blended along only
-// one axis. `silhouettes` is the result of silhouettes_of().
+// Returns 1 plus the index (0 to 2) of the silhouette edge through which the segment from the owner's centre to the
+// other pixel's centre leaves the owner's triangle. Returns 0 if the segment leaves the triangle at no silhouette edge.
+// An edge is ignored if its angle to the segment, in pixel coordinates, is less than 45 degrees. Every piece of a
+// silhouette is therefore blended along only one axis. `silhouettes` is the result of silhouettes_of().
 FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int triangle,
                                         unsigned silhouettes) {
     const int* of = mesh.triangles + 3 * static_cast<std::size_t>(triangle);
@@ -167,7 +169,8 @@ FOURD_HD static inline int crossed_edge(const Mesh& mesh, std::size_t first_vert
         edge = i + 1;
     }
     if (edge == 0 || (silhouettes >> (edge - 1) & 1u) == 0) return 0;
-    // The line crosses the segment here, but the crossing point must also lie between the two ends of the edge.
+    // The infinite line through the edge crosses the segment. The crossing point must also lie between the two ends of
+    // the edge.
     for (int i = 0; i < 3; ++i) {
         if (i + 1 == edge) continue;
         const float slack = kTolerancePx * (magnitude(lines[i].fall_along) + magnitude(lines[i].fall_across));
@@ -195,8 +198,8 @@ FOURD_HD static inline bool second_is_nearer(const float* first, int one, const 
 struct Crossing {
     int vertex[2];        // Indices of the ends of the edge.
     Vertex slope[2];      // Derivatives of the crossing's position with respect to x, y and w of each end of the edge.
-    float weight;         // In [0, 0.5]. Blending adds weight * (source - changed) to the colour `changed`.
-    bool changes_owner;   // Whether the changed pixel is the owner. The source is the other pixel.
+    float weight;         // In [0, 0.5]. Blending adds weight * (source colour - own colour) to the changed pixel.
+    bool changes_owner;   // Whether the changed pixel is the owner. The source is the other pixel of the pair.
     bool differentiable;  // Whether all slopes are finite and at most kMaxSlope.
 };
 

@@ -24,7 +24,7 @@ struct Mlp {
 
 struct Inputs {
     const float* point;    // Shape (count, hidden): each point's contribution to the hidden layer.
-    const float* samples;  // Shape (views, channels, count).
+    const float* samples;  // Shape (views, channels, count): channels of each point in each view.
     std::size_t count;
     std::size_t views;
     int threads;  // At least 1. The result is the same for any number of threads.

@@ -1,8 +1,8 @@
 # The library fourd_kernels and the functions that add to it:
 #   fourd_kernel(NAME ...)               a kernel
 #   fourd_add_module(NAME ...)           the Python module of all kernels added before
-#   fourd_add_cuda_module(NAME ...)      the Python module of their CUDA sources, for the GPU
-#   fourd_add_emulated_module(NAME ...)  the Python module of their CUDA sources, compiled for the CPU
+#   fourd_add_cuda_module(NAME ...)      the Python module of the kernels' CUDA sources, compiled for the GPU
+#   fourd_add_emulated_module(NAME ...)  the Python module of the kernels' CUDA sources, compiled for the CPU
 #   fourd_emulate(TARGET)                compiles the CUDA sources for the CPU into a program
 include_guard(GLOBAL)
 get_filename_component(FOURD_CSRC ${CMAKE_CURRENT_LIST_DIR} DIRECTORY)

@@ -14,9 +14,9 @@
 
 namespace fourd {
 
-// Arrays start at a cache line. An element whose size divides the size of a cache line therefore never lies in two
-// cache lines. Tiles read elements of 32 bytes in scattered order. With the 16-byte alignment of `new`, half of these
-// reads would need two cache lines.
+// Arrays start at the beginning of a cache line. An element whose size divides the size of a cache line therefore never
+// lies in two cache lines. Tiles read elements of 32 bytes in scattered order. With the 16-byte alignment of `new`,
+// half of these reads would need two cache lines.
 template <typename T>
 class Buffer {
     static_assert(std::is_trivially_copyable<T>::value, "elements stay uninitialised");

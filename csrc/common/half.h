@@ -9,9 +9,9 @@
 
 namespace fourd {
 
-// Converts half precision to float32. The exponent and the mantissa are shifted into a float, which is then multiplied
-// by 2^112, because the exponent biases differ by 112. The conversion is exact for subnormal numbers too. Infinity and
-// NaN become finite values with a magnitude of 65536 or more.
+// Converts half precision to float32. The exponent and the mantissa are shifted to their places in a float. The float
+// is then multiplied by 2^112, because the exponent biases differ by 112. The conversion is exact for subnormal numbers
+// too. Infinity and NaN become finite values with a magnitude of 65536 or more.
 FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
     const std::uint32_t shifted = static_cast<std::uint32_t>(half & 0x7fff) << 13;
     float magnitude;
@@ -26,7 +26,7 @@ FOURD_HD FOURD_INLINE float from_half(std::uint16_t half) {
 }
 
 // Converts float32 to half precision. The result is rounded to the nearest value, and ties are rounded to even. Values
-// beyond the largest finite half are clamped to it. NaN becomes an arbitrary number.
+// beyond +-65504, the largest finite half, are clamped. NaN becomes an arbitrary number.
 FOURD_HD FOURD_INLINE std::uint16_t to_half(float value) {
     std::uint32_t bits;
     memcpy(&bits, &value, sizeof bits);

@@ -28,7 +28,7 @@ class Executor {
     template <typename Kernel>
     void for_each_in_warps(std::size_t count, const Kernel& kernel) const {
         for (std::size_t first = 0; first < count; first += kWarpSize) {
-            std::size_t next = first;  // The lanes are resumed for the first time in the order of their numbers.
+            std::size_t next = first;  // Lanes start in ascending order, so `next` gives each lane its index.
             run_warp([&](const Lane& lane) { kernel(next++, lane); });
         }
     }

@@ -1,4 +1,4 @@
-// Predicts the number of (point, tile) entries of an image from the numbers of earlier images.
+// Predicts the count of (primitive, tile) entries of an image from the counts of earlier images.
 #pragma once
 
 #include <algorithm>
@@ -7,12 +7,12 @@
 
 namespace fourd::device {
 
-// Allocates a number in host memory that the GPU can write. Throws std::runtime_error if the allocation fails.
+// Allocates a 64-bit integer in host memory that the GPU can write. Throws std::runtime_error if the allocation fails.
 std::uint64_t* allocate_mapped_counter();
 void free_mapped_counter(std::uint64_t* number);
 
-// Predicts the number of entries of the next image. Each device has one estimator, which exists until the process ends.
-// The prediction never waits for the GPU, because it uses the last number that the GPU has already written.
+// Predicts the count of entries of the next image. Each device has one estimator, which exists until the process ends.
+// The prediction never waits for the GPU, because it uses the last count that the GPU has already written.
 class EntryEstimator {
   public:
     EntryEstimator() : needed_(allocate_mapped_counter()) { *needed_ = 0; }
@@ -20,8 +20,9 @@ class EntryEstimator {
     EntryEstimator(const EntryEstimator&) = delete;
     EntryEstimator& operator=(const EntryEstimator&) = delete;
 
-    // The number of entries to allocate for the next image, which has `count` points. The result is 25% above the
-    // recent maximum number of entries. The maximum decays slowly, because near and far views of a scene may alternate.
+    // The number of entries to allocate for the next image, which has `count` primitives. The result is 25% above the
+    // recent maximum count of entries. The maximum decays slowly, so that the allocation stays large enough if near and
+    // far views of a scene alternate.
     std::size_t entries(std::size_t count) {
         const std::uint64_t needed = *static_cast<volatile std::uint64_t*>(needed_);
         recent_max_ = std::max(recent_max_ - recent_max_ / 64, needed);

@@ -87,7 +87,7 @@ FOURD_DEVICE static inline void atomic_min(std::uint64_t* target, std::uint64_t 
 #endif
 }
 
-// `target` and `value` must be at least 0. Floats that are at least 0 have the same order as their bits, read as
+// `*target` and `value` must be at least 0. Floats that are at least 0 have the same order as their bits, read as
 // integers.
 FOURD_DEVICE static inline void atomic_max(float* target, float value) {
 #ifdef __CUDA_ARCH__

@@ -1,6 +1,7 @@
-// When vertices move, the visibility edges move with them and change the image. This file computes the part of the
-// gradient of the vertex positions that comes from moving visibility edges, for an image without antialiasing. Callers
-// check shapes. Indices of vertices and triangles that are out of range are ignored.
+// Visibility edges are silhouette edges and the lines along which two triangles intersect. When vertices move, these
+// edges move with them and change the image. This file computes the part of the gradient of the vertex positions that
+// comes from moving visibility edges, for an image without antialiasing. Callers check shapes. Indices of vertices and
+// triangles that are out of range are ignored.
 #pragma once
 
 #include "antialias/antialias.h"

@@ -1,12 +1,13 @@
-// The maths of edges at which two triangles intersect. The functions find the point where the intersection line crosses
-// the segment between the centres of two neighbouring pixels. The functions also compute the derivatives of this point
-// with respect to the vertices.
+// The maths of the lines along which two triangles intersect. The functions find the point where the intersection line
+// crosses the segment between the centres of two neighbouring pixels. The functions also compute the derivatives of
+// this point with respect to the vertices.
 //
-// N_i is the linear function of the edge opposite to vertex i (antialias/maths.h). At a pixel, z/w of a triangle is the
-// sum of b_i z_i, where b_i = N_i / V. The number V is the sum of N_i w_i, which is the same at all pixels. z/w is
-// therefore a linear function of the pixel centre f = (f_a, f_b), with constant coefficients p_a, p_b and p_w:
-// D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
-// b_i * (dz - p_a da - p_b db - p_w dw). At the crossing, both triangles have the same D.
+// N_i is the linear function (antialias/maths.h) that is 0 on the edge opposite to vertex i of a triangle. At a pixel,
+// z/w of a triangle is the sum of b_i z_i, where b_i = N_i / V. The number V is the sum of N_i w_i, which is the same
+// at all pixels. Let f = (f_a, f_b) be the pixel centre along and across the pair of pixels. N_i is linear in f, so z/w
+// is also a linear function of f, with constant coefficients p_a, p_b and p_w: D(f) = p_a f_a + p_b f_b + p_w. If
+// vertex i moves by (da, db, dz, dw), D(f) changes by b_i * (dz - p_a da - p_b db - p_w dw). The crossing is the point
+// of the segment at which both triangles have the same D(f).
 #pragma once
 
 #include "antialias/maths.h"
@@ -26,8 +27,9 @@ struct Position {
     float x, y, z, w;
 };
 
-// The derivatives of the distance between the owner of a pair and the crossing, with respect to the positions of up to
-// kMaxVertices vertices. If one derivative is not finite or is above kMaxSlope, all derivatives are 0.
+// The derivatives of the distance, in pixels, from the owner of a pair (the pixel whose triangle is nearer) to the
+// crossing, with respect to the positions of up to kMaxVertices vertices. If one derivative is not finite or is above
+// kMaxSlope, all derivatives are 0.
 struct Motion {
     int count = 0;
     int vertex[kMaxVertices];
@@ -49,7 +51,8 @@ FOURD_HD static inline bool share_an_edge(const Mesh& mesh, int one, int two) {
     return common >= 2;
 }
 
-// A triangle with valid indices, as seen from the owner of a pair.
+// A triangle with valid vertex indices, in coordinates relative to the owner of a pair (the pixel whose triangle is
+// nearer).
 struct Outline {
     antialias::Seen seen[3];
     float z[3];
@@ -77,8 +80,8 @@ struct Outline {
     }
 };
 
-// z/w of a triangle as a linear function: its value `depth` at the owner, and its decrease per pixel along and across
-// the pair. `volume` is the number V (see above).
+// z/w of a triangle as a linear function: its value `depth` at the owner, and its decreases per pixel along and across
+// the pair. `volume` is V (see the top of this file).
 struct Plane {
     float volume, depth, fall, fall_across;
 
@@ -94,8 +97,8 @@ struct Plane {
 };
 
 // Returns true if the two triangles intersect between the two pixel centres and the owner's triangle is nearer at the
-// owner. An intersection line is ignored if its angle to the segment between the pixel centres is below 45 degrees, as
-// a silhouette edge is.
+// owner. An intersection line is ignored if its angle to the segment between the pixel centres is below 45 degrees.
+// antialias::crossed_edge() ignores silhouette edges by the same rule.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);

@@ -1,4 +1,4 @@
-// The pairs of neighbouring pixels between which a visibility edge lies.
+// The pairs of neighbouring pixels between which a visibility edge (edge_gradients.h) lies.
 #pragma once
 
 #include "antialias/pairs.h"
@@ -13,8 +13,8 @@ using antialias::Plan;
 using antialias::Rows;
 using antialias::View;
 
-// The codes are those of antialias/maths.h, with one additional value per pair: if the edge number is 0 and bit 2 is 1,
-// the triangles of the two pixels intersect.
+// The codes are those of antialias/maths.h, with one additional value per pair. If the lower two of a pair's three bits
+// are 0 and the third bit is 1, the triangles of the two pixels intersect.
 FOURD_HD static inline Code intersection_code(int axis) { return antialias::code_of(0, true, axis); }
 FOURD_HD static inline bool is_intersection(Code code, int axis) {
     return antialias::edge_of(code, axis) == 0 && antialias::owner_is_neighbour(code, axis);
@@ -24,8 +24,9 @@ FOURD_HD static inline int vertices_of(Code code, int axis) {
 }
 
 // The derivative of the loss with respect to the distance of the edge from the pixel `owner`. If the edge moves by dt
-// away from the owner, the colour of one of the two pixels changes by dt * (c_owner - c_other). Either pixel can be the
-// one that changes, so the function returns the mean of the derivatives for both cases.
+// pixels away from the owner, the colour of one of the two pixels changes by dt * (colour of the owner - colour of the
+// other pixel). Either pixel can be the one that changes, so the function returns the mean of the derivatives for both
+// cases.
 FOURD_HD static inline float change(const View& view, std::size_t owner, std::size_t other, const float* gradient) {
     const std::size_t one = owner * view.channels, two = other * view.channels;
     const float* colours = view.plan.images.colours;
@@ -36,7 +37,8 @@ FOURD_HD static inline float change(const View& view, std::size_t owner, std::si
     return 0.5f * sum;
 }
 
-// Returns the code of a pair, or 0 if the pair has no visibility edge or the edge has no gradient.
+// Returns the code of a pair. Returns 0 if the pair has no visibility edge, or if the loss does not depend on the
+// position of the edge.
 FOURD_HD static inline Code find_edge(const View& view, const Pair& pair, const float* gradient) {
     const std::size_t first = view.pixel(pair.row, pair.column), second = view.neighbour(first, pair.axis);
     const Mesh& mesh = view.plan.mesh;
@@ -56,8 +58,8 @@ FOURD_HD static inline Code find_edge(const View& view, const Pair& pair, const 
     return found ? intersection_code(pair.axis) : 0;
 }
 
-// Calls add(vertex, x, y, z, w) for each vertex on which the edge of a pair depends. The arguments x, y, z and w are
-// the gradient with respect to the clip coordinates of the vertex. The code of the pair must not be 0.
+// Calls add(vertex, x, y, z, w) for each vertex that moves the visibility edge of a pair. The arguments x, y, z and w
+// are the gradient of the loss with respect to the clip coordinates of the vertex. The code of the pair must not be 0.
 template <typename Add>
 FOURD_HD FOURD_INLINE void for_motion(const View& view, const Pair& pair, Code code, const float* gradient,
                                       const Add& add) {

@@ -82,8 +82,8 @@ nb::object call(const Function& function, const Rules& rules, Bytes& bytes, Size
     nb::list arguments;
     if (!function.owner.is_none()) arguments.append(function.owner());
     for (const Parameter& parameter : function.parameters) {
-        // The bindings do not check the contents of trees. Valid trees are therefore built by build_rays and
-        // build_discs.
+        // `nodes` and `blocks` are the arrays of a bounding volume hierarchy, whose contents the bindings do not check.
+        // Valid hierarchies are therefore built by build_rays and build_discs.
         const int part = parameter.name == "nodes" ? 0 : parameter.name == "blocks" ? 1 : -1;
         if (part >= 0) {
             const Function& build = function.name == "composite_discs" ? *state->build_discs : *state->build_rays;

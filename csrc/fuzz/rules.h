@@ -32,7 +32,8 @@ inline Rules parse_rules(const std::string& text) {
     return out;
 }
 
-// The sizes of one call, by letter. A size is read from the fuzzer's input when the size is first used.
+// The sizes of one call, keyed by the letters in the rules. A size is read from the fuzzer's input when the size is
+// first used.
 class Sizes {
   public:
     explicit Sizes(Bytes& bytes) : bytes_(bytes) {}
@@ -43,7 +44,7 @@ class Sizes {
         return place->second;
     }
 
-    // `halvings` is the number of arrays that precede this array in its list.
+    // The expression A> halves the size A `halvings` times: once for each array that precedes this array in its list.
     std::size_t evaluate(const std::string& expression, std::size_t halvings) {
         std::size_t sum = 0, product = 1, number = 0;
         for (std::size_t i = 0; i < expression.size(); ++i) {

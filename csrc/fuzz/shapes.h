@@ -1,11 +1,11 @@
 // Rules for valid argument sizes of all bound functions. If a fuzzer chose all sizes at random, few combinations would
 // be valid.
 //
-// A rule NAME=A,B gives the sizes of the free axes of an array, or the value of an integer argument. NAME*L gives the
-// length L of a list. NAME*L=A,B gives the length, and the sizes of the arrays in the list. NAME<N limits the values of
-// an int32 array to the range from 0 to N - 1. A capital letter stands for the same size everywhere in one call. 2AB is
-// a product, and A+B is a sum. A> is the size A, halved once for each preceding array of the list, but at least 1.
-// Sizes without a rule are chosen independently.
+// A rule NAME=A,B gives the sizes of the free axes (axes that may have any size) of the array NAME, or the value of the
+// integer argument NAME. NAME*L gives the length L of a list. NAME*L=A,B gives the length, and the sizes of the arrays
+// in the list. NAME<N limits the values of an int32 array to the range from 0 to N - 1. A capital letter stands for the
+// same size everywhere in one call. 2AB is a product, and A+B is a sum. A> is the size A, halved once for each
+// preceding array of the list, but at least 1. Sizes without a rule are chosen independently.
 #pragma once
 
 namespace fourd::fuzz {

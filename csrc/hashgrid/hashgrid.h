@@ -12,7 +12,7 @@ namespace fourd::hashgrid {
 constexpr int kMaxFeatures = 8;
 
 struct Query {
-    const float* table;        // Shape (entries, features).
+    const float* table;        // Shape (entries, features): one feature vector per entry.
     std::size_t entries;       // Number of entries of all levels, including padding.
     const Level* levels;       // Levels in the order of the table.
     int level_count;           // From 1 to kMaxLevels.

@@ -23,7 +23,7 @@ constexpr std::size_t kAlign = 16;
 struct Level {
     std::size_t first;
     std::uint32_t entries;    // Number of entries, which is a power of two if the level is hashed.
-    std::uint32_t stride[3];  // For each axis, the factor of the vertex index in entry_of.
+    std::uint32_t stride[3];  // For each axis, the factor by which callers of entry_of multiply the index.
     int resolution;
     bool hashed;
 };

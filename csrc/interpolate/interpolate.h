@@ -16,10 +16,10 @@ struct Query {
     std::size_t channels;
     // Number of vertices between the attributes of successive images, or 0 if all images share the attributes.
     std::size_t image_stride;
-    const std::int32_t* tri;   // Shape (triangles, 3).
+    const std::int32_t* tri;   // Shape (triangles, 3): vertex indices.
     std::size_t triangles;
     const float* rast;         // Shape (images, height, width, 4): u, v, an unused number, and the encoded triangle id.
-    const float* rast_db;      // Shape (images, height, width, 4); null if diff_count is 0.
+    const float* rast_db;      // Shape (images, height, width, 4): du/dX, du/dY, dv/dX, dv/dY; null if diff_count is 0.
     int images, height, width;
     // Shape (diff_count,): indices, below `channels`, of the channels whose derivatives are computed.
     const std::int32_t* diff;

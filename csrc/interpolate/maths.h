@@ -9,7 +9,7 @@
 
 namespace fourd::interpolate {
 
-// The offsets of the attributes of a triangle's vertices.
+// For each vertex of a triangle, the offset of its first attribute among the attributes of an image.
 struct Corners {
     std::size_t at[3];
     bool is_valid;  // False for the background, or if the triangle or one of its vertices does not exist.

@@ -1,7 +1,7 @@
-// Assigns numbers to the triangles that are visible in a tile of an image. For each vertex, also sums the values of
-// triangle corners over all tiles. The backward passes of several operators use this file. Values are added in a fixed
-// order, first over the pixels of a tile, then over the tiles. The sums therefore do not depend on the number of
-// threads.
+// Assigns indices (slots) to the triangles that are visible in a tile of an image. Also sums, for each mesh vertex, the
+// values that the tiles hold for the corners of their triangles. The backward passes of several operators use this
+// file. Values are added in a fixed order, first over the pixels of a tile, then over the tiles. The sums therefore do
+// not depend on the number of threads.
 #pragma once
 
 #include <cstddef>
@@ -28,8 +28,8 @@ struct IdImage {
     int tiles() const { return columns() * ((height + kTile - 1) / kTile); }
 };
 
-// The visible triangles of one tile. Triangles are numbered in the order of their first pixels, and this number is
-// called the slot.
+// The visible triangles of one tile. The slot of a triangle is its index in the order in which the triangles first
+// appear in the tile, row by row.
 class TileSlots {
   public:
     void fill(const IdImage& image, int column, int row);
@@ -49,7 +49,7 @@ class TileSlots {
     std::int16_t buckets_[kBuckets];
 };
 
-// The values that one tile adds, for each of its slots.
+// The values that one tile adds to the vertices of its visible triangles.
 struct TileValues {
     std::vector<std::int32_t> triangles;
     Buffer<float> values;  // Shape (slots, 3, channels): values of the three vertices.

@@ -11,8 +11,8 @@ namespace fourd {
 template <typename Number, typename Where>
 using PixelArray = nanobind::ndarray<Number, nanobind::shape<-1, -1, 4>, nanobind::c_contig, Where>;
 
-// Returns the input image. Throws std::invalid_argument if `side`, the size of an array, or the memory of `out` is
-// invalid.
+// Returns the input image. Throws std::invalid_argument if `side` is out of range, if a size is invalid, or if `out`
+// overlaps the image in memory.
 template <typename Where>
 pixel_filter::Image filter_image(const PixelArray<const std::uint8_t, Where>& image, float side,
                                  const PixelArray<std::uint8_t, Where>& out) {

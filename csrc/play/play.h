@@ -52,7 +52,8 @@ class Player {
                       const points::Surface& surface);
 
   private:
-    // Projects and shades the points of the frame. Calls work(first, last) for each range of points that were shaded.
+    // Projects and shades the points of the frame. Calls work(first, last) for each range [first, last) of points that
+    // were shaded.
     template <typename Work>
     points::Cloud prepare(const Frame& frame, const points::Settings& settings, const shade::Settings& shading,
                           Team& team, const Work& work);

@@ -15,8 +15,8 @@
 
 namespace fourd {
 
-// `camera` has 21 numbers: the matrices K and R, both row-major, and the vector T. Throws std::invalid_argument if
-// `camera` does not have 21 numbers.
+// `camera` has 21 numbers: the intrinsics K (3 x 3) and the rotation R (3 x 3), both row-major, and the translation T
+// (3,). Throws std::invalid_argument if `camera` does not have 21 numbers.
 inline points::Settings points_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                         int layers, double near_depth, double transmittance_min, int threads,
                                         const std::string& simd) {

@@ -47,8 +47,8 @@ struct SplatGradient {
 };
 
 // The range, along one axis, of the pixels whose centres are within rho of `centre`. The range is clipped to [0, size),
-// and is empty if first > last. The bounds are clipped before they are rounded, because this order needs no branches,
-// so that compilers can vectorise the code.
+// and is empty if first > last. The bounds are clipped before they are rounded. In this order, the code needs no
+// branches, and compilers can vectorise it.
 FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* first, int* last) {
     // The hit test has a float32 rounding error of about 4e-7 * rho^2 in the squared distance. The range therefore uses
     // a rho that is larger by a factor of 1 + 1e-6, so that it contains all hits.
@@ -63,7 +63,8 @@ FOURD_HD static inline void pixel_range(float centre, float rho, int size, int* 
     *last = to - (to > high ? 1 : 0);
 }
 
-// How a point covers a pixel. The point hits the pixel if alpha is above 0.
+// How a point covers a pixel. (dx, dy) is the vector from the pixel to the point's centre, in pixels, and `square` is
+// its squared length. The point hits the pixel if alpha is above 0.
 struct PixelCoverage {
     float dx, dy, square, falloff, alpha;
 };
@@ -83,8 +84,8 @@ struct Projection {
 };
 
 // Projects a point. The point is culled if it is nearer than near_depth or outside the image. The point is also culled
-// if its radius or density is 0, or if any of its numbers is not finite. For NaN, all comparisons of the visibility
-// test are false, so the point is culled.
+// if its radius or density is not positive, or if any of its numbers is not finite. For NaN, all comparisons of the
+// visibility test are false, so the point is culled.
 FOURD_HD static inline Projection project(const Pinhole& camera, float near_depth, const float* xyz, float radius,
                                           float density) {
     const float max_float = 3.402823466e38f;
@@ -129,7 +130,7 @@ FOURD_HD static inline Splat splat_of(const Projection& at) {
             static_cast<std::uint16_t>(at.bottom)};
 }
 
-// Computes the gradient of a point from the gradient of its splat.
+// Computes the gradient of a point from `sums`, the gradient of its splat.
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Splat& splat, const SplatGradient& sums,
                                              float density, float* grad_xyz, float* grad_radius, float* grad_density) {
     const float* r = camera.rotation;

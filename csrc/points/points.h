@@ -21,8 +21,8 @@ struct Cloud {
 struct Settings {
     Pinhole camera;
     float near_depth;         // Positive. Points with a camera depth below near_depth are culled.
-    int layers;               // Number K of depth layers, at least 1.
-    float transmittance_min;  // Compositing of a pixel ends at this transmittance; 0 gives exact images.
+    int layers;               // Maximum number K of points that a pixel composites, at least 1.
+    float transmittance_min;  // Compositing of a pixel ends at or below this transmittance; 0 gives exact images.
     int threads;              // At least 1. The result is the same for any number of threads.
     Simd simd;                // An instruction set that this machine supports.
 };
@@ -42,7 +42,7 @@ struct Canvas {
 // An 8-bit image with the visible surface of each pixel.
 struct Surface {
     Canvas canvas;  // With a black background, the colours are premultiplied by alpha.
-    // Shape (height, width): coverage / depth. `depth` is the mean camera depth of the points that the pixel hits,
+    // Shape (height, width): coverage / depth. `depth` is the mean camera depth of the points that hit the pixel,
     // weighted by transmittance * alpha * front_weight (points/front_weight.h). The coverage is
     // clamp(3 * alpha - 1/2, 0, 1).
     float* inverse_depth;

@@ -41,7 +41,7 @@ FOURD_HD static inline Snapped snap_corner(const Screen& screen, const Corner& c
     return snap_inside(screen, x, y, w);
 }
 
-// Writes the corners of the clipped triangle to `out` (kMaxCorners,), and returns their number.
+// Writes the corners of the clipped triangle to `out` (kMaxCorners,), and returns their count.
 FOURD_HD static inline int clip(const Screen& screen, const float* p0, const float* p1, const float* p2, Snapped* out) {
     Corner from[kMaxCorners] = {{p0[0], p0[1], p0[3]}, {p1[0], p1[1], p1[3]}, {p2[0], p2[1], p2[3]}};
     int count = 3;
@@ -70,15 +70,17 @@ FOURD_HD static inline bool all_inside(const Snapped& a, const Snapped& b, const
     return a.state == VertexState::inside && b.state == VertexState::inside && c.state == VertexState::inside;
 }
 
-// Sets the reference pixel of a triangle's Planes (maths.h): the centre of the image for a clipped triangle, and the
-// first pixel of the bounding box for any other triangle.
+// Sets the reference pixel of a triangle's Planes (maths.h), which is the pixel where the functions have the values c.
+// For a clipped triangle, it is the centre of the image. For any other triangle, it is the first pixel of the bounding
+// box.
 FOURD_HD static inline void set_reference(const Screen& screen, bool is_clipped, const Bounds& bounds, Piece* piece) {
     piece->reference_x = static_cast<std::uint16_t>(is_clipped ? screen.width / 2 : bounds.left);
     piece->reference_y = static_cast<std::uint16_t>(is_clipped ? screen.height / 2 : bounds.top);
 }
 
-// Calls take(piece, bounds) for each piece of a triangle that may cover pixels. The arguments a, b and c are the
-// snapped vertices. Triangles with an invalid vertex have no pieces.
+// Calls take(piece, bounds) for each piece (part of a clipped triangle, or whole triangle) that may cover pixels. The
+// arguments a, b and c are the snapped vertices, and p0, p1 and p2 are their clip coordinates. Triangles with an
+// invalid vertex have no pieces.
 template <typename Take>
 FOURD_HD static inline void for_pieces(const Screen& screen, const Snapped& a, const Snapped& b, const Snapped& c,
                                        const float* p0, const float* p1, const float* p2, int triangle,

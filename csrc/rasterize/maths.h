@@ -13,7 +13,7 @@
 // The vector b = M^-1 f with f = (f_x, f_y, 1) has the elements b_k = (barycentric weight of vertex k) / w, and z/w is
 // the sum of z_k b_k.
 //
-// All functions are static, because they are compiled once per instruction set.
+// All functions are static, so that each file keeps its own copy, compiled for the instruction set of that file.
 #pragma once
 
 #include <cstdint>
@@ -103,8 +103,8 @@ struct Bounds {
 FOURD_HD static inline int smaller(int a, int b) { return a < b ? a : b; }
 FOURD_HD static inline int larger(int a, int b) { return a > b ? a : b; }
 
-// Along one axis, first_pixel() returns the first pixel whose centre is not before a position, and last_pixel() returns
-// the last pixel whose centre is not after a position.
+// Positions along one axis are in units of 1/256 pixel. first_pixel() returns the first pixel whose centre is not
+// before a position, and last_pixel() returns the last pixel whose centre is not after it.
 FOURD_HD static inline int first_pixel(int position) { return (position + kHalfPixel - 1) >> kSubpixelBits; }
 FOURD_HD static inline int last_pixel(int position) { return (position - kHalfPixel) >> kSubpixelBits; }
 
@@ -129,16 +129,16 @@ FOURD_HD static inline bool make_piece(const Snapped& a, const Snapped& b, const
     return true;
 }
 
-// An edge function in units of pixels: the value at a pixel, and its slopes. A pixel is inside the edge if the value at
-// the pixel is at least 0.
+// An edge function of a triangle: its value at one pixel, and its slopes per pixel along x and y. A pixel is inside the
+// edge if the value at the pixel is at least 0.
 struct Edge {
     std::int64_t value;
     std::int32_t x, y;
 };
 
 // The edge function from vertex k to the next vertex, with its value at the pixel (column, row). Values are divided by
-// 256 and rounded down. Before the division, the slopes per pixel are multiples of 256, so the sign at every pixel
-// stays the same.
+// 256 and rounded down. Before the division, the values at any two pixels differ by a multiple of 256. The slopes are
+// therefore exact, and rounding down keeps the sign at every pixel.
 FOURD_HD static inline Edge edge_of(const Piece& piece, int k, int column, int row) {
     const int next = k == 2 ? 0 : k + 1;
     const std::int32_t dx = piece.x[next] - piece.x[k], dy = piece.y[next] - piece.y[k];
@@ -161,15 +161,16 @@ FOURD_HD static inline double device_coordinate(int pixel, int side) {
     return static_cast<double>(2 * pixel + 1) / static_cast<double>(side) - 1.0;
 }
 
-// Linear functions over the image, in this order: s * w_0 / w, s * w_1 / w, s / w and z/w, where w_0 and w_1 are the
-// barycentric weights of vertices 0 and 1. The scale s is the largest |w| of the vertices, which makes the functions
-// independent of the unit of w. The value at a pixel is (c + y * dy) + x * dx, where (dx, dy) is the vector from the
-// reference pixel to the pixel.
+// Four linear functions over the image, in this order: s * w_0 / w, s * w_1 / w, s / w and z/w. Here w_0 and w_1 are
+// the barycentric weights of vertices 0 and 1, and z and w are interpolated clip coordinates. The scale s is the
+// largest |w| of the vertices, which makes the functions independent of the unit of w. The value of a function at a
+// pixel is (c + y * dy) + x * dx, where (dx, dy) is the vector from the reference pixel to the pixel.
 struct Planes {
     double scale;
     float c[kPlanes], x[kPlanes], y[kPlanes];
-    // The range of z/w of the vertices. z/w is clamped to this range. Without clamping, a pixel centre just outside a
-    // triangle that is seen edge-on could get an arbitrary depth.
+    // The range of z/w of the vertices. z/w is clamped to this range. The rounded triangle can cover a pixel centre
+    // just outside the exact triangle. If the triangle is seen edge-on, its unclamped depth at that centre is
+    // arbitrary.
     float low, high;
     bool is_valid;
 };

@@ -17,9 +17,10 @@ struct Query {
     std::size_t vertices;        // Number of vertices of an image.
     // Number of vertices between the positions of successive images, or 0 if all images share the positions.
     std::size_t image_stride;
-    const std::int32_t* tri;     // Shape (triangles, 3): vertices of each triangle.
+    const std::int32_t* tri;     // Shape (triangles, 3): vertex indices of each triangle.
     std::size_t triangles;       // At most kMaxTriangles (common/triangle_id.h).
-    // Shape (images, 2): first triangle and number of triangles. If `ranges` is null, each image has all triangles.
+    // Shape (images, 2): index of each image's first triangle, and count of its triangles. If `ranges` is null, each
+    // image has all triangles.
     const std::int32_t* ranges;
     int images, height, width;   // Images have sides from 1 to kLongestSide.
     int threads;                 // At least 1. The result is the same for any number of threads.
@@ -31,8 +32,8 @@ struct Query {
 
 // Writes u, v, z/w and the encoded id of the nearest triangle to `rast` (images, height, width, 4). Writes du/dX,
 // du/dY, dv/dX and dv/dY to `rast_db` (images, height, width, 4), which may be null. If `previous` is not null, it must
-// be the `rast` of a previous call. With `previous`, each pixel gets the triangle that follows its triangle in
-// `previous`, in the order of (z/w, id).
+// be the `rast` of a previous call. With `previous`, each pixel gets the next triangle behind the triangle that the
+// pixel has in `previous`. Triangles with equal z/w are ordered by id.
 void rasterize(const Query& query, const float* previous, float* rast, float* rast_db);
 
 // Overwrites grad_pos with the gradient of the loss with respect to pos. grad_rast and grad_db (images, height, width,

@@ -1,6 +1,6 @@
-// Checks of the arguments that the bindings for CPU and GPU share. fourd/ops/rays/op.py checks the values of the
-// arguments. This file checks the shapes of arrays, because a kernel would read past the end of an array that is too
-// small.
+// Checks and converts the arguments of ray tracing, for the CPU and a GPU. fourd/ops/rays/op.py checks the values of
+// the arguments. This file checks the shapes of arrays, because a kernel would read past the end of an array that is
+// too small.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -49,7 +49,7 @@ struct RayArguments {
                 reinterpret_cast<const rays::DiscBlock*>(blocks.data()), magnitude};
     }
 
-    // Callers must check that `colours` has one colour for each disc of the tree.
+    // Callers must check that `colours` has one colour for each disc from which the tree was built.
     static rays::DiscPicture picture(std::size_t count, const Positions& colours, const std::optional<Vector>& facing,
                                      int layers, const PictureOut& out) {
         require(layers >= 1 && layers <= rays::kMaxDiscLayers, "layers: expected 1 to 64");

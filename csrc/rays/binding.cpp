@@ -21,7 +21,8 @@ using NodeRowsOut = Arguments::Array<float, nb::shape<-1, sizeof(rays::Node) / s
 using BlockRowsOut = Arguments::Array<float, nb::shape<-1, sizeof(rays::Block) / sizeof(float)>>;
 using Flags = Arguments::Array<std::uint8_t, nb::ndim<1>>;
 
-// Returns the records of a buffer as rows of floats. The returned array owns the memory of the buffer.
+// Returns the nodes or blocks of a buffer as an array of floats with one row for each node or block. The returned array
+// owns the memory of the buffer.
 template <typename Record>
 Rows rows_of(Buffer<Record>&& records) {
     auto owned = std::make_unique<Buffer<Record>>(std::move(records));

@@ -16,7 +16,7 @@ namespace fourd::rays {
 template <typename Number>
 struct DiscRay {
     Number origin[3];
-    Number along[3];   // The scaled direction.
+    Number along[3];   // The scaled direction (Ray in rays/maths.h).
     Number normal[3];  // The normal of the discs, divided by the dot product of the normal and the scaled direction.
 };
 

@@ -11,7 +11,8 @@
 
 namespace fourd::rays {
 
-// The hits of one ray that were found so far, in the order of (t, triangle). The list is stored in the output arrays.
+// The nearest hits of one ray among those found so far, at most `layers`, in the order of (t, triangle). The list is
+// stored in the arrays of Hits.
 struct HitList {
     int layers, found;
     float *t, *u, *v;

@@ -2,10 +2,10 @@
 // the same order.
 //
 // A triangle is hit if the watertight test of Woop, Benthin and Wald (2013, Watertight Ray/Triangle Intersection)
-// accepts it, and if the ray meets the padded box of the triangle. The t of a hit is clamped to the interval in which
-// the ray is inside this box. All operations are monotonic even with rounding. If a box contains another box, a ray's
-// interval of t in the outer box therefore always contains its interval in the inner box. A tree of boxes thus loses no
-// hit.
+// accepts the triangle, and if the ray meets the triangle's bounding box, enlarged by a padding (kPadding). The t of a
+// hit is clamped to the interval in which the ray is inside this box. All operations of the box test are monotonic,
+// even with rounding. If a box contains another box, a ray's interval of t in the outer box therefore always contains
+// its interval in the inner box. A tree of boxes thus loses no hit.
 #pragma once
 
 #include <cmath>
@@ -24,8 +24,8 @@ constexpr float kMinDirection = 1e-18f;
 // Padding of boxes, as a multiple of the largest absolute coordinate of the ray's origin and the mesh. The rounding
 // errors of the watertight test are at most a quarter of the padding.
 constexpr float kPadding = 0x1p-21f;
-// Smallest absolute coordinate of a scaled direction (Ray) in box tests. Smaller coordinates are replaced by kMinShare,
-// so that products with their reciprocals stay finite.
+// Smallest absolute coordinate of a scaled direction (Ray) in box tests. A smaller coordinate is replaced by kMinShare
+// or -kMinShare. Its reciprocal, and products with the reciprocal, therefore stay finite.
 constexpr float kMinShare = 1e-18f;
 constexpr float kTiny = 1.17549435e-38f;  // The smallest normal number.
 constexpr float kMaxFloat = 3.402823466e38f;
@@ -39,9 +39,9 @@ struct Ray {
     int x, y, z;        // A permutation of the axes. The direction has its largest absolute coordinate along axis z.
     float shear_x, shear_y, shear_z;
     float inverse[3];   // Reciprocals of the coordinates of the scaled direction.
-    // The ray meets the plane where coordinate i is p at t' = (p - origin[i]) * inverse[i]. With a padding on both
-    // sides, the plane is a slab. The ray enters the slab at t' = p * inverse[i] - enter[i], and leaves it at
-    // t' = p * inverse[i] - leave[i].
+    // Consider the plane of all points whose coordinate i equals p. The ray meets this plane at
+    // t' = (p - origin[i]) * inverse[i]. With a padding on both sides, the plane becomes a slab. The ray enters the
+    // slab at t' = p * inverse[i] - enter[i], and leaves it at t' = p * inverse[i] - leave[i].
     float enter[3], leave[3];
     float scale, inverse_scale;
     float t_min, t_max;
@@ -49,7 +49,7 @@ struct Ray {
 
 FOURD_HD FOURD_INLINE float absolute(float a) { return a < 0.0f ? -a : a; }
 
-// Returns 2^-e for a positive normal number with the exponent e.
+// Returns 2^-e for a positive normal float a = m * 2^e with 1 <= m < 2.
 FOURD_HD FOURD_INLINE float inverse_power_of(float a) {
     std::uint32_t bits;
     std::memcpy(&bits, &a, sizeof bits);
@@ -102,8 +102,8 @@ FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, 
     return true;
 }
 
-// first_of() converts the lower limit t_min, and last_of() an upper limit t, to t'. Both functions enlarge the interval
-// slightly, because the conversion of a tiny t is rounded.
+// first_of() returns the lower limit t_min as t', and last_of() returns an upper limit t as t'. Both functions enlarge
+// the interval slightly, because the conversion of a tiny t is rounded.
 FOURD_HD FOURD_INLINE float first_of(const Ray& ray) {
     return ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
 }
@@ -112,7 +112,7 @@ FOURD_HD FOURD_INLINE float last_of(const Ray& ray, float t) {
     return t * ray.inverse_scale + kTiny * ray.inverse_scale;
 }
 
-// Whether the hit (t, triangle) comes after another hit.
+// Whether the hit (t, triangle) comes after the hit (other_t, other). Hits are ordered by t, then by triangle index.
 FOURD_HD FOURD_INLINE bool is_after(float t, std::int32_t triangle, float other_t, std::int32_t other) {
     return t > other_t || (t == other_t && triangle > other);
 }
@@ -122,8 +122,9 @@ struct Hit {
     std::int32_t triangle;
 };
 
-// The weights of the corners, not normalised. If a weight is 0 in float, all three weights are computed again in
-// double. Two triangles with a common edge therefore agree on which side of the edge the ray passes.
+// The barycentric weights of the corners, not normalised. If a weight is 0 in float, all three weights are computed
+// again in double, where products of floats are exact. Two triangles with a common edge therefore agree on which side
+// of the edge the ray passes.
 struct Weights {
     float a, b, c;
 };

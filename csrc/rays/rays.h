@@ -1,8 +1,8 @@
 // Ray tracing of triangle meshes. Callers check shapes. Every pointer points to a dense row-major array.
 //
-// A bounding volume hierarchy (BVH) has nodes with up to eight children, and blocks with up to eight triangles. The
-// index of a child node is larger than the index of its parent. The tree decides only which triangles are tested, so a
-// ray has the same hits as with a loop over all triangles (maths.h).
+// The tree is a bounding volume hierarchy (BVH). Its nodes have up to eight children. Its leaves, called blocks, have
+// up to eight triangles. The index of a child node is larger than the index of its parent. A traversal skips only
+// triangles that the ray does not hit, so a ray has the same hits as with a test of all triangles (maths.h).
 #pragma once
 
 #include <cstddef>
@@ -22,14 +22,15 @@ constexpr int kMaxStack = kWidth * kMaxDepth;   // Maximum number of entries on 
 
 struct alignas(64) Node {
     float bounds[6][kWidth];  // Smallest x, largest x, smallest y, largest y, smallest z, largest z of each child.
-    std::int32_t child[kWidth];
+    std::int32_t child[kWidth];  // Index of the child node, ~index of the child block, or kNoChild.
     std::int32_t unused[kWidth];
 };
 
 struct alignas(64) Block {
-    // Indexed by vertex, axis and triangle. The corners of triangles that cannot be hit are NaN.
+    // Coordinates of the corners, indexed by corner, axis and position in the block. The coordinates of a triangle that
+    // cannot be hit are NaN.
     float corner[3][3][kWidth];
-    std::int32_t triangle[kWidth];  // Index of the triangle, or -1.
+    std::int32_t triangle[kWidth];  // Indices of the triangles in the mesh. Unused elements are -1.
 };
 
 struct Mesh {
@@ -63,12 +64,12 @@ struct TreeView {
     float magnitude;
 };
 
-// Builds the tree with the surface area heuristic. The tree is the same for any number of threads. Triangles with a
-// coordinate that is not finite or above kMaxMagnitude are never hit.
+// Builds the tree with the surface area heuristic. The tree is the same for any number of threads. A triangle is never
+// hit if one of its coordinates is NaN, or has an absolute value above kMaxMagnitude.
 Tree build(const Mesh& mesh, int threads);
 
 // Updates a tree after the vertices of its triangles have moved. `mesh` must have the triangles for which the tree was
-// built. Returns the new magnitude.
+// built. Returns the new value of Tree::magnitude.
 float refit(const Mesh& mesh, Node* nodes, std::size_t node_count, Block* blocks, std::size_t block_count, int threads);
 
 // The expected number of nodes and blocks that a random ray visits if it hits the box of the root.
@@ -82,8 +83,8 @@ struct Rays {
     std::size_t t_min_stride;
     const float* t_max;  // Shape (count,), or one number if t_max_stride is 0.
     std::size_t t_max_stride;
-    // Shape (count,) each, or null. Hits up to and including (after_t, after_triangle), in the order of (t, triangle),
-    // are skipped.
+    // Shape (count,) each, or null: the last hit to skip. All hits up to this hit, in the order of (t, triangle), are
+    // skipped.
     const float* after_t;
     const std::int32_t* after_triangle;
     int threads;

@@ -16,7 +16,8 @@
 
 namespace fourd {
 
-// `softness` has 7 numbers: whether distances are barycentric, sigma, gamma, cutoff, near, far and eps.
+// `softness` has 7 numbers. The first is 1 for barycentric distances, and 0 for Euclidean distances. The others are
+// sigma, gamma, cutoff, near, far and eps.
 inline soft_triangles::Settings soft_settings(const std::vector<double>& camera, std::size_t width, std::size_t height,
                                               const std::vector<double>& softness, int layers, int threads,
                                               const std::string& simd) {

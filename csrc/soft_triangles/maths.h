@@ -1,12 +1,13 @@
 // The maths of soft rasterization (SoftRas, Liu et al. 2019), shared by every backend.
 // fourd/ops/soft_triangles/reference.py computes the same float32 numbers in the same order.
 //
-// The coverage of the pixel p by a triangle is D = sigmoid(x). Inside the triangle, x = d^2 / sigma. Outside the
-// triangle, x = -d^2 / sigma. If Softness::barycentric is true, d is the smallest barycentric coordinate of p.
-// Otherwise, d is the distance of p from the nearest edge, in a unit in which the shorter side of the image has the
-// length 2. The inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The barycentric
-// coordinates of this interpolation are clamped to at least 0 and normalised to the sum 1. The weight of the triangle
-// is D * exp(-z * per_depth), where per_depth = 1 / ((far - near) * gamma). The weight in the paper is
+// The parameters sigma, gamma, near and far are arguments of rasterize_soft (fourd/raster/triangles/soft.py). The
+// coverage of the pixel p by a triangle is D = sigmoid(x). Inside the triangle, x = d^2 / sigma. Outside the triangle,
+// x = -d^2 / sigma. If Softness::barycentric is true, d is the smallest barycentric coordinate of p. Otherwise, d is
+// the distance of p from the nearest edge, in a unit in which the shorter side of the image has the length 2. The
+// inverse 1 / z of the triangle's depth at p is interpolated linearly in the image. The barycentric coordinates of this
+// interpolation are clamped to at least 0 and normalised to the sum 1. The weight of the triangle is
+// D * exp(-z * per_depth), where per_depth = 1 / ((far - near) * gamma). The weight in the paper is
 // D * exp((far - z) * per_depth), which is larger by the constant factor exp(far * per_depth).
 //
 // Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
@@ -44,10 +45,10 @@ using tiles::tile_span;
 struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
     // The ratio |x| / d^2: 1 / sigma for barycentric d. Otherwise, the code computes d in pixels, and the ratio is
-    // s^2 / sigma, where s is the side of a pixel in the unit described above.
+    // s^2 / sigma. s is the side of a pixel, in a unit in which the shorter side of the image has the length 2.
     float sharpness;
     float cut;               // A triangle hits the pixels where x >= -cut.
-    float reach;             // Largest |d|, outside a triangle, at which the triangle hits a pixel.
+    float reach;             // Largest |d| at which a triangle hits a pixel outside the triangle.
     float per_depth;         // Equal to 1 / ((far - near) * gamma).
     float far_depth;         // A triangle hits a pixel only if its depth z at the pixel is at most far_depth.
     float background_depth;  // The background has the weight of a triangle with D = 1 at the depth background_depth.
@@ -60,7 +61,9 @@ struct alignas(64) Face {
     float inverse_z[3];  // Reciprocals of the camera depths of the corners.
     float inverse_area;  // Equal to 1 / (2 * signed area).
     float inverse_square[3];     // Reciprocals of the squared lengths of the edges.
-    float slope_x[3], slope_y[3];  // Derivatives of d with respect to x and y, for each edge.
+    // Derivatives, with respect to x and y, of the signed distance from edge k (of the barycentric coordinate k, if
+    // Softness::barycentric is true).
+    float slope_x[3], slope_y[3];
     tiles::TileRange range;
 };
 
@@ -124,7 +127,7 @@ struct Coverage {
     Number total;              // Sum of the barycentric coordinates above 0.
     Number inverse_depth;
     // Let q be the point on the edges that is nearest to the pixel p. The members are the position of q along its edge,
-    // and the vector p - q.
+    // from 0 to 1, and the vector p - q in pixels. If `barycentric` is true, the members are 0.
     Number along, off_x, off_y;
     Condition nearest[3];      // Whether edge k (or coordinate k, if `barycentric` is true) determines d.
     Condition inside;
@@ -205,7 +208,8 @@ FOURD_HD static inline Odds<Number> odds_of(Number x) {
     return {select(positive, large, small), select(positive, small, large)};
 }
 
-// Returns exp((nearest - depth) * per_depth), which is at most 1.
+// Returns exp((nearest - depth) * per_depth). `nearest` is the smallest depth at the pixel, so the result is at most 1.
+// The common factor exp(nearest * per_depth) cancels when weights are normalised.
 template <typename Number>
 FOURD_HD static inline Number depth_weight(const Softness& softness, Number nearest, Number depth) {
     const Number* const tag = nullptr;
@@ -213,8 +217,8 @@ FOURD_HD static inline Number depth_weight(const Softness& softness, Number near
 }
 
 // Adds the gradient of one triangle at a pixel to `sums`, which has the members of ShapeGradient in their order. to_x
-// and to_depth are the gradients with respect to x and to the depth. At a pixel that the triangle does not hit, both
-// gradients must be 0.
+// and to_depth are the gradients of the loss with respect to Coverage::x and Coverage::depth. At a pixel that the
+// triangle does not hit, both gradients must be 0.
 template <typename Number, typename Condition>
 FOURD_HD static inline void add_gradient(const Face& face, const Softness& softness, Number pixel_x, Number pixel_y,
                                          const Coverage<Number, Condition>& at, Number to_x, Number to_depth,

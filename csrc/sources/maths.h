@@ -19,7 +19,7 @@ struct Pinhole {
 // gradient.
 struct Projection {
     float u, v;  // Position in the image, in pixels.
-    float z;
+    float z;     // Camera depth.
     bool in_front;
 };
 

@@ -22,7 +22,7 @@
 
 namespace fourd::splat_triangles {
 
-constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to kMaxAlpha, so that later triangles keep a gradient.
+constexpr float kMaxAlpha = 0.99f;            // Alpha is clamped to kMaxAlpha; farther triangles thus keep a gradient.
 constexpr float kInverseMinAlpha = 255.0f;    // A triangle is skipped at pixels where its alpha is below 1 / 255.
 constexpr float kMinTransmittance = 1e-4f;    // Compositing of a pixel ends at this transmittance.
 constexpr float kSmallestWindow = 1e-7f;      // Values of min_k a_k below kSmallestWindow count as rounding errors.
@@ -55,8 +55,8 @@ struct alignas(64) Splat {
 
 FOURD_HD static inline tiles::TileRange tile_range_of(const Splat& splat) { return splat.range; }
 
-// Sums of gradients over the pixels of a triangle. Let g_k be the gradient of the loss with respect to a_k. The members
-// `a`, `ax` and `ay` are the sums of g_k, g_k * (p.x - s.x) and g_k * (p.y - s.y).
+// Sums of gradients over the pixels of a triangle. Let g_k be the gradient of the loss with respect to a_k at the pixel
+// p, and s the incentre. The members `a`, `ax` and `ay` are the sums of g_k, g_k * (p.x - s.x) and g_k * (p.y - s.y).
 struct ShapeGradient {
     float a[3], ax[3], ay[3];
     float opacity, sigma;
@@ -103,7 +103,8 @@ FOURD_HD static inline auto project(const Pinhole& camera, float near_depth, con
     return out;
 }
 
-// The smallest a_k at a pixel, and the index k of its edge. If several values are equal, k is the smallest index.
+// The smallest a_k at a pixel, the index k of its edge, and the vector (dx, dy) from the incentre to the pixel. If
+// several edges have the smallest a_k, `edge` is the smallest of their indices.
 struct Window {
     float dx, dy, smallest;
     int edge;
@@ -118,7 +119,8 @@ FOURD_HD static inline Window window_at(const Splat& splat, float x, float y) {
     return {dx, dy, minimum(a[0], rest), edge};
 }
 
-// How a triangle covers a pixel. If alpha is 0, the triangle does not hit the pixel, and the values of `falloff` and
+// How a triangle covers a pixel: `falloff` is the smallest a_k to the power sigma, and `unclamped` is the alpha before
+// it is clamped to kMaxAlpha. If alpha is 0, the triangle does not hit the pixel, and the values of `falloff` and
 // `unclamped` are undefined.
 struct PixelCoverage {
     Window window;

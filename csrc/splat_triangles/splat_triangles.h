@@ -17,9 +17,9 @@ constexpr int kShapeSums = 11;    // Number of gradient sums per triangle: the m
 struct Mesh {
     const float* xyz;          // Shape (vertices, 3).
     const std::int32_t* tri;   // Shape (count, 3): vertex indices.
-    const float* features;     // Shape (count, channels). With geometry, the last kGeometry channels are geometry.
+    const float* features;     // Shape (count, channels). With geometry, the last 4 channels are normal and depth.
     const float* opacity;      // Shape (count,).
-    const float* sigma;        // Shape (count,).
+    const float* sigma;        // Shape (count,): exponent of the falloff from the incentre to the edges.
     std::size_t vertices;      // Below 2^31.
     std::size_t count;         // Below 2^31.
     int channels;              // From 1 to kMaxChannels, including the channels for geometry.
@@ -37,7 +37,7 @@ struct Settings {
 struct Image {
     float* features;       // Shape (height, width, channels without geometry).
     float* alpha;          // Shape (height, width).
-    float* transmittance;  // Shape (height, width): 1 - alpha, more accurate than the difference computed from alpha.
+    float* transmittance;  // Shape (height, width): 1 - alpha, without the rounding error of this difference.
     float* normal;         // Shape (height, width, 3), or null without geometry.
     float* depth;          // Shape (height, width), or null without geometry. Where alpha is 0, depth is 0.
 };

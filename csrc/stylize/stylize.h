@@ -11,7 +11,7 @@ namespace fourd::stylize {
 
 constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
-constexpr int kMaxThickness = 8;  // Maximum number of pixels between the taps of a line filter.
+constexpr int kMaxThickness = 8;  // Maximum distance, in pixels, between adjacent taps (samples) of a line filter.
 
 // Lines that are very short, called specks, are not drawn. The line at a pixel is drawn only if each square around the
 // pixel with a side of 2, 4, 8, ... pixels has a line on its border. Returns half the side of the largest of these
@@ -47,7 +47,7 @@ struct Style {
     Numbers numbers;
     Detail detail;
     Lines lines;
-    int thickness;               // From 1 to kMaxThickness.
+    int thickness;               // Distance, in pixels, between adjacent taps of the line filter: 1 to kMaxThickness.
     const std::uint32_t* table;  // Shape (rows, kTones): red in the lowest byte, then green and blue.
     int rows;                    // From 1 to kMaxRows.
 };
@@ -55,8 +55,8 @@ struct Style {
 // The visible surface (points/points.h, Surface).
 struct Surface {
     const std::uint8_t* albedo;  // Shape (height, width, 4): colour multiplied by alpha, then alpha.
-    const float* inverse_depth;  // Shape (height, width).
-    const std::uint8_t* normal;  // Shape (height, width, 4).
+    const float* inverse_depth;  // Shape (height, width): coverage / camera depth, or 0 without a surface.
+    const std::uint8_t* normal;  // Shape (height, width, 4): 127 * unit normal + 128, then 255 * coverage.
     int width, height;
 };
 

@@ -45,7 +45,7 @@ struct AntialiasInputs {
         codes.resize(pixels);
     }
 
-    // Replaces the codes by bytes that antialias::blend() does not write.
+    // Replaces the codes (one byte per pixel), which antialias::blend() writes, by random bytes.
     void invent_codes(Random& random) {
         for (std::uint8_t& code : codes) code = static_cast<std::uint8_t>(random_int(random, 0, 255));
     }

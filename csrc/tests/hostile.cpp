@@ -1,6 +1,6 @@
 // Runs the kernels on small random and invalid inputs, in sanitizer builds. Three threads call the kernels at the same
-// time. The sanitizers detect accesses out of bounds and data races. The program also checks that results are finite
-// for any points.
+// time. The sanitizers detect accesses out of bounds and data races. The program also checks that results are finite,
+// even if some points are invalid.
 #include <algorithm>
 #include <cstdio>
 #include <cstdlib>

@@ -1,6 +1,6 @@
 // Runs the emulated CUDA kernels on small random and invalid inputs, in sanitizer builds. The sanitizers detect
-// accesses out of bounds, and the emulator detects diverging lanes. The program also checks that results are finite for
-// any points and any size of the workspace.
+// accesses out of bounds, and the emulator detects diverging lanes. The program also checks that results are finite,
+// even if some points are invalid or the workspace has space for few entries.
 #include <cstdio>
 #include <cstdlib>
 #include <vector>
@@ -39,7 +39,7 @@ using fourd::tests::random_floats;
 using fourd::tests::random_int;
 using fourd::tests::random_settings;
 
-// A workspace of exactly the requested size.
+// Scratch memory of exactly `bytes` bytes, with space for `entries` (primitive, tile) entries.
 class Memory {
   public:
     Memory(std::size_t bytes, std::size_t entries) : bytes_(bytes), buffer_{bytes_.data(), entries, &needed_} {}

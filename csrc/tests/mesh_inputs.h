@@ -53,7 +53,7 @@ struct MeshInputs {
         from_rast.resize(4 * pixels), from_db.resize(4 * pixels);
     }
 
-    // Replaces the triangle of each pixel by a random triangle, which can also be one that rasterize() does not draw.
+    // Replaces the triangle of each pixel by a random index, which may be -1 (no triangle) or one that is too large.
     void invent_triangles(Random& random) {
         for (std::size_t i = 3; i < rast.size(); i += 4) {
             rast[i] = value_of_triangle(random_int(random, -1, static_cast<int>(query.triangles)));
@@ -122,7 +122,7 @@ struct RayInputs {
                 query.threads};
     }
 
-    // Replaces the triangles of the hits by indices that trace() does not write.
+    // Replaces the triangle indices of the hits by random indices, which may be out of range.
     void invent_hits(Random& random) {
         for (std::int32_t& index : triangle) index = random_int(random, -2, static_cast<int>(tri.size()));
     }

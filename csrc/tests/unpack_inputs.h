@@ -1,4 +1,4 @@
-// Random members of packed scenes, with the sizes that the binding requires.
+// Random contents of the members (files) of packed scenes, with the sizes that the binding requires.
 #pragma once
 
 #include <algorithm>

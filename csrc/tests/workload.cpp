@@ -1,7 +1,7 @@
 // Runs one kernel on synthetic points, for profilers and for counting instructions. The program prints the milliseconds
 // per repeat. KERNEL is render, backward, play, planes, planes_backward, sources, sources_backward, similarity,
-// hashgrid or hashgrid_backward. For the hash grid, LAYERS is the logarithm to base 2 of the maximum number of entries
-// per level.
+// hashgrid or hashgrid_backward. LAYERS is the maximum number of depth layers per pixel. For the hash grid, LAYERS is
+// instead the logarithm to base 2 of the maximum number of entries per level.
 // Usage:
 //   workload KERNEL POINTS WIDTH HEIGHT LAYERS REPEATS THREADS [SIMD]
 #include <chrono>

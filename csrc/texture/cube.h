@@ -6,8 +6,9 @@
 
 namespace fourd::texture {
 
-// The axes of a face. Let a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|. The ray in the
-// direction (x, y, z) meets the face at s = 0.5 * (a / m + 1) and t = 0.5 * (b / m + 1).
+// The axes of a face. Consider a ray from the cube's centre in the direction xyz = (x, y, z). Let
+// a = s_sign * xyz[s_axis], b = t_sign * xyz[t_axis] and m = |xyz[face / 2]|. The ray meets the face at
+// s = 0.5 * (a / m + 1) and t = 0.5 * (b / m + 1).
 struct CubeFace {
     int s_axis, t_axis, m_axis;
     int s_sign, t_sign, m_sign;

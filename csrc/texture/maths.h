@@ -45,8 +45,8 @@ FOURD_HD FOURD_INLINE float log2_of(float x) {
     return static_cast<float>(exponent) + z * (series * z2 + 2.8853901f);
 }
 
-// Derivatives of the texture position with respect to the x and y coordinates of the picture, in texels of level 0 per
-// pixel.
+// Derivatives of the texture position (s, t) with respect to the x and y coordinates of the sampled picture, in texels
+// of level 0 per pixel.
 struct Footprint {
     float s_x, s_y, t_x, t_y;
 };
@@ -61,9 +61,9 @@ FOURD_HD FOURD_INLINE float limited_derivative(float value) {
     return value < -kMaxDerivative ? -kMaxDerivative : value;
 }
 
-// The squared length `square` of the longer axis of a footprint. It is the larger eigenvalue of the symmetric matrix
-// (a, c; c, b), which is J^T J for the Jacobian matrix J = (s_x, s_y; t_x, t_y). `root` is half the difference of the
-// two eigenvalues.
+// A footprint maps a circle with a radius of one pixel to an ellipse in the texture. `square` is the squared length of
+// the ellipse's longer semi-axis. It is the larger eigenvalue of the symmetric matrix (a, c; c, b) = J^T J with the
+// Jacobian matrix J = (s_x, s_y; t_x, t_y). `root` is half the difference of the two eigenvalues.
 struct LongerAxis {
     float a, b, c, root, square;
 };
@@ -97,7 +97,7 @@ FOURD_HD FOURD_INLINE float level_of(const Footprint& d) {
     return square == square ? level : square;
 }
 
-// The derivatives of level_of() with respect to the four numbers of a footprint, or 0 if the footprint is a point.
+// The derivatives of level_of() with respect to the four members of a footprint, or 0 if the footprint is a point.
 FOURD_HD FOURD_INLINE Footprint level_slopes(const Footprint& d) {
     const LongerAxis axis = longer_axis(d);
     const bool is_point = !(axis.square >= kMinSquare);
@@ -144,8 +144,9 @@ FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
     return x < high ? x : high;
 }
 
-// Converts a finite coordinate for linear_axis and nearest_axis. With Boundary::wrap, the result is the fraction in [0,
-// 1]. At magnitudes of 2^23 and above, every float is an integer, so the fraction is 0.
+// Converts a finite coordinate for linear_axis and nearest_axis. With Boundary::wrap, the result is the fractional part
+// of u, in [0, 1]. With any other boundary mode, it is u. At magnitudes of 2^23 and above, every float is an integer,
+// so the fractional part is 0.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE float wrapped(float u) {
     if (boundary != Boundary::wrap) return u;
@@ -158,8 +159,8 @@ FOURD_HD FOURD_INLINE int clamp_index(int i, int size) {
     return i < size ? i : size - 1;
 }
 
-// Returns the texels of a bilinear lookup along one axis. The coordinate comes from wrapped(). For Boundary::cube,
-// indices can be -1 or `size`.
+// Returns the texels of a bilinear lookup along one axis. The coordinate comes from wrapped(). For Boundary::cube, an
+// index of -1 or `size` stands for a texel of a neighbouring face.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE Axis linear_axis(float u, int size) {
     const float scale = static_cast<float>(size);
@@ -213,8 +214,8 @@ struct Texels {
     float along_t[4];  // Derivatives of the weights with respect to the vertical coordinate.
 };
 
-// Combines the texels along two independent axes. `first` is the index of the first texel of the image. `is_used` is 0
-// for a position that is not finite, and 1 for all other positions.
+// Combines the texels along two independent axes. `first` is the index of the first texel of the image or cube face.
+// `is_used` is 0 for a position that is not finite, so that all weights are 0, and 1 for all other positions.
 FOURD_HD FOURD_INLINE Texels texels_of(const Axis& s, const Axis& t, int first, int width, float is_used) {
     Texels out;
     for (int k = 0; k < 4; ++k) {

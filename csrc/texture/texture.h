@@ -22,7 +22,7 @@ struct Shape {
     int channels;
     int level_count;            // From 1 to kMaxLevels.
 
-    // Number of texels of one item in this level, which is below 2^31.
+    // Number of texels of one item (texture) in this level. The number is below 2^31.
     FOURD_HD FOURD_INLINE std::size_t texels(int level) const {
         return static_cast<std::size_t>(faces) * side_at(height, level) * side_at(width, level);
     }
@@ -63,15 +63,15 @@ struct Gradients {
     float* bias;
 };
 
-// Writes the picture (pictures, pixels, channels).
+// Writes the sampled pictures to `out` (pictures, pixels, channels).
 void sample(const Query& query, float* out);
 
-// `gradient` is the gradient of the loss with respect to the picture. If is_chain is true, levels 1 and up were
-// computed from level 0, so their gradients are added to the gradient of level 0.
+// `gradient` is the gradient of the loss with respect to the `out` of sample(). If is_chain is true, build_mips()
+// computed levels 1 and up from level 0. Their gradients are then propagated back to level 0.
 void sample_backward(const Query& query, const float* gradient, bool is_chain, const Gradients& out);
 
 // Computes levels 1 and up from level 0. A texel is the mean of 2 x 2 texels of the previous level, or of 2 texels if
-// one side has only one texel. mips[k] is level k + 1.
+// the previous level has only one row or one column. mips[k] is level k + 1.
 void build_mips(const Shape& shape, const float* base, float* const* mips, int threads, Simd simd);
 
 }  // namespace fourd::texture

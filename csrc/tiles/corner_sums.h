@@ -1,4 +1,4 @@
-// Adds gradients of the corners of triangles to the vertices.
+// Sums the gradients of the corners of triangles at the vertices.
 #pragma once
 
 #include <algorithm>
@@ -8,7 +8,8 @@
 namespace fourd::tiles {
 
 // `corners` (count, 9) has the gradients of the three corners of each triangle, and `tri` (count, 3) has the vertex
-// indices. Adds the gradients to `xyz` (vertices, 3), in the order of the triangles.
+// indices. Sets each row of `xyz` (vertices, 3) to the sum of the gradients of the corners at this vertex, added in the
+// order of the triangles.
 inline void add_corners(const float* corners, const std::int32_t* tri, std::size_t count, float* xyz,
                         std::size_t vertices) {
     std::fill_n(xyz, 3 * vertices, 0.0f);

@@ -1,7 +1,8 @@
 // Projects triangles to the image. All compositors of triangles share this code.
 //
-// Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static, because they are
-// compiled once per instruction set (common/dispatch.h).
+// Templates work on single floats and on vectors of floats (tiles/lanes.h). All functions are static. They are compiled
+// once per instruction set (common/dispatch.h), and without `static` the linker would keep only one of the compiled
+// copies.
 #pragma once
 
 #include <cmath>
@@ -17,7 +18,7 @@ constexpr float kThinnest = 1e-4f;             // Triangles with an inradius bel
 constexpr float kFarthestPixel = 16777216.0f;  // Triangles with a pixel coordinate beyond +-2^24 are culled.
 constexpr float kMaxDepth = 1e38f;             // Triangles with a vertex at a depth above kMaxDepth are culled.
 
-// Functions on floats. tiles/lanes.h has the same functions on Lanes.
+// Functions on floats. tiles/lanes.h and tiles/powers.inc have the same functions on Lanes.
 FOURD_HD static inline float constant(float value, const float*) { return value; }
 FOURD_HD static inline float select(bool condition, float a, float b) { return condition ? a : b; }
 FOURD_HD static inline float minimum(float a, float b) { return a < b ? a : b; }
@@ -30,7 +31,7 @@ FOURD_HD static inline float exp2_of(float a) { return exp2f(a); }
 template <typename Number>
 FOURD_HD static inline Number floor_of(Number a) {
     const Number* const tag = nullptr;
-    // The number is 1.5 * 2^23. Floats of this magnitude are integers, so adding the number to `a` rounds `a`.
+    // `magic` is 1.5 * 2^23. Floats of this magnitude are integers, so adding `magic` to `a` rounds `a`.
     const Number magic = constant(12582912.0f, tag);
     const Number rounded = (a + magic) - magic;
     return select(rounded > a, rounded - constant(1.0f, tag), rounded);
@@ -82,8 +83,8 @@ FOURD_HD static inline Edges<Number> edges_of(const Corners<Number>& at) {
     return out;
 }
 
-// Whether a triangle is within the limits near_depth, kMaxDepth, kFarthestPixel and kThinnest. If a number is NaN, the
-// result is false, because all comparisons with NaN are false.
+// Whether a triangle is within the limits near_depth, kMaxDepth, kFarthestPixel and kThinnest. If a coordinate is NaN,
+// the result is false, because all comparisons with NaN are false.
 template <typename Number>
 FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<Number>& edges, float near_depth) {
     const Number* const tag = nullptr;
@@ -98,8 +99,8 @@ FOURD_HD static inline auto is_in_range(const Corners<Number>& at, const Edges<N
     return out;
 }
 
-// Finds the range of tiles, along one axis, with pixel centres between low - margin and high + margin. Returns false if
-// the range is empty.
+// Finds the range of tiles, along one axis, that have pixel centres from low - margin to high + margin. Returns false
+// if the range is empty.
 template <typename Number>
 FOURD_HD static inline auto tile_span(Number low, Number high, int size, Number margin, Number* first, Number* last) {
     const Number* const tag = nullptr;
@@ -124,8 +125,8 @@ FOURD_HD static inline Corners<float> corners_of(const Pinhole& camera, const fl
     return out;
 }
 
-// Computes the gradients of the vertex positions from the gradients of the corners' pixel coordinates and depths.
-// Writes the gradients of the vertex positions to `out` (3, 3).
+// Computes the gradients of the vertex positions, and writes them to `out` (3, 3). `to_u`, `to_v` and `to_z` (3,) are
+// the gradients of the corners' pixel coordinates (u, v) and camera depths z.
 FOURD_HD static inline void corners_backward(const Pinhole& camera, const Corners<float>& at, const float* to_u,
                                              const float* to_v, const float* to_z, float* out) {
     const float* r = camera.rotation;

@@ -46,8 +46,8 @@ std::vector<DepthBins::Run> DepthBins::project_all(std::size_t count, const Proj
     return runs;
 }
 
-// Runs one stable pass of the radix sort, from items_ to spare_. The digit of an item consists of the bits of (key -
-// low) that start at bit `shift`.
+// Runs one stable pass of the radix sort, from items_ to spare_. The digit of an item consists of `bits` bits of the
+// difference key - low, from bit `shift` upwards.
 void DepthBins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int shift, int bits, Team& team) {
     const Item* const from = items_.data();
     Item* const to = spare_.data();
@@ -76,7 +76,7 @@ void DepthBins::radix_pass(const std::vector<Run>& runs, std::uint32_t low, int 
     std::swap(items_, spare_);
 }
 
-// Sorts the items of all spans stably by key. The sorted items are contiguous.
+// Sorts the items of all spans stably by key. The spans may have gaps between them. The sorted items have no gaps.
 void DepthBins::radix_sort(std::vector<Run> runs, Team& team) {
     std::vector<KeyRange> ranges(runs.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {

@@ -18,7 +18,8 @@ namespace fourd::tiles {
 class DepthBins {
   public:
     // Projects the primitives [begin, end). Writes the tile range of each primitive to tile_ranges, which is indexed by
-    // primitive. Writes the items of the visible primitives to `items`, in index order, and returns their number.
+    // primitive. Writes one item (depth and index) for each visible primitive to `items`, in index order, and returns
+    // the count of these items.
     using Project =
         std::function<std::size_t(std::size_t begin, std::size_t end, TileRange* tile_ranges, Item* items)>;
 
@@ -45,7 +46,7 @@ class DepthBins {
     std::size_t visible() const { return visible_; }  // Number of visible primitives.
     const TileRange& tile_range(std::size_t index) const { return tile_ranges_[index]; }
     const std::size_t* tile_begin() const { return tile_begin_.data(); }  // Shape (tiles + 1,): offsets into entries.
-    const std::uint32_t* entries() const { return entries_.data(); }  // Primitives of each tile, in the order of ranks.
+    const std::uint32_t* entries() const { return entries_.data(); }  // Primitive indices of each tile, nearest first.
 
     std::size_t bytes() const;  // Size of the memory that is kept between images.
 
@@ -65,17 +66,17 @@ class DepthBins {
 
     int columns_ = 0, rows_ = 0;
     std::size_t visible_ = 0;
-    std::vector<Run> runs_;            // Spans of ranks.
-    std::vector<std::size_t> counts_;  // For each span, the number of entries of each tile.
+    std::vector<Run> runs_;            // Spans of consecutive ranks, one for each thread.
+    std::vector<std::size_t> counts_;  // Shape (spans, tiles): the count of entries of each span in each tile.
     Buffer<TileRange> tile_ranges_, ranked_tile_ranges_;  // The first is indexed by primitive, the second by rank.
     Buffer<Item> items_, spare_;
     Buffer<std::uint32_t> entries_;
     Buffer<std::size_t> tile_begin_;
 };
 
-// Assigns a slot to each (primitive, tile) entry. When a tile is processed, the tile's result for the primitive is
-// written into the slot. The slots of a primitive are adjacent and are summed in a fixed order. The sum therefore does
-// not depend on which thread filled the slots.
+// Assigns a slot (an index in an array of results) to each (primitive, tile) entry. When a tile is processed, the
+// tile's result for the primitive is written into the slot. The slots of a primitive are adjacent and are summed in a
+// fixed order. The sum therefore does not depend on which thread filled the slots.
 class Slots {
   public:
     // Assigns the slots of `count` primitives, and returns the number of slots.

@@ -1,6 +1,7 @@
 // Cameras, and the tiles and blocks of an image, which all compositors share.
 //
-// All functions are static, because they are compiled once per instruction set (common/dispatch.h).
+// All functions are static. They are compiled once per instruction set (common/dispatch.h), and without `static` the
+// linker would keep only one of the compiled copies.
 #pragma once
 
 #include <cstdint>
@@ -9,7 +10,8 @@
 
 namespace fourd::tiles {
 
-// A pinhole camera: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z.
+// A pinhole camera: x_camera = rotation * x_world + translation; pixels = intrinsics * x_camera / z, where z is the
+// third coordinate of x_camera.
 struct Pinhole {
     float intrinsics[9];
     float rotation[9];
@@ -20,7 +22,7 @@ struct Pinhole {
 
 constexpr int kTile = 16;              // Side of a tile in pixels.
 constexpr int kBlock = 4;              // Side of a block in pixels. A tile has 4 x 4 blocks.
-constexpr int kLongestSide = 1 << 18;  // Largest image side in pixels. Block indices have 16 bits.
+constexpr int kLongestSide = 1 << 18;  // Largest image side in pixels, so that block indices fit into 16 bits.
 constexpr int kBlocks = 16;            // Blocks per tile, row by row. The pixels of a block form one Lanes (lanes.h).
 
 // The range of tiles that a primitive covers. All bounds are inclusive. The range is empty if right < left.

@@ -24,7 +24,8 @@ struct Block {
     std::size_t row_count;
 };
 
-// The components of the basis are sorted by their variance, so in many blocks, all factors of the last rows are 0.
+// The rows of the basis are sorted by the variance of their factors, largest first, so in many blocks, all factors of
+// the last rows are 0.
 FOURD_INLINE void read_factors(const Harmonics& from, std::size_t first, std::size_t count, Block* block) {
     block->row_count = 0;
     for (std::size_t row = 0; row < from.rows; ++row) {
@@ -89,16 +90,17 @@ void harmonics(const Harmonics& from, std::uint16_t* out) {
     }
 }
 
-// Adds step * level to a colour, where the level is a signed byte. With a step of 1, sums wrap around modulo 256, so
-// that one byte can represent every difference of two colours.
+// Adds step * level to one channel of a colour, where the level is a signed byte. With a step of 1, sums wrap around
+// modulo 256, so that one byte can represent every difference of two channel values. With larger steps, sums are
+// clamped to [0, 255].
 FOURD_INLINE std::uint8_t add_level(std::uint8_t mean, std::uint8_t level, int step) {
     const int sum = mean + step * static_cast<std::int8_t>(level);
     const int clamped = sum < 0 ? 0 : (sum > 255 ? 255 : sum);
     return static_cast<std::uint8_t>(step == 1 ? sum : clamped);
 }
 
-// Writes the weight and the colour of point `i` in one view. `level` has the levels of green, red - green and blue -
-// green.
+// Writes the weight and the colour of point `i` in the view with the index `number`. `level` has the levels of green,
+// red - green and blue - green.
 FOURD_INLINE void write_point(const Views& from, std::size_t number, std::size_t i, const std::uint8_t (&level)[3],
                               std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     out_weights[i * from.view_count + number] = from.weights[from.views[number].codes[i]];
@@ -109,7 +111,7 @@ FOURD_INLINE void write_point(const Views& from, std::size_t number, std::size_t
     rgb[2] = add_level(mean[2], static_cast<std::uint8_t>(level[0] + level[2]), from.colour_step);
 }
 
-// Writes one view of `count` points, for scenes in which every point has colours.
+// Writes the weights and the colours of `count` points in one view, for scenes in which every point has colours.
 void view_of_all(const Views& from, std::size_t number, std::size_t first, std::size_t count,
                  std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];
@@ -119,8 +121,9 @@ void view_of_all(const Views& from, std::size_t number, std::size_t first, std::
     }
 }
 
-// Writes one view of `count` points, and returns the number of colours that were read. For points without a colour, the
-// function also reads a level, which is then masked. A branch would be slower, because the processor cannot predict it.
+// Writes the weights and the colours of `count` points in one view. `next` is the index of the first colour to read.
+// Returns the index of the first colour that was not read. For points without a colour, the function also reads levels,
+// which are then masked to 0. A branch would be slower, because the processor cannot predict it.
 std::size_t view_of_some(const Views& from, std::size_t number, std::size_t first, std::size_t count, std::size_t next,
                          std::uint16_t* out_weights, std::uint8_t* out_rgb) {
     const View& of = from.views[number];

@@ -74,7 +74,8 @@ class TriangleRenderer:
         self._size = size
 
     def draw(self, params: Tensor) -> Tensor:
-        """Return the image (size, size, 3), and store the triangle that each pixel shows, for :meth:`ids`."""
+        """Return the image (size, size, 3) of triangles with the parameters ``params`` (T, 9). Also store the index of
+        the triangle that each pixel shows, for :meth:`ids`."""
         corners = params[:, :6].reshape(-1, 3, 2)
         colours = params[:, None, 6:].clamp(0, 1).expand(-1, 3, -1)
         self._buffer.write(torch.cat((corners, colours), 2).numpy().astype(np.float32).tobytes())

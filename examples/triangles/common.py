@@ -23,8 +23,8 @@ def cube() -> tuple[Tensor, Tensor]:
 
 
 def face_colours() -> tuple[Tensor, Tensor]:
-    """Return six colours (6, 3) for the faces of :func:`cube`. Also return a colour index for each corner of each
-    triangle, (12, 3) int32."""
+    """Return six colours (6, 3) in [0, 1] for the faces of :func:`cube`. Also return the index of the colour at each
+    corner of each triangle, (12, 3) int32."""
     colours = torch.tensor(
         [[0.9, 0.2, 0.2], [0.2, 0.8, 0.3], [0.2, 0.3, 0.9], [0.9, 0.8, 0.2], [0.8, 0.3, 0.8], [0.3, 0.8, 0.8]]
     )

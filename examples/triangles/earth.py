@@ -83,7 +83,8 @@ class Globe:
         self.xyz, self.uv, self.tri = uv_sphere(48, 96)
 
     def render(self, matrix: Tensor, texels: Tensor, size: int, mode: Filter) -> Tensor:
-        """Render images (B, size, size, 3) of the textured globe on a black background."""
+        """Render images (B, size, size, 3) of the globe with the texture ``texels`` (H, W, 3), on a black background.
+        ``matrix`` (B, 4, 4) transforms to clip space."""
         rast, rast_db = rasterize(to_clip(matrix, self.xyz), self.tri, (size, size))
         uv, uv_da = interpolate(self.uv, rast, self.tri, rast_db=rast_db, diff_attrs="all")
         derivatives = uv_da if mode == "linear-mipmap-linear" else None

@@ -128,7 +128,7 @@ def sky(size: int) -> Tensor:
 
 
 def interpolate_image(image: Tensor, size: tuple[int, int]) -> Tensor:
-    """Return an image (H, W, 3), interpolated to the size ``size`` (height, width)."""
+    """Return an image (H, W, 3), resized to ``size`` (height, width) by nearest-neighbour sampling."""
     return resize(image.permute(2, 0, 1)[None], size)[0].permute(1, 2, 0)
 
 

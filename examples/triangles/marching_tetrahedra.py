@@ -7,8 +7,8 @@ The parameters are a signed distance and an offset for each vertex of a tetrahed
 first surface is an ellipsoid that fills the grid. Unlike a mesh with fixed triangles, this surface can change its
 topology: an ellipsoid becomes a torus.
 
-At pixels outside the given silhouette, the visible surface is pushed away from the camera, as if the true depth were
-behind the grid. Where the front of the object's surface is pushed onto the back, this part of the object vanishes.
+At pixels outside the given silhouette, the front of the fitted surface is pushed away from the camera, as if the true
+depth were behind the grid. Where the front reaches the back of the fitted surface, this part of the surface vanishes.
 Antialiasing provides the gradient at the silhouettes. With ``--capture``, the silhouettes are the mattes of one frame
 and there are no depth images.
 """

@@ -3,9 +3,9 @@
     python examples/triangles/pose.py --starts 20
 
 Each start optimises a quaternion. The difference between the rendered image and the target has local minima, so the
-first half of the steps is divided into trials. Before each trial, several random rotations are applied to the best pose
-so far. The trial then optimises the rotated pose whose image is closest to the target. The random rotations become
-smaller from trial to trial.
+first half of the optimisation steps is divided into trials. Before each trial, several random rotations are applied to
+the best pose so far. The trial then optimises the rotated pose whose image is closest to the target. The random
+rotations become smaller from trial to trial.
 """
 
 from __future__ import annotations

@@ -38,7 +38,8 @@ class Mesh:
 
 
 def aeroplane(cells: int = 64) -> Mesh:
-    """Return an aeroplane of length 2: a smooth union of ellipsoids, extracted from a grid of ``cells`` cubes."""
+    """Return an aeroplane of length 2: a smooth union of ellipsoids, extracted from a grid with at least
+    ``cells`` cubes along its longest side."""
     grid = box_grid(np.array([-1.05, -1.05, -0.25]), np.array([1.05, 1.05, 0.55]), cells)
     parts = []
     for centre, half_axes in AEROPLANE:
@@ -121,8 +122,8 @@ def mean_iou(mesh: Mesh, cameras: list[Camera], silhouettes: list[Tensor]) -> fl
 def chamfer_distance(mesh: Mesh, true: Mesh) -> float:
     """Return the mean distance of random points on one mesh from the other mesh, averaged over both directions.
 
-    The other mesh is represented by 300,000 random points. The result for two equal meshes with an area of 6 is
-    therefore 0.002 instead of 0.
+    The distance to a mesh is computed as the distance to the nearest of 300,000 random points on this mesh. The result
+    for two equal meshes with an area of 6 is therefore 0.002 instead of 0.
     """
     few = [random_points(m, 2_000, seed=0) for m in (mesh, true)]
     many = [cKDTree(random_points(m, 300_000, seed=1)) for m in (true, mesh)]

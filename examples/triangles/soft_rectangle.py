@@ -25,7 +25,8 @@ from fourd.cameras import Camera, look_at
 from fourd.raster.triangles import rasterize_soft
 
 FIRST_SIGMA, LAST_SIGMA = 1.0, 1e-6
-"""Sigma, the width of the soft edges, at the start and at the end of the fit."""
+"""Sigma at the start and at the end of the fit. The soft edges are about sqrt(sigma) wide, in units of half of the
+image's shorter side."""
 
 
 @dataclass(frozen=True)

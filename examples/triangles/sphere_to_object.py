@@ -3,10 +3,10 @@
     python examples/triangles/sphere_to_object.py
 
 The soft rasterizer (SoftRas, Liu et al. 2019) gives each vertex a gradient from the pixels around it. The sphere can
-therefore grow wings, although its silhouettes do not cover the wings at first. The loss is 1 minus the intersection
-over union of the soft and the given silhouettes. A Laplacian term and a term for the angles between neighbouring
-triangles keep the surface smooth. The width of the soft edges shrinks during the fit. The program compares the result
-with the true aeroplane in two ways: by the silhouettes from other viewpoints, and by the Chamfer distance.
+therefore grow wings, although its silhouettes do not cover the wings at first. The main term of the loss is 1 minus the
+intersection over union of the soft and the given silhouettes. A Laplacian term and a term for the angles between
+neighbouring triangles keep the surface smooth. The width of the soft edges shrinks during the fit. The program compares
+the result with the true aeroplane in two ways: by the silhouettes from other viewpoints, and by the Chamfer distance.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from fourd.mesh.surface.losses import MeshTopology, laplacian_loss, normal_consi
 from fourd.raster.triangles import rasterize_soft
 
 FIRST_SIGMA, LAST_SIGMA = 3e-3, 1e-5
-"""Sigma, the width of the soft edges, at the start and at the end of the fit."""
+"""Sigma at the start and at the end of the fit. The soft edges are about sqrt(sigma) wide, in units of half of the
+image's shorter side."""
 
 
 @dataclass(frozen=True)

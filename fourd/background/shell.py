@@ -51,8 +51,8 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
     chosen = _select_cells(sphere, known)
-    # The rim of the shell overlaps the known points and is placed behind these points. Without this overlap, some
-    # viewpoints would show a slit between the shell and the known points.
+    # The rim of the shell (shell points in known cells beside unknown cells) is placed slightly behind the known
+    # points. Without this overlap, some viewpoints would show a slit between the shell and the known points.
     filled[known, 0] *= RIM_FACTOR
     xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
     colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)

@@ -103,7 +103,7 @@ ATTRIBUTES = (
     Attribute("rgb", "|u1", ("points", "views", 3), values="any", combine="cast_shadow"),
     Attribute("normals", "|u1", ("points", 2), values="any", is_optional=True),
 )
-"""All attributes, in the order of the scene file's members and of the native kernels' arguments."""
+"""All attributes, in the order of the files inside a scene's ZIP archive, and of the native kernels' arguments."""
 
 
 def _valid_halves(bits: NDArray[np.uint16], values: Values) -> bool:

@@ -60,7 +60,7 @@ def bake_run(
     """Write the run's newest checkpoint as the scene file ``out``, one frame at a time (4K4D, sec. 3.4).
 
     Blend weights (fp16) and colours (uint8) of the points are baked for every training view. In frames that belong to
-    two segments, the scene fades from the first segment to the second.
+    two segments (ranges of frames with separate models), the scene fades from the first segment to the second.
 
     Args:
         layers: maximum number of points that are composited per pixel. The scene stores ``layers``.
@@ -150,7 +150,8 @@ def bake_frame(trained: TrainedRun, frame: int, sources: list[int]) -> BakedFram
 
 
 def _bake_segments(parts: Sequence[SegmentFrame], sources: list[int]) -> BakedFrame:
-    """Bake a frame from the points of the one or two segments that contain it."""
+    """Bake a frame from the points of the one or two segments (ranges of frames with separate models) that contain the
+    frame."""
     baked = [bake_frame(part.trained, part.frame, sources) for part in parts]
     if len(baked) == 1:
         return baked[0]
@@ -164,8 +165,8 @@ def _bake_segments(parts: Sequence[SegmentFrame], sources: list[int]) -> BakedFr
 
 
 def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | None:
-    """Evaluate the static background points, with clean plates as source views. Returns None if the run has no
-    background."""
+    """Evaluate the static background points, with clean plates (images of the background without the subject) as source
+    views. Returns None if the run has no background."""
     background = trained.renderer.background
     if background is None:
         return None
@@ -179,7 +180,8 @@ def bake_background(trained: TrainedRun, sources: list[int]) -> BakedFrame | Non
 
 
 def bake_shadow(trained: TrainedRun, frame: int) -> NDArray[np.uint8] | None:
-    """Evaluate a frame's shadow factors, (M,) uint8 in units of 1/128. Returns None if the run has no shadow model."""
+    """Evaluate a frame's shadow factors: for each of the M background points, the factor of its colours, (M,) uint8 in
+    units of 1/128. Returns None if the run has no shadow model."""
     background = trained.renderer.background
     if background is None or background.model.shadow is None:
         return None

@@ -1,5 +1,5 @@
-"""Combination of a frame's dynamic points with the background points of a full scene, whose colours are multiplied by
-the frame's shadow."""
+"""Combination of a frame's dynamic points with the background points of a full scene (a scene with a static
+background). The colours of the background points are multiplied by the frame's shadow factors."""
 
 from __future__ import annotations
 

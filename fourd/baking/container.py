@@ -1,8 +1,8 @@
 """The `.4dv` file: a ZIP64 archive with manifest.json and one member per frame and attribute. A member is a file inside
 the archive.
 
-The archive of a full scene also contains each attribute of the background, once for all frames. The archive can also
-contain one shadow per frame.
+The archive of a full scene (a scene with a static background) also contains each attribute of the background, once for
+all frames. The archive can also contain one shadow per frame.
 
 Members are stored uncompressed, so that one frame can be read with a seek or an HTTP range request. The reader treats
 the file as untrusted: it compares the members' sizes with the manifest before it allocates memory. Members that the
@@ -249,7 +249,8 @@ class SceneReader:
         )
 
     def read_background(self) -> BakedFrame | None:
-        """Return the cached background points, without shadows. Returns None for an object scene."""
+        """Return the cached background points, without shadows. Returns None for an object scene (a scene without a
+        background)."""
         described = self.manifest.background
         if described is None:
             return None
@@ -262,7 +263,8 @@ class SceneReader:
             return self._background
 
     def read_shadow(self, index: int) -> NDArray[np.uint8] | None:
-        """Read a frame's shadow factors, (M,) uint8 in units of 1/128. Returns None if the scene has no shadows.
+        """Read a frame's shadow factors: for each of the M background points, the factor of its colours, (M,) uint8 in
+        units of 1/128. Returns None if the scene has no shadows.
 
         Raises IndexError if the scene has no frame ``index``.
         """
@@ -298,7 +300,7 @@ class SceneReader:
         return arrays
 
     def _unpack(self, folder: str, points: int, encoding: CloudEncoding) -> dict[str, NDArray[Any]]:
-        """Decode the members of a packed cloud of points."""
+        """Decode all arrays of a packed cloud of points from the files in ``folder`` inside the ZIP."""
         views = self.manifest.view_count
         members = {name: self.read_member(f"{folder}/{name}") for name in packed_names(self.manifest)}
         with self._decoding(folder):
@@ -321,8 +323,8 @@ class SceneReader:
             raise damaged(self.path, f"{expected} in {name}", got) from error
 
     def read_member(self, name: str) -> bytes:
-        """Return the bytes of a member as they are stored. Raises KeyError if there is no such member, and UserError if
-        the member is damaged or cannot be read."""
+        """Return the stored bytes of a member (a file inside the ZIP). Raises KeyError if there is no such member, and
+        UserError if the member is damaged or cannot be read."""
         if self._zip.fp is None:
             raise ValueError(f"{self.path}: expected an open scene, got a closed one")
         try:
@@ -360,7 +362,8 @@ def frame_folder(index: int) -> str:
 
 
 def _member_sizes(manifest: SceneManifest) -> Iterator[tuple[str, int | None]]:
-    """Yield the name of each member of a scene and its size in bytes. The size is None for compressed members."""
+    """Yield the name and the size in bytes of each member (file inside the ZIP) of a scene. The size is None for
+    compressed members."""
     packed = manifest.encoding is not None
     folders = [(frame_folder(index), points) for index, points in enumerate(manifest.points)]
     if manifest.background is not None:

@@ -17,9 +17,9 @@ FORMAT_NAME = "fourd-scene"
 FORMAT_VERSION = 4
 """The newest version of the file format that this program can read."""
 OBJECT_VERSION, FULL_VERSION, PACKED_VERSION, VIDEO_VERSION = 1, 2, 3, 4
-"""Format versions that are written for object scenes, full scenes, packed scenes, and packed scenes of the tier
-"video". A scene is written in the oldest version that supports its contents, so that older programs can read the
-scene."""
+"""Format versions that are written for object scenes (only dynamic points), full scenes (with a static background),
+packed scenes, and packed scenes of the tier "video". A scene is written in the oldest version that supports its
+contents, so that older programs can read the scene."""
 SHADOW_IDENTITY = 128
 """The shadow factor that leaves a colour unchanged. Shadows are uint8 factors in units of 1/128."""
 
@@ -126,7 +126,7 @@ def make_frame(
 
 @dataclass(frozen=True)
 class SceneBackground:
-    """The static points of a full scene, which are stored once.
+    """The static points of a full scene, which are stored once for all frames.
 
     Attributes:
         points: number of background points.

@@ -72,7 +72,8 @@ def _patch_axes(flat: Array, pixels: Array, half: float) -> Array | None:
     homography, _ = cv2.findHomography(flat, pixels, cv2.LMEDS)
     if homography is None:
         return None
-    # Differences between these mapped points approximate the derivative of the homography at each corner.
+    # Each corner and two points beside it are mapped by the homography. The differences between the mapped points
+    # approximate the derivative of the homography at the corner.
     ends = [np.column_stack([flat + step, np.ones(len(flat))]) @ homography.T for step in ((0, 0), (0.5, 0), (0, 0.5))]
     if any((np.abs(end[:, 2]) < 1e-9).any() for end in ends):
         return None

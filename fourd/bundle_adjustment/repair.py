@@ -131,7 +131,7 @@ def split_matches(matches: Mapping[Pair, Matches], cameras: int) -> tuple[dict[P
     """
     _, rows = _index_features(matches, cameras)
     tracks = _label_tracks(rows)
-    # Tracks are put in random order, because tracks with consecutive indices are near each other in the image.
+    # Tracks are put in random order, so that the held-out tracks are a random sample.
     order = np.random.default_rng(0).permutation(max(tracks.values(), default=0) + 1)
     fitted, held_out = {}, {}
     for (i, j), found in matches.items():

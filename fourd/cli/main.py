@@ -144,7 +144,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def console_main() -> int:
     """Run the command that the user typed in the terminal, and return the exit code. The process must exit
     afterwards."""
-    # torchrun ends its ranks with SIGTERM. A rank that waits for other ranks could not handle the signal.
+    # torchrun ends its processes (ranks) with SIGTERM. A rank that waits for other ranks could not run a Python
+    # handler, so ranks keep the default action.
     if int(os.environ.get("WORLD_SIZE", "1")) == 1:
         handle_termination()
     try:

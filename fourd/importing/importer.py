@@ -213,7 +213,7 @@ def _estimate(
     if not (options.sync or options.apply_sync):
         return None
     estimate = estimate_offsets_of(imported.cameras, indices, out, options.sync_by, log, track)
-    # Offsets from sound are logged later, after the correction of the travel time, which needs calibrated cameras.
+    # Offsets from sound are logged later, because correcting them for the sound's travel time needs calibrated cameras.
     for line in describe_offsets(estimate, options.apply_sync) if estimate.method == "motion" else ():
         log(line)
     return estimate

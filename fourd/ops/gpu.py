@@ -83,7 +83,7 @@ def cuda_unavailable_reason() -> str:
 
 def choose_device(name: DeviceName, local_rank: int = 0) -> torch.device:
     """Return the device with the given name. If several processes of this machine train together, the processes are
-    distributed over the machine's GPUs by their numbers ``local_rank``.
+    distributed over the machine's GPUs. ``local_rank`` is the index of this process among the processes of the machine.
 
     Raises UserError for "cuda" if fourd cannot use a GPU.
     """

@@ -146,8 +146,8 @@ class Cluster:
 
     def _start(self, stage: AnyStage) -> Any:
         cores = self._segment_cores if stage.is_parallel else self._node_cores
-        # The process of a segment trains other segments afterwards (max_calls=0), because a new process needs seconds
-        # until it has imported torch. After any other stage, the process ends, which frees its memory.
+        # A process that has trained a segment (a range of frames) then trains other segments (max_calls=0), because a
+        # new process needs seconds to import torch. After any other stage, the process ends, which frees its memory.
         calls = 0 if stage.is_parallel else 1
         task = self._ray.remote(num_cpus=cores, max_retries=RETRIES, max_calls=calls)(run_job)
         folder = None if stage.is_portable else Path.cwd()

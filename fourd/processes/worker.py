@@ -91,7 +91,7 @@ def _limit_memory(max_bytes: int) -> None:
     import resource
 
     # RLIMIT_AS would count files that are mapped for reading, and addresses that libraries and their threads reserve
-    # but do not use. RLIMIT_DATA does not count them.
+    # but do not use. RLIMIT_DATA counts neither.
     limit = resource.RLIMIT_DATA if sys.platform == "linux" else resource.RLIMIT_AS
     resource.setrlimit(limit, (max_bytes, max_bytes))
 

@@ -31,8 +31,9 @@ LEAST_COSINE = 0.1
 TURNING_ROUNDS = 2
 """Number of rounds in which each normal is rotated towards each camera that sees the point."""
 _SEES = 0.3
-"""A camera counts as seeing a point if its weight is above this share of the point's largest weight. Smaller weights
-often belong to cameras that see the point through a gap between other points."""
+"""A camera counts as seeing a point if the camera's weight at the point is above this fraction of the largest weight of
+all cameras at the point. Smaller weights often belong to cameras that see the point through a gap between other
+points."""
 _COARSE = 12
 """Number of cells of a coarse grid along the longest side of the scene. The grid is used to find the outer side of
 surfaces that no camera sees."""
@@ -46,8 +47,8 @@ class Visibility:
     """Visibility of points: which cameras see which points.
 
     Attributes:
-        weights: (N, V) weight of each camera at each point, for example its blend weight, at least 0. A weight is 0 if
-            the camera does not see the point.
+        weights: (N, V) weight of each camera at each point, at least 0, for example the point's blend weight in the
+            camera's view. A weight is 0 if the camera does not see the point.
         centres: (V, 3) centres of the cameras.
     """
 

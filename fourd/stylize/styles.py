@@ -142,7 +142,8 @@ class LineSettings:
     Attributes:
         filter: none, sobel (nine taps) or cross (five taps).
         depth: relative jump of depth at which a line begins, above 0.
-        normal: change of the cosine between normals at which a line begins, above 0.
+        normal: change, over the filter's taps, of the cosine between the normal at the tap and the normal at the pixel.
+            A line begins where the change exceeds this number. Above 0.
         thickness: distance between the taps in pixels of a picture with 1080 rows, 0.25 to 8. The width of lines is
             about twice ``thickness``.
         opacity: opacity of the strongest lines, 0 to 1.
@@ -169,8 +170,10 @@ class Hatching:
     """Parallel lines in dark regions.
 
     Attributes:
-        width: largest share of ink in a layer of lines, 0 for no hatching.
-        spacing: distance between the lines in pixels of a picture with 1080 rows.
+        width: width of the hatching lines where the brightness is 0, as a fraction of ``spacing``, from 0 to 1.
+            Brighter regions have thinner lines. With 0, there is no hatching.
+        spacing: distance between neighbouring lines, measured along a row of the picture, in pixels of a picture with
+            1080 rows.
         levels: brightness below which the first layer of lines begins, and brightness below which the second layer
             begins.
         colour: red, green and blue of the ink.

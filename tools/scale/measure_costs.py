@@ -90,7 +90,7 @@ def main() -> None:
     arguments = parser.parse_args()
     capture = arguments.capture.resolve()
     with tempfile.TemporaryDirectory() as folder:
-        # The first training of a process compiles kernels and fills caches.
+        # The first training of a process also compiles kernels and fills caches, so its costs are not used.
         measure(capture, Path(folder) / "warm up", CASES[0])
         measured = [measure(capture, Path(folder) / str(index), case) for index, case in enumerate(CASES)]
         costs = fit(measured, cpu_seconds(lambda: subprocess.run([sys.executable, "-c", START], check=True)))

@@ -99,7 +99,7 @@ def measure(scene: Path, site: Path, rounds: int) -> str:
     with zipfile.ZipFile(scene) as archive:
         frames = [*range(manifest.frame_count)] * (rounds + 1)
         alone = [decode_natively(archive, manifest, frame, views) for frame in frames]
-    # The first round is not measured, because the browser compiles the JavaScript in it.
+    # The times of the first round are dropped, because the browser compiles the JavaScript during this round.
     worker, native, alone = (times[manifest.frame_count :] for times in (worker, native, alone))
     steps = statistics.quantiles(worker, n=10)
     median, other = statistics.median(worker), statistics.median(native)

@@ -72,7 +72,8 @@ class OverBackground:
 
 
 class SortedBlending:
-    """Blends all discs in one pass, from the farthest to the nearest. A pixel can have more than K layers.
+    """Blends all discs in one pass, from the farthest to the nearest. A pixel can have more layers than the maximum
+    number K of a request.
 
     If the scene has a pixel filter, a second pass filters the image.
     """
@@ -104,7 +105,8 @@ class SortedBlending:
 
 
 class DepthPeeling:
-    """Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next depth layer of every pixel."""
+    """Depth peeling (Everitt 2001), as in 4K4D. Each of the K passes finds the next depth layer of every pixel, where K
+    is the maximum number of layers."""
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
         self._context = context
@@ -147,10 +149,10 @@ class DualDepthPeeling:
     """Dual depth peeling (Bavoil and Myers 2008): in each pixel, a pass finds the nearest and the farthest of the
     remaining layers.
 
-    In each pixel, each of the first K // 2 passes finds up to two layers. If layers remain in a pixel after these
-    passes, the layers that were peeled from its back may not be among the K nearest, and are dropped. Further passes
-    then peel layers from the front, until K layers are composited or no further layer is visible. The result has the K
-    nearest layers, as in :class:`DepthPeeling`.
+    Let K be the maximum number of composited layers. In each pixel, each of the first K // 2 passes finds up to two
+    layers. If layers remain in a pixel after these passes, the layers that were peeled from its back may not be among
+    the K nearest, and are dropped. Further passes then peel layers from the front, until K layers are composited or no
+    further layer is visible. The result has the K nearest layers, as in :class:`DepthPeeling`.
     """
 
     def __init__(self, context: moderngl.Context, precision: Precision) -> None:
@@ -187,7 +189,9 @@ class DualDepthPeeling:
     def _peel(self, index: int, front_only: bool = False) -> None:
         """Run geometry pass ``index``, counted from 0.
 
-        In each pixel, the pass finds the nearest and the farthest rank between the two ranks of the previous pass.
+        A rank is the position of a disc in depth order, counted from 1 at the nearest disc. In each pixel, the pass
+        finds the smallest and the largest rank that lie strictly between the two ranks of the previous pass. With
+        ``front_only``, only the smaller rank of the previous pass is a bound.
         """
         targets = self._targets
         bounds, previous_bounds = f"bounds {index % 2}", f"bounds {1 - index % 2}"

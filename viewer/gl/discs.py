@@ -45,8 +45,8 @@ class Discs:
     ) -> None:
         """``passes`` maps the name of each pass to the file of its fragment shader.
 
-        If ``as_texture`` is True, the discs are also stored in :attr:`texture`, in order of rank, with two texels per
-        disc.
+        If ``as_texture`` is True, the discs are also stored in :attr:`texture`, in order of rank (depth order), with
+        two texels per disc.
         """
         self._context = context
         self._farthest_first = farthest_first

@@ -14,7 +14,7 @@ TEXELS_PER_ROW = 4096
 """Width in texels of the textures that store arrays. The width is a power of two, so that shaders can use bit
 operations."""
 NONE = 1e9
-"""A rank that is larger than the rank of every layer.
+"""A number that is larger than the rank (the position in depth order, from 1) of every layer.
 
 In the bounds of a dual peeling pass, NONE means that the pixel has no layer.
 """

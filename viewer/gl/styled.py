@@ -107,7 +107,7 @@ class StyledDrawing:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture, without specks."""
+        """(H, W) strength of the lines in the last picture, without specks (very short lines, which are not drawn)."""
         return self._stylizer.line_strength
 
     def with_normals(self, frame: BakedFrame, manifest: SceneManifest) -> BakedFrame:

@@ -41,15 +41,15 @@ class GLStylizer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture, without specks."""
+        """(H, W) strength of the lines in the last picture, without specks (very short lines, which are not drawn)."""
         state = self.line_state
         content = np.frombuffer(state.read(alignment=1), np.uint32).reshape(state.height, state.width)
         return remove_specks((content & 255).astype(np.uint8), speck_reach(self._thickness))
 
     @property
     def line_state(self) -> moderngl.Texture:
-        """The lines of the last picture, including specks, as one uint32 per pixel in the layout of
-        :func:`fourd.ops.stylize.op.stylize_surface`."""
+        """The lines of the last picture, including specks (very short lines, which are not drawn), as one uint32 per
+        pixel in the layout of :func:`fourd.ops.stylize.op.stylize_surface`."""
         return self._targets.texture(f"lines {self._last}")
 
     def resize(self, size: tuple[int, int]) -> None:

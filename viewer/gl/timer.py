@@ -16,7 +16,7 @@ class GPUTimer:
     """
 
     def __init__(self) -> None:
-        # There are two queries, because the result of a block may become available only after the next block.
+        # There are two queries, because the GPU may report the time of one block only after the next block has started.
         self._queries = [int(query) for query in np.asarray(GL.glGenQueries(2)).ravel()]
         self._pending: list[int] = []
         self._seconds = 0.0

@@ -51,7 +51,8 @@ def write_site(
         tier: tier with which the scene is packed, if it is not packed yet.
         title: title of the page. The default is the name of the file.
         track: reports progress.
-        level: level of the tier, see :func:`fourd.baking.packing.pack.pack_scene`.
+        level: index of the tier's level (a set of quantisation steps), see
+            :func:`fourd.baking.packing.pack.pack_scene`.
         styles: the styles that the page offers, by name. If None, the page offers the presets.
         has_normals: whether the written scene has normals, which styles need. If the source has no normals, they are
             estimated.

@@ -63,8 +63,8 @@ def write_styles(path: Path, styles: Mapping[str, Style]) -> None:
 
 def _describe(name: str, style: Style) -> dict[str, Any]:
     table = make_table(style)
-    # This camera has the axes of the world, so `light` keeps the axes of the style. Its distance from the centre of the
-    # scene is 1, so the detail per depth is the detail per distance.
+    # The axes of this camera are the axes of the world, so `light` keeps the axes of the style. The camera is at the
+    # distance 1 from the centre of the scene, so detail_per_depth equals the detail per distance.
     camera = Camera(np.eye(3), np.eye(3), np.zeros(3), 1, 1)
     parameters = view_style(style, table, camera, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     numbers = asdict(parameters.numbers)

@@ -42,7 +42,8 @@ class Renderer(Protocol):
 
     @property
     def stale_images(self) -> int:
-        """Number of newest images in a row that were drawn with the depth order of an earlier request.
+        """Number of consecutive images, up to and including the last image, that were drawn with the depth order of an
+        earlier request.
 
         The number is 0 if the last image was drawn with its own depth order.
         """

@@ -1,5 +1,5 @@
-// Divides the work of kernels that visit all pairs of neighbouring pixels of an image. Dispatched files
-// (common/dispatch.h) do not include this header.
+// Divides the work of kernels that visit all pairs of neighbouring pixels of an image. Files that are compiled once per
+// instruction set (common/dispatch.h) do not include this header.
 #pragma once
 
 #include <algorithm>

@@ -22,10 +22,11 @@ struct Loops {
     std::size_t (*count)(const Plan&, const Rows&, const std::uint8_t* codes);
 
     // Writes the gradient with respect to the colours of some rows. If `contributions` is not null, the function also
-    // writes, for each crossing, two contributions to the gradient with respect to the positions.
+    // writes two contributions for each crossing: one for each end of the edge.
     void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
 
-    // Adds to `positions`, in order, the contributions to the gradients of the vertices [begin, end).
+    // Overwrites `positions` at the vertices [begin, end) with the sums of their contributions, added in the order of
+    // the array.
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 

@@ -18,7 +18,7 @@ struct FindSilhouettes {
     }
 };
 
-// The position of a pixel in the batch.
+// The image, row and column of a pixel, from its index among the pixels of all images.
 struct Place {
     std::size_t image;
     int row, column;

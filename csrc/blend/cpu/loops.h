@@ -11,7 +11,7 @@ namespace fourd::blend {
 constexpr int kLanes = 16;
 constexpr int kRun = 64;  // Number of points per batch. Vector instructions process the points of a batch together.
 
-// The sums of one task, from which the gradient of the MLP is computed. Each sum consists of kLanes partial sums.
+// The sums over the points of one task, for the gradient of the MLP. Each sum is stored as kLanes partial sums.
 struct Sums {
     float* weight;  // Shape (channels, hidden, kLanes).
     float* out;     // Shape (hidden, kLanes).

@@ -13,13 +13,14 @@ struct Contribution {
 };
 
 struct Loops {
-    // Writes the codes of some rows, and returns the number of contributions of their pairs. `scratch` has three
-    // floats for each pixel of a row.
+    // Writes the codes of some rows. Returns the number of contributions that `contribute` writes for these rows.
+    // `scratch` has three floats for each pixel of a row.
     std::size_t (*find)(const Plan&, const Rows&, const float* gradient, float* scratch, std::uint8_t* codes);
 
     void (*contribute)(const Plan&, const Rows&, const float* gradient, const std::uint8_t* codes, Contribution* out);
 
-    // Adds to `positions`, in order, the contributions to the gradients of the vertices [begin, end).
+    // Overwrites `positions` at the vertices [begin, end) with the sums of their contributions, added in the order of
+    // the array.
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 

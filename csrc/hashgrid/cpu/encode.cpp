@@ -8,8 +8,8 @@
 namespace fourd::hashgrid {
 namespace {
 
-// Number of points per part. A part is small enough that the encodings of its points stay in the L2 cache from level to
-// level. A part is large enough that its points share many table entries of each level.
+// Number of points per task. A task is small enough that the encodings of its points stay in the L2 cache while its
+// worker processes one level after another. A task is large enough that its points share many table entries.
 constexpr std::size_t kPointsPerTask = 4096;
 
 // Sets the entries of a level, and the padding after them, to zero.

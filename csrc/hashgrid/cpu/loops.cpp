@@ -61,7 +61,8 @@ FOURD_INLINE void add(float weight, const Entry<Features>& from, Entry<Features>
     for (int part = 0; part < Entry<Features>::kParts; ++part) to->parts[part] += weight * from.parts[part];
 }
 
-// The grid cells that contain the points of a batch. Arrays are indexed by corner or edge, then by point.
+// The grid cells that contain the points of a batch. Arrays are indexed by corner, or by the edges along x (see Cell),
+// then by point.
 struct Cells {
     std::uint32_t entry[kCorners][kRun];
     float weight[kCorners / 2][kRun];
@@ -181,7 +182,7 @@ FOURD_INLINE void for_cells(const Level& level, const float* coordinates, std::s
     }
 }
 
-// The part of the arrays of a query that belongs to one level.
+// Describes where the arrays of a query contain the data of one level.
 template <int Features>
 struct LevelView {
     const Level& level;

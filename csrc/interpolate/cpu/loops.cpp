@@ -45,8 +45,8 @@ void forward(const Query& query, const float* attr, std::size_t begin, std::size
     }
 }
 
-// Adds the gradient of one pixel to the gradients of its three vertices (3, channels), and writes the gradients of the
-// pixel's weights.
+// Adds the contribution of one pixel to `sums` (3, channels), the gradients with respect to the attributes of the
+// pixel's three vertices. Writes the gradients with respect to the pixel's rast and rast_db.
 template <int Channels>
 FOURD_INLINE void pixel_gradient(const Query& query, const Gradients& gradients, std::size_t pixel, const float* a0,
                                  const float* a1, const float* a2, float* FOURD_RESTRICT sums) {

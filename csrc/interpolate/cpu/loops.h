@@ -10,7 +10,8 @@ constexpr int kTile = 32;  // Side of a tile in pixels.
 
 struct GradientTile {
     const float* attr;            // Shape (vertices, channels): attributes for the image.
-    // Shape (slots,): triangle of each slot. A slot is the number of a visible triangle in the tile.
+    // Shape (slots,): triangle of each slot. A slot is the index of a triangle among the triangles that are visible in
+    // the tile.
     const std::int32_t* visible;
     const std::int16_t* slot_of;  // Shape (kTile, kTile): slot of each pixel, or -1 at pixels without a triangle.
     int column, row;              // Position of the first pixel of the tile.
@@ -19,7 +20,7 @@ struct GradientTile {
 };
 
 struct Loops {
-    // Writes the pixels [begin, end) of an image. Pixels are counted from the first pixel of the first image.
+    // Writes the pixels [begin, end) of an image. `begin` and `end` are indices among the pixels of all images.
     void (*forward)(const Query& query, const float* attr, std::size_t begin, std::size_t end, float* out,
                     float* out_da);
 

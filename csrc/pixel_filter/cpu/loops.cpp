@@ -1,5 +1,6 @@
-// The filter is separable. A run of kRun pixels, with one more pixel on each side, is first filtered along columns. The
-// run is then filtered along the row. Runs in an area of one colour, such as the background, are copied.
+// The filter is separable. A run (kRun consecutive pixels of a row), with one more pixel on each side, is first
+// filtered along columns. The run is then filtered along the row. A run is copied if it and all its neighbours have one
+// colour, for example in the background.
 #include "pixel_filter/cpu/loops.h"
 
 #include <cstddef>

@@ -10,8 +10,8 @@ namespace fourd::planes {
 
 constexpr int kRun = 64;  // Number of points per batch. The positions of a batch stay in the L1 cache.
 
-// A coordinate, and the number of samples that planes have along it. Several planes can share an axis, so the sample
-// indices of a point are computed once per axis, not once per plane.
+// The index (0 to 3) of a coordinate, and the number of samples of a plane along this coordinate. Planes for which both
+// are equal share an axis, so the sample indices of a point are computed once per axis, not once per plane.
 struct Axis {
     int coordinate;
     int size;
@@ -30,7 +30,7 @@ struct Plan {
     const std::uint32_t* order;  // Shape (query->count,): indices of the points in spatial order.
 };
 
-// The positions of the points of a batch, indexed by axis, then by point.
+// The values of Interpolation for the points of a batch, indexed by axis, then by point.
 struct RunPositions {
     int* low;         // Shape (axis_count, kRun).
     float* fraction;  // Shape (axis_count, kRun).

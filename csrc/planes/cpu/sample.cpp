@@ -12,7 +12,7 @@ namespace {
 
 constexpr std::size_t kPointsPerTask = 16 * kRun;
 constexpr std::size_t kCachedBytes = 1 << 20;
-constexpr int kCellBits = 5;  // On a plane of 512 x 512 samples, a cell covers 16 x 16 samples.
+constexpr int kCellBits = 5;  // Space has 2^5 cells per axis. A cell covers 16 x 16 samples of a 512 x 512 plane.
 
 std::size_t bytes_of(const Query& query, int k) {
     return static_cast<std::size_t>(query.planes[k].rows) * query.planes[k].columns * query.features * sizeof(float);
@@ -115,9 +115,9 @@ void sample_backward(const Query& query, const float* gradient, float* const* gr
     const RunLoops& loops = select_loops(query.simd).of(query.features);
     Team team(query.threads);
     QueryPlan planned(query, team.size());
-    // One worker processes all points of a plane, in order. Therefore, no locks are needed, and the order of additions
-    // is fixed. For each batch of points, a worker processes all its planes, because the elements of `gradient` for
-    // these planes share cache lines.
+    // The planes are divided among the workers. A worker processes all points in order, so no locks are needed and the
+    // order of additions is fixed. The worker updates all its planes for one batch of points before the next batch,
+    // because the elements of `gradient` for these planes share cache lines.
     const int parts = std::min(team.size(), query.plane_count);
     team.run(parts, [&](int part, int worker) {
         const int first = query.plane_count * part / parts, last = query.plane_count * (part + 1) / parts;

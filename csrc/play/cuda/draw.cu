@@ -18,7 +18,7 @@ struct Unpack {
     }
 };
 
-// The arrays of a frame, converted to float32. The float32 arrays are at the start of the workspace.
+// The radii, densities and shaded colours of the points, as float32 arrays at the start of the workspace.
 struct Floats {
     float *radius, *density, *colour;
 

@@ -114,7 +114,7 @@ std::size_t project_run(const Cloud& cloud, const Settings& settings, std::size_
         store_splats(some, here, splats + first);
         for (std::size_t i = 0; i < here; ++i) {
             // To avoid branches, the loop writes an item for every point, but increases `count` only if the point is
-            // visible. `count` never exceeds first + i - begin.
+            // visible. `count` never exceeds first + i - begin, so the write stays inside `items`.
             items[count] = {word(some.z[i]), static_cast<std::uint32_t>(first + i)};
             count += some.visible[i];
         }

@@ -39,13 +39,13 @@ constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 // Number of features of a point for draw_surface: its colour (3), its normal times its weight (3), its weight
 // (front_weight in points/front_weight.h), and its depth times its weight. The features of a point are adjacent in
-// memory, because a tile reads points that are scattered in memory.
+// memory. A tile reads scattered points, so each point then needs only one cache line.
 constexpr int kSurfaceFeatures = 8;
 constexpr std::size_t kJoinedPoints = 64;
 
 struct Loops {
     // Projects the points [begin, end) into `splats` and `tile_ranges`, which are both indexed by point. Lists the
-    // visible points in `items`, and returns their number.
+    // visible points in `items`, and returns how many points are visible.
     std::size_t (*project)(const Cloud& cloud, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, TileRange* tile_ranges, Item* items);
 
@@ -54,7 +54,7 @@ struct Loops {
     // Renders three channels over a background, to an 8-bit image.
     void (*draw)(const Tile& tile, const Canvas& out);
 
-    // Computes, for each of the points [begin, end), the features that draw_surface needs. There are at most
+    // Computes, for each of the points [begin, end), the features that draw_surface needs. The range has at most
     // kJoinedPoints points. `xyz` (count, 3), `colours` (count, 3), `octahedral` (count, 2) and `out` (count,
     // kSurfaceFeatures) are indexed by point. The normals are decoded (points/octahedral.h) and rotated to the axes of
     // the camera.
@@ -69,7 +69,8 @@ struct Loops {
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 
-    // `weights` has one float per slot, which the caller initialises to 0.
+    // Writes the largest weight (transmittance * alpha) of each entry over the pixels of the tile to the slot of the
+    // entry in `weights`. The caller initialises these slots to 0.
     void (*visibility)(const Tile& tile, const std::size_t* slots, float* weights);
 };
 

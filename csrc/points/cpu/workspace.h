@@ -11,7 +11,7 @@
 namespace fourd::points {
 
 struct Workspace {
-    // The memory of one worker for one tile.
+    // The memory of one worker (thread) for one tile.
     struct Scratch {
         Buffer<std::size_t> slots;
         Buffer<float> transmittance;
@@ -28,8 +28,8 @@ struct Workspace {
     void fill(const Cloud& cloud, const Settings& settings, Team& team);
 
     // Calls draw(tile index) for all tiles, in parallel. Call bins.prepare() before this function. If the image has
-    // more than kMaxEntries entries, bands of tiles are binned and drawn one after another, which limits the memory.
-    // Returns true if one band was enough, so that `bins` has the entries of the whole image.
+    // more than kMaxEntries entries, bands of consecutive tile rows are binned and drawn one after another, which
+    // limits the memory. Returns true if one band was enough, so that `bins` has the entries of the whole image.
     template <typename Draw>
     bool draw_tiles(Team& team, const Draw& draw);
 
@@ -44,7 +44,7 @@ struct Workspace {
     std::size_t bytes() const;  // Size of the memory that is kept between images.
 };
 
-constexpr std::size_t kMaxEntries = std::size_t{1} << 26;  // 256 MB
+constexpr std::size_t kMaxEntries = std::size_t{1} << 26;  // 256 MB, with 4 bytes per entry.
 
 template <typename Draw>
 bool Workspace::draw_tiles(Team& team, const Draw& draw) {

@@ -13,7 +13,7 @@ struct EntryBufferArguments {
     std::size_t entries;
     const Workspace& workspace;
 
-    // Throws std::invalid_argument if the workspace has fewer than needed_bytes bytes.
+    // Throws std::invalid_argument if the workspace has fewer than needed_bytes bytes or `entries` is above 2^31 - 1.
     points::cuda::EntryBuffer checked(std::size_t needed_bytes) const {
         require(entries <= 0x7fffffff, "entries: expected at most 2^31 - 1");
         require(workspace.size() >= needed_bytes, "workspace: expected the bytes that the plan names");

@@ -22,8 +22,8 @@ struct Upstream {
 };
 
 // A thread composites its pixel front to back and records the layers. Afterwards, the thread processes the recorded
-// layers back to front. During this back-to-front pass, all threads of a warp process the same entry at the same time,
-// and visit every entry that at least one of them recorded.
+// layers back to front. During this back-to-front pass, all threads of a warp process the same entry (point of the
+// tile) at the same time. The warp processes every entry that at least one of its threads recorded.
 template <int kCapacity, int kLayers>
 struct GradientPixel {
     View view;              // Requires view.layers <= kLayers.
@@ -52,7 +52,8 @@ struct GradientPixel {
         const Upstream<kCapacity> upstream(gradient, pixel, channels);
         const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
         const float mean_behind = seen ? depth.mean_behind() : 0.0f;
-        float behind = 0.0f;                // Composited value of the layers behind the current layer.
+        // The numbers `value` (below) of the layers behind the current layer, composited front to back.
+        float behind = 0.0f;
         float transmittance_behind = 1.0f;  // Transmittance of the layers behind the current layer.
         while (true) {
             const std::uint32_t own_entry = count > 0 ? positions[count - 1] + 1 : 0;

@@ -26,7 +26,8 @@ struct DepthSum {
         behind += w * (z - nearest);
     }
 
-    // Call this function only if alpha is above 0. At alpha 0, the depth is undefined.
+    // Returns the mean depth minus `nearest`. Call this function only if the alpha of the pixel is above 0, because
+    // `weight` may be 0 otherwise.
     FOURD_DEVICE float mean_behind() const { return behind / weight; }
 };
 

@@ -28,7 +28,8 @@ void draw(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffe
 void render_backward(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer,
                      const ImageGradient& gradient, const CloudGradient& out, void* stream);
 
-// For each point, writes its largest weight over all pixels to `out` (count,). cloud.features is not read.
+// For each point, writes its largest weight (transmittance * alpha) over all pixels to `out` (count,). cloud.features
+// is not read.
 void visibility(const Cloud& cloud, const Settings& settings, const EntryBuffer& buffer, float* out, void* stream);
 
 }  // namespace fourd::points::cuda

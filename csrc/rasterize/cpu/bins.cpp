@@ -52,7 +52,7 @@ void Bins::snap_vertices(const Query& query, int first, Team& team) {
     });
 }
 
-// Cuts the items [begin, end) into pieces.
+// Cuts the items [begin, end) into pieces. An item is a triangle of an image.
 void Bins::cut(const Query& query, int first, std::size_t begin, std::size_t end, int part) {
     const Screen screen = make_screen(query.width, query.height);
     std::vector<Entry>& entries = entries_[part];
@@ -94,8 +94,8 @@ void Bins::fill(const Query& query, int first, int last, Team& team) {
     for (int image = first; image < last; ++image) {
         first_item_.push_back(first_item_.back() + triangle_range(query, image).count);
     }
-    // Each part has consecutive items, and the parts are merged in order, so the result does not depend on the number
-    // of parts.
+    // Each worker cuts one part, which has consecutive items. The parts are merged in order, so the result does not
+    // depend on the number of parts.
     const int parts = team.size();
     const std::size_t items = first_item_.back();
     entries_.resize(parts);

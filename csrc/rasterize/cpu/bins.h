@@ -1,4 +1,5 @@
-// Cuts the triangles of images into pieces, and bins the pieces into tiles.
+// Cuts the triangles of images into pieces (whole triangles or parts of clipped triangles), and bins the pieces into
+// tiles.
 #pragma once
 
 #include <vector>
@@ -42,8 +43,8 @@ class Bins {
     // Number of images that have their own vertex positions, or 1 if all images share the positions.
     std::size_t vertex_images_ = 0;
     Buffer<Snapped> vertices_;
-    std::vector<std::size_t> first_item_;          // First item of each image. An item is a triangle of an image.
-    std::vector<std::vector<Entry>> entries_;      // The pieces of each part of the items.
+    std::vector<std::size_t> first_item_;          // Index of each image's first item (triangle of an image).
+    std::vector<std::vector<Entry>> entries_;      // Pieces of each part of the items. Each worker cuts one part.
     std::vector<std::vector<std::uint32_t>> counts_;  // For each part of the items, the number of pieces in every tile.
     Buffer<Piece> pieces_;
     // Index of the first piece of each tile. The last element is the number of all pieces.

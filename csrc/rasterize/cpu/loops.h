@@ -39,7 +39,8 @@ struct Tile {
     float* rast_db;           // Shape (height, width, 4), or null.
 };
 
-// The inputs of the gradient of a tile. A slot is a triangle that is visible in the tile.
+// The arguments of the backward pass of one tile. A slot is the index of a triangle among the triangles that are
+// visible in the tile.
 struct GradientTile {
     Screen screen;
     const float* pos;              // Shape (vertices, 4): positions for the image.
@@ -59,10 +60,11 @@ struct GradientTile {
 constexpr std::size_t kSumStride = 16;  // Number of floats per slot in GradientTile::sums, a multiple of the vector size.
 
 struct Loops {
-    // Rasterizes the pieces of a tile and writes all its pixels.
+    // Rasterizes the pieces of a tile (whole triangles or parts of clipped triangles), and writes all pixels of the
+    // tile.
     void (*rasterize)(const Tile& tile);
 
-    // Computes the gradients of the vertices of all slots.
+    // Computes the gradients with respect to the vertices of all triangles that are visible in the tile.
     void (*backward)(const GradientTile& tile);
 };
 

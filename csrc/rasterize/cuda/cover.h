@@ -1,6 +1,7 @@
-// Kernels that find the nearest triangle of each pixel. In the first kernel, each triangle is processed by one warp,
-// which covers the triangle's small pieces. Triangles with large pieces are added to a list. In the second kernel, each
-// warp covers the large pieces of all listed triangles in one tile, so that no warp has to process a whole image.
+// Kernels that find the nearest triangle of each pixel. A piece is a whole triangle or a part of a clipped triangle. In
+// the first kernel, one warp per triangle tests the pixels of the triangle's small pieces. Triangles with large pieces
+// are added to a list. In the second kernel, one warp per tile tests the pixels of the tile against the large pieces of
+// all listed triangles. No warp therefore has to process a whole image.
 #pragma once
 
 #include "rasterize/cuda/triangles.h"
@@ -14,7 +15,8 @@ FOURD_DEVICE static inline bool is_small(const Bounds& bounds) {
     return (bounds.right - bounds.left + 1) * (bounds.bottom - bounds.top + 1) <= kSmallPixels;
 }
 
-// The triangles of all images. An item is one triangle of one image.
+// The triangles of all images. An item is one triangle of one image. Every image has longest_range items, of which the
+// last may have no triangle.
 struct Items {
     Query query;
     std::size_t longest_range;
@@ -23,7 +25,7 @@ struct Items {
 
     FOURD_DEVICE std::size_t image_of(std::uint64_t item) const { return item / longest_range; }
 
-    // Returns false if the item's number is beyond the last triangle of the image.
+    // Returns false if the item has no triangle, or if a vertex of its triangle is out of range.
     FOURD_DEVICE bool load(const Screen& screen, std::uint64_t item, Triangle* out) const {
         const std::size_t image = image_of(item);
         std::size_t first = 0, count_of_image = query.triangles;

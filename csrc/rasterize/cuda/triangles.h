@@ -42,8 +42,8 @@ FOURD_DEVICE static inline Planes planes_of(const Screen& screen, const Triangle
     return make_planes(screen, triangle.corners[0], triangle.corners[1], triangle.corners[2], column, row);
 }
 
-// A pixel stores its nearest triangle as one number, with the depth in the upper bits and the index of the triangle in
-// the lower bits. Of two triangles, the nearer one has the smaller number.
+// A pixel stores its nearest triangle as a 64-bit key, with the depth in the upper bits and the index of the triangle
+// in the lower bits. Of two triangles, the nearer one has the smaller key.
 constexpr std::uint64_t kNoHit = ~std::uint64_t{0};
 
 FOURD_DEVICE static inline std::uint64_t key_of(float depth, int triangle) {

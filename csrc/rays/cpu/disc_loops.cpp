@@ -25,7 +25,8 @@ FOURD_INLINE void widen(const DiscRay<float>& ray, DiscRay<Lanes>* out) {
     }
 }
 
-// Adds the discs of a block that the ray hits at a t' (rays/maths.h) between `first` and `last`.
+// Tests the discs of a block. Adds to `nearest` the discs that the ray hits at a t' (rays/maths.h) between `first` and
+// `last`.
 FOURD_INLINE void add_discs(const DiscRay<Lanes>& ray, const DiscBlock& block, float first, float last,
                             NearestDiscs* nearest) {
     const Lanes centre[3] = {load(block.centre[0]), load(block.centre[1]), load(block.centre[2])};

@@ -1,7 +1,8 @@
 // Builds the tree from the top down. The centres of a range of primitives are sorted into 16 bins along each axis. The
 // range is split between two neighbouring bins, where the cost is lowest. The cost follows the surface area heuristic
-// (Wald 2007, On fast Construction of SAH-based Bounding Volume Hierarchies). A node splits its range until it has
-// eight children. The top of the tree is built on one thread. The subtrees below the top are built on all threads.
+// (Wald 2007, On fast Construction of SAH-based Bounding Volume Hierarchies). The range of a node is split repeatedly,
+// until the node has eight children. The top of the tree is built on one thread. The subtrees below the top are built
+// on all threads.
 #include "rays/cpu/topology.h"
 
 #include <algorithm>
@@ -11,11 +12,13 @@ namespace fourd::rays {
 namespace {
 
 constexpr int kBins = 16;
-// Nodes deeper than kMaxSahDepth split their range in two halves, without the surface area heuristic.
+// At the depth kMaxSahDepth or deeper, nodes split ranges into two halves with equal numbers of primitives, without the
+// surface area heuristic.
 constexpr int kMaxSahDepth = 24;
-// Ranges with at most 1 / kParts of all primitives are not split further in the top of the tree.
+// In the top of the tree, a range with at most 1 / kParts of all primitives is not split further, but becomes a
+// subtree.
 constexpr std::size_t kParts = 48;
-// Ranges of at most kSmallPart primitives are not split further in the top of the tree.
+// In the top of the tree, a range of at most kSmallPart primitives also becomes a subtree.
 constexpr std::size_t kSmallPart = 4096;
 static_assert(kMaxSahDepth + 32 <= kMaxDepth, "2^31 primitives are halved at most 31 times");
 
@@ -62,7 +65,7 @@ struct Binning {
         for (int axis = 0; axis < 4; ++axis) {
             const float extent = axis < 3 ? centres.high[axis] - centres.low[axis] : 0.0f;
             low[axis] = centres.low[axis];
-            // The factor is below 1, so that rounding does not put the largest centre beyond the last bin.
+            // The factor 0.99999 keeps the largest centre in the last bin, in spite of rounding.
             scale[axis] = extent > 0.0f ? kBins * 0.99999f / extent : 0.0f;
             if (!(scale[axis] <= 3e38f)) scale[axis] = 0.0f;
         }
@@ -150,8 +153,8 @@ void split(Reference* references, const Range& range, bool in_halves, Range* lef
     left->end = right->begin = at;
 }
 
-// Splits a range into up to eight ranges. Each step splits the range with the largest box area in two. Ranges of up to
-// kWidth primitives are not split.
+// Splits a range into up to eight ranges. Each step splits one range into two: the range whose box has the largest
+// area. Ranges of up to kWidth primitives are not split.
 std::vector<Range> children_of(Reference* references, const Range& range, bool in_halves) {
     std::vector<Range> out{range};
     while (out.size() < kWidth) {

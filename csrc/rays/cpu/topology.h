@@ -25,7 +25,8 @@ inline void extend(Box* box, const Box& by) {
     }
 }
 
-// The index of a primitive and its box. The builder of the tree sorts the references.
+// The index of a primitive and its box. build_topology() reorders the references, so that each leaf has a contiguous
+// range of them.
 struct alignas(16) Reference {
     Box box;
     std::int32_t index;

@@ -8,7 +8,8 @@
 namespace fourd::rays::cuda {
 namespace {
 
-// Adds the discs of a block that the ray hits at a t' (rays/maths.h) between `first` and `last`.
+// Tests the discs of a block. Adds to `nearest` the discs that the ray hits at a t' (rays/maths.h) between `first` and
+// `last`.
 FOURD_DEVICE static void add_discs(const DiscRay<float>& ray, const DiscBlock& block, float first, float last,
                                    NearestDiscs* nearest) {
     for (int lane = 0; lane < kWidth; ++lane) {

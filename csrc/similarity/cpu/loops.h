@@ -21,7 +21,7 @@ struct Plan {
     Window window;
     std::size_t stride, valid;  // Number of floats in a row of a picture, and in a row of its valid part.
     int rows, valid_rows;
-    float scale;  // 1 / (number of valid values).
+    float scale;  // 1 / (number of floats in the valid part).
 
     explicit Plan(const Pictures& pictures);
 };

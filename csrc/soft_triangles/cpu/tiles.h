@@ -28,24 +28,25 @@ struct Tile {
     int width, height;  // Size of the image.
 };
 
-// Scratch memory. A visit is one (entry, block) pair in which the entry's triangle hits at least one pixel of the
-// block.
+// Scratch memory. An entry is a triangle in the list of the tile. A visit is an (entry, block) pair in which the
+// triangle hits at least one pixel of the block.
 struct Visits {
     std::uint16_t* blocks;   // Shape (count,): mask of the blocks that each entry may hit.
-    std::uint32_t* entries;  // Shape (count,): entry of each visit of a block.
+    std::uint32_t* entries;  // Shape (count,): index of the entry of each visit of a block.
     float* x;                // Shape (count, 16): log-odds of the coverage D (maths.h).
     float* depth;            // Shape (count, 16): depth of the triangle, or kNoHit at pixels that do not use it.
 };
 
 struct Loops {
     // Projects the triangles [begin, end) into `faces` and `tile_ranges`, which are both indexed by triangle. Lists the
-    // visible triangles in `items`, and returns their number.
+    // visible triangles in `items`, and returns their count.
     std::size_t (*project)(const Mesh& mesh, const Settings& settings, std::size_t begin, std::size_t end, Face* faces,
                            TileRange* tile_ranges, Item* items);
 
     void (*render)(const Tile& tile, const Visits& visits, const Image& out);
 
-    // `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and then the gradient of the features.
+    // `slots` (count,) has the index of the slot of each entry (tiles/depth_bins.h). `sums` has kShapeSums + channels
+    // floats per slot: one ShapeGradient, and then the gradient of the features.
     void (*render_backward)(const Tile& tile, const Visits& visits, const ImageGradient& gradient,
                             const std::size_t* slots, float* sums);
 };

@@ -36,7 +36,7 @@ struct ProjectTriangle {
                           static_cast<std::uint16_t>(at.top), static_cast<std::uint16_t>(at.bottom)};
         }
         to.by_index[triangle] = face;
-        // All keys of visible triangles are equal, so triangles stay in index order.
+        // All visible triangles have the same sort key, so the stable sort keeps them in index order.
         to.keys[triangle] = at.visible ? 0u : tiles::cuda::kCulled;
         to.values[triangle] = static_cast<std::uint32_t>(triangle);
     }

@@ -30,15 +30,17 @@ struct Tile {
 
 struct Loops {
     // Projects the triangles [begin, end) into `splats` and `tile_ranges`, which are both indexed by triangle. Lists
-    // the visible triangles in `items`, and returns their number.
+    // the visible triangles in `items`, and returns their count.
     std::size_t (*project)(const Mesh& mesh, const Settings& settings, std::size_t begin, std::size_t end,
                            Splat* splats, TileRange* tile_ranges, Item* items);
 
-    // Renders a tile. `best` is scratch memory of 16 floats per entry. `slots` has the slot of each entry. The largest
-    // compositing weight of an entry is written to the element of `weights` for the entry's slot.
+    // Renders a tile. An entry is a triangle in the list of the tile. `best` is scratch memory of 16 floats per entry.
+    // `slots` (count,) has the index of the slot of each entry (tiles/depth_bins.h). The largest compositing weight of
+    // entry i is written to weights[slots[i]].
     void (*render)(const Tile& tile, const Image& out, float* best, const std::size_t* slots, float* weights);
 
-    // `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and then the gradient of the features.
+    // `slots` is the same as for render(). `sums` has kShapeSums + channels floats per slot: one ShapeGradient, and
+    // then the gradient of the features.
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const std::size_t* slots, float* sums);
 };
 

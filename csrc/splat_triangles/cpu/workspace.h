@@ -10,7 +10,7 @@
 namespace fourd::splat_triangles {
 
 struct Workspace {
-    // The memory of one worker for one tile.
+    // The memory that one worker (thread) uses for one tile.
     struct Scratch {
         Buffer<std::size_t> slots;
         Buffer<float> best;
@@ -20,7 +20,7 @@ struct Workspace {
     tiles::DepthBins bins;
     tiles::Slots slots;
     Buffer<Splat> splats;                    // Indexed by triangle. Only visible triangles have a valid splat.
-    Buffer<float> sums;                      // Indexed by slot.
+    Buffer<float> sums;                      // Indexed by slot. Each (triangle, tile) pair has one slot.
     Buffer<float> corners;                   // Gradients of the positions of the 3 vertices of each triangle.
     std::vector<Scratch> scratch_by_worker;  // Indexed by worker.
 

@@ -62,13 +62,13 @@ struct View {
     }
 };
 
-// kCapacity must be at least the number of channels. Loops up to kCapacity have constant indices, so the compiler can
-// keep arrays in registers.
+// kCapacity must be at least the number of channels. Loops up to the constant kCapacity can be unrolled, so the
+// compiler can keep arrays in registers.
 template <int kCapacity>
 struct RenderPixel {
     View view;
     Image out;
-    float* weight;  // Indexed by triangle, initially 0.
+    float* weight;  // Largest compositing weight of each triangle, initially 0.
 
     FOURD_DEVICE void operator()(std::size_t index, const device::Lane& lane) const {
         const Pixel pixel = view.pixel(index);

@@ -48,8 +48,8 @@ inline void look_up(const Style& style, const float* tone, const float* detail, 
     }
 }
 
-// The tone (1 + N.L) / 2, the cosine N.V and the detail (row of the shade table) of each pixel. N is the normal, L the
-// direction of the light, and V the direction of the camera.
+// For each pixel: the tone (1 + N.L) / 2, the cosine N.V (`facing`), and the detail from 0 to 1, which selects the row
+// of the shade table. N is the unit normal. L and V are the unit vectors towards the light and towards the camera.
 struct Shape {
     float tone[kRun], facing[kRun], detail[kRun];
 };
@@ -101,7 +101,7 @@ inline float wave(float position) {
     return size_of(2.0f * part - 1.0f);
 }
 
-// The hatching parameters of a style. Reciprocals are computed once per image, because divisions are slow.
+// The hatching parameters of a style. Reciprocals are computed once per run of pixels, because divisions are slow.
 struct Hatching {
     float width, spacing, per_spacing, levels[2], per_level[2];
 };
@@ -171,7 +171,7 @@ inline std::uint32_t paper_of(const Numbers& n) {
     return byte_of(n.paper[0]) | byte_of(n.paper[1]) << 8 | byte_of(n.paper[2]) << 16;
 }
 
-// Shades a run of a row. The line filters read samples, called taps, from this row and from the rows above and below.
+// Shades a run of a row, without lines. rows[1] has the samples of the surface (taps) in this row.
 inline void shade_run(const Surface& surface, const Style& style, const Taps* const* rows, int row, int first, int count,
                       std::uint32_t* picture) {
     Shape shape;

@@ -6,7 +6,7 @@
 
 namespace fourd::stylize {
 
-constexpr int kRun = 64;  // Number of pixels of a row that are computed together.
+constexpr int kRun = 64;  // Number of pixels of a run: adjacent pixels of a row that are computed together.
 
 // The lines of a picture. All arrays belong to the caller. In `drawn` and `strong`, each run of pixels is one word, in
 // which bit i belongs to pixel i of the run. Each row of these two arrays starts and ends with one additional word

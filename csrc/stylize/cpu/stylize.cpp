@@ -10,8 +10,8 @@
 namespace fourd::stylize {
 namespace {
 
-// With 8 rows, the pixels that a task reads for one column of runs fit into the L1 cache. The next column also reads
-// some of these pixels, and finds them in the cache.
+// With 8 rows, the pixels that a task reads for one column of runs (kRun pixels wide) fit into the L1 cache. The next
+// column also reads some of these pixels, and finds them in the cache.
 constexpr int kRowsPerTask = 8;
 
 // Decides when the lines of a task's rows can be drawn: all tasks with rows at most `reach` rows away must have
@@ -22,7 +22,8 @@ class Progress {
         for (int task = 0; task < tasks; ++task) missing_[task] = end(task) - begin(task);
     }
 
-    // Records that the task `done` is finished. Calls draw(task) for each task whose lines can now be drawn.
+    // Records that the task with the index `done` is finished. Calls draw(task) for each task whose lines can now be
+    // drawn.
     template <typename Draw>
     void finish(int done, const Draw& draw) {
         for (int task = begin(done); task < end(done); ++task) {

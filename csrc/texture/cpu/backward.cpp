@@ -1,7 +1,8 @@
-// The backward pass on the CPU. The texels of each level are divided into bands. A first pass over the pixels writes
-// the gradients of the positions, and lists for each band the pixels that read its texels. In a second pass, one worker
-// per band adds the gradients of these pixels to the band's texels, in the order of the pixels. Results therefore do
-// not depend on the number of threads, and the second pass needs no locks. The sums of a band stay in the L2 cache.
+// The backward pass on the CPU. The texels of each level are divided into bands of consecutive texels. A first pass
+// over the pixels writes the gradients of uv, uv_da and bias, and lists for each band the pixels that read its texels.
+// In a second pass, one worker per band adds the gradients of these pixels to the band's texels, in the order of the
+// pixels. Results therefore do not depend on the number of threads, and the second pass needs no locks. The sums of a
+// band stay in the L2 cache.
 #include <cstring>
 
 #include "common/buffer.h"
@@ -14,8 +15,8 @@ namespace {
 
 // A band has about 16 rows of texels, so that few pixels read texels of two bands. A band also fits into the L2 cache.
 constexpr std::size_t kRowsPerBand = 16, kMinBandTexels = 1 << 12, kMaxBandFloats = 1 << 18;
-// A band with more than kMaxEntriesPerPart entries is divided into parts. The parts are summed separately and in
-// parallel.
+// If more than kMaxEntriesPerPart entries (pixels) read texels of a band, these entries are divided into parts. The
+// parts are summed separately and in parallel.
 constexpr std::size_t kMaxEntriesPerPart = 1 << 15;
 
 Bands bands_of(const Shape& shape) {
@@ -32,7 +33,7 @@ Bands bands_of(const Shape& shape) {
     return out;
 }
 
-// The entries of all tasks, sorted by band.
+// For each task (range of pixels), its entries (loops.h), sorted by band.
 class EntryTable {
   public:
     EntryTable(const Bands& bands, std::size_t tasks, int workers)

@@ -1,5 +1,5 @@
 // Computes the positions, mip levels and texels of batches of pixels, in loops that compilers vectorise over pixels.
-// Only dispatched files (common/dispatch.h) include this file.
+// Only files that are compiled once per instruction set (common/dispatch.h) include this file.
 #pragma once
 
 #include "common/inline.h"
@@ -25,7 +25,7 @@ struct Batch {
     float is_used[kRun];  // 0 for positions that are not finite, and 1 for all other positions.
     float level[kRun];    // Clamped mip level.
     int slot_level[2][kRun];
-    float blend[2][kRun];  // Weights of the two levels.
+    float blend[2][kRun];  // Weights of the two levels in slot_level.
     float is_between[kRun];
     BatchTexels texels[2];
 };

@@ -1,5 +1,5 @@
-// An entry is a pixel that reads texels of a band. This file lists entries and sums their gradients. Only dispatched
-// files (common/dispatch.h) include this file.
+// An entry is a pixel that reads texels of a band (consecutive texels of a mip level). This file lists entries and sums
+// their gradients. Only files that are compiled once per instruction set (common/dispatch.h) include this file.
 #pragma once
 
 #include <cstring>
@@ -123,7 +123,8 @@ FOURD_INLINE void add_four(const Four& from, float weight, float* to) {
 #endif
 }
 
-// Adds the gradient of each entry to the sums of its texels that are in the band.
+// For each entry, adds the gradient of the pixel, times the weight of the texel, to the sums of the pixel's texels in
+// the band.
 template <int Channels>
 FOURD_INLINE void add_entries(const Query& query, const Batch& b, std::size_t first, const Entry* entries,
                               const float* gradient, const BandSums& band) {

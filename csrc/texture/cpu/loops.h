@@ -18,21 +18,22 @@ struct Task {
     int count;
 };
 
-// The texels of one item, divided into bands of consecutive texels. Each band belongs to one level.
+// The texels of one item (texture), divided into bands of consecutive texels. Each band belongs to one level.
 struct Bands {
     int first[kMaxLevels];  // Index of the first band of a level.
     int shift[kMaxLevels];  // A band of the level has 2^shift texels.
     int count;
 };
 
-// An entry is a pixel of a task that reads texels of a band. The value of an entry is twice the index of the pixel in
-// its task, plus s. The number s is 0 or 1, and states to which of the two mip levels of the lookup the texels belong.
+// An entry records that a pixel of a task (range of pixels) reads texels of a band (range of texels). Let i be the
+// index of the pixel in the task. The value of the entry is 2i + s. A lookup blends up to two mip levels: s is 0 for
+// texels of the finer level, and 1 for texels of the coarser level.
 using Entry = std::uint16_t;
 // Maximum number of entries of a task: four texels in each of two levels for each pixel.
 constexpr std::size_t kMaxEntries = 8 * kTaskPixels;
 
 struct EntryList {
-    std::uint32_t* bands;  // Shape (kMaxEntries,).
+    std::uint32_t* bands;  // Shape (kMaxEntries,): index of the band of each entry.
     Entry* entries;        // Shape (kMaxEntries,).
     std::size_t count;
 };
@@ -54,7 +55,7 @@ struct Loops {
     // entries.
     void (*pixel_gradients)(const Query&, const Task&, const float* gradient, const Gradients& out, float* levels,
                             const Bands&, EntryList* entries);
-    // Adds the contributions of some entries of a task to the sums of a band.
+    // Adds the contributions of `count` entries (pixels that read texels of the band) to the sums of a band.
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
     // Computes some rows of a level from the next finer level. If halves_rows is true, the finer level has two rows for

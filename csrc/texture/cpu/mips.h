@@ -1,5 +1,5 @@
-// Loops that compute a mip level from the next finer level, and the backward pass of these loops. Only dispatched files
-// (common/dispatch.h) include this file.
+// Loops that compute a mip level from the next finer level, and the backward pass of these loops. Only files that are
+// compiled once per instruction set (common/dispatch.h) include this file.
 #pragma once
 
 #include <cstddef>

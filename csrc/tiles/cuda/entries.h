@@ -33,16 +33,18 @@ struct Entries {
     Splat* splats;               // Indexed by rank.
     // Sort keys. The first sort uses the depths of primitives, and the second sort uses the tiles of entries.
     std::uint32_t* keys;
-    // Sort values. The first sort uses the indices of primitives, and the second sort uses the ranks of entries.
+    // Sort values. The first sort uses the indices of primitives. The second sort uses, for each entry, the rank of its
+    // primitive.
     std::uint32_t* values;
     std::uint32_t* depths;       // Bits of the depth of each primitive, indexed by rank.
     std::uint32_t* indices;      // Primitives, indexed by rank.
     std::uint64_t* tile_counts;  // Number of tiles that the primitive of each rank covers. The last element is 0.
-    // Index of the first entry of each rank. The last element is the number of all entries.
+    // For each rank, the index of the first entry of its primitive, before entries are sorted by tile. The last element
+    // is the count of all entries.
     std::uint64_t* begin;
     std::uint32_t* entry_tiles;  // Tile of each entry, in ascending order.
-    std::uint32_t* entry_ranks;  // Rank of each entry, sorted by tile, then by rank.
-    // Index of the first entry of each tile. The last element is the number of all entries.
+    std::uint32_t* entry_ranks;  // Rank of each entry's primitive. Entries are sorted by tile, then by rank.
+    // For each tile, the index of its first entry in entry_tiles. The last element is the count of all entries.
     std::uint32_t* tile_begin;
     std::uint32_t* visible;      // Number of visible primitives.
     float* sums;                 // Sums of gradients over pixels, indexed by rank.
@@ -92,8 +94,9 @@ FOURD_DEVICE static inline std::size_t lower_bound(const T* sorted, std::size_t 
     return first;
 }
 
-// This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a primitive. With this additional rank,
-// the last element of the exclusive sum of tile_counts is the number of all entries.
+// Copies the splats into depth order. This kernel is called for ranks 0 to `count`, inclusive. Rank `count` is not a
+// primitive. With this additional rank, the last element of the exclusive sum of tile_counts is the count of all
+// entries.
 template <typename Splat>
 struct GatherRank {
     Entries<Splat> to;
@@ -110,8 +113,8 @@ struct GatherRank {
     }
 };
 
-// This kernel has one thread per entry, not per primitive, because the number of tiles of a primitive ranges from one
-// to all tiles.
+// This kernel has one thread per entry. A primitive covers from one tile to all tiles, so threads per primitive would
+// have very unequal work.
 template <typename Splat>
 struct EmitEntry {
     Entries<Splat> to;
@@ -121,8 +124,8 @@ struct EmitEntry {
         std::uint32_t tile = static_cast<std::uint32_t>(to.tiles.count());
         std::uint32_t rank = 0;
         if (entry < to.begin[to.count]) {
-            // An entry belongs to the last rank whose first entry is at or before the entry. A rank without tiles has
-            // the same first entry as the next rank, so this search never finds a rank without tiles.
+            // The primitive of this entry has the last rank with begin[rank] <= entry. A rank without tiles has the
+            // same `begin` as the next rank, so this search never finds a rank without tiles.
             rank = static_cast<std::uint32_t>(lower_bound(to.begin, to.count + 1, std::uint64_t{entry} + 1) - 1);
             const TileRange range = tile_range_of(to.splats[rank]);
             const std::uint64_t place = entry - to.begin[rank];
@@ -162,9 +165,10 @@ std::size_t entry_bytes(std::size_t count, int sums, int width, int height, std:
     return arena.bytes();
 }
 
-// Builds the entries of `count` primitives, and allocates `sums` floats per primitive. project_into(entries) returns a
-// kernel that is called with the index i of each primitive. The kernel writes by_index[i], keys[i] and values[i]. The
-// key is kCulled or the bits of the depth, and the value is i.
+// Builds the entries of `count` primitives, and allocates Entries::sums with `sums` floats per primitive.
+// project_into(entries) returns a kernel that is called with the index i of each primitive. The kernel writes
+// by_index[i], keys[i] and values[i]. The key is kCulled for a culled primitive, and the bits of the depth for all
+// others. The value is i.
 template <typename Splat, typename ProjectInto>
 Entries<Splat> fill(const device::Executor& executor, std::size_t count, int width, int height,
                     const EntryBuffer& buffer, int sums, const ProjectInto& project_into) {

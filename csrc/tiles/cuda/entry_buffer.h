@@ -8,12 +8,12 @@ namespace fourd::tiles::cuda {
 
 // Scratch memory with space for `entries` (primitive, tile) entries. If an image needs more entries, every pixel tests
 // every primitive, which is slow but gives the same image. The GPU writes to `needed` how many entries the image needs.
-// The caller can then allocate enough entries for later images, but does not wait for the number of the current image,
-// because waiting would stall the CPU.
+// The caller can then allocate enough entries for later images. It does not wait for the entry count of the current
+// image, because waiting would stall the CPU.
 struct EntryBuffer {
     void* memory;           // At least workspace_bytes() bytes.
     std::size_t entries;    // Below 2^31.
-    std::uint64_t* needed;  // A number that the GPU writes, in page-locked host memory or in GPU memory.
+    std::uint64_t* needed;  // The count that the GPU writes: one integer in page-locked host memory or in GPU memory.
 };
 
 }  // namespace fourd::tiles::cuda

@@ -13,7 +13,8 @@ struct Pixel {
     std::size_t tile;
 };
 
-// Finds the pixel of a thread. `index` counts the pixels tile by tile, including pixels outside the image.
+// Finds the pixel of a thread. `index` is the index of the thread. It numbers the pixels tile by tile, including pixels
+// outside the image.
 FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles, int width, int height) {
     constexpr int kAcross = 8, kDown = device::kWarpSize / kAcross;
     const std::size_t tile = index / kTilePixels;
@@ -28,7 +29,8 @@ FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles,
 // The primitives that the pixels of a tile process, nearest first. The list contains the entries of the tile, or all
 // visible primitives if the entries do not fit into the workspace.
 struct EntryList {
-    const std::uint32_t* ranks;  // Ranks of the primitives. If `ranks` is null, the primitive at position i has rank i.
+    // Ranks (positions in depth order) of the primitives. If `ranks` is null, the primitive at position i has rank i.
+    const std::uint32_t* ranks;
     std::size_t count;
 
     FOURD_DEVICE std::size_t rank(std::size_t position) const { return ranks ? ranks[position] : position; }
@@ -41,11 +43,12 @@ FOURD_DEVICE static inline EntryList entry_list(const Entries<Splat>& entries, s
     return {entries.entry_ranks + begin, entries.tile_begin[tile + 1] - begin};
 }
 
-// Composites the primitives of a list front to back. The traversal ends early if every pixel of the warp that is inside
-// the image has `layers` layers or a transmittance of at most transmittance_min. The compositor provides
-// pixel_coverage(splat, x, y), which returns how the primitive covers the pixel. The member `alpha` of this coverage is
-// above 0 if the primitive hits the pixel. Calls take(position, rank, splat, coverage, transmittance) for every layer
-// of the pixel. Returns the final transmittance.
+// Composites the primitives of a list front to back. Each hit of a primitive is a layer of the pixel. A pixel is
+// complete if it has `layers` layers or a transmittance of at most transmittance_min. The traversal ends when all
+// pixels of the warp are complete or outside the image. The compositor provides pixel_coverage(splat, x, y), which
+// returns how the primitive covers the pixel. The member `alpha` of this coverage is above 0 if the primitive hits the
+// pixel. Calls take(position, rank, splat, coverage, transmittance) for every layer, where `position` is the index in
+// the list and `transmittance` is the transmittance in front of the layer. Returns the final transmittance.
 template <typename Splat, typename Take>
 FOURD_DEVICE static inline float traverse(const Entries<Splat>& entries, const EntryList& list, const Pixel& pixel, int layers,
                                           float transmittance_min, const device::Lane& lane, const Take& take) {

@@ -63,8 +63,8 @@ def complete_surfaces(surfaces: Sequence[Surface], views: Sequence[GreyView], se
     sizes = [np.count_nonzero(_off_planes(surface, planes)) for surface in surfaces]
     enough = [_has_enough_known(surface, xyz) for surface in surfaces]
     completed = list(surfaces)
-    # Images are completed in descending order of the number of known cells that lie off the enclosing planes. Later
-    # images continue the interpolated depths of earlier images, so that walls agree between images.
+    # Images are completed in descending order of the number of known cells that lie on no enclosing plane (floor or
+    # wall). Later images continue the interpolated depths of earlier images, so that surfaces agree between images.
     for index in np.argsort(sizes, kind="stable")[::-1]:
         if not enough[index]:
             continue

@@ -285,7 +285,8 @@ def _sample_grey(grey: Floats, x: Floats, y: Floats) -> Floats:
     if not x.size:
         return np.empty(x.shape, np.float32)
     height, width = grey.shape
-    # Positions are clamped to OpenCV's numeric range. NaN is replaced by a position outside the image.
+    # cv2.remap accepts only a limited range of positions, so positions far outside the image are moved to about 9
+    # pixels outside it. NaN is also replaced by a position outside the image.
     x, y = np.fmax(np.fmin(x, width + 9), -9), np.fmax(np.fmin(y, height + 9), -9)
     outside = float("nan")
     return np.asarray(

@@ -33,7 +33,7 @@ class CloudEncoding:
         position_bits: number of bits per coordinate, 1 to 21.
         radius_lower: radius in world units that code 1 encodes. Code 0 encodes the radius 0.
         radius_steps: number of codes for each doubling of the radius.
-        density_levels: code that encodes the density 1, at most 255.
+        density_levels: code that encodes the density 1, at most 255. Code c encodes the density c / ``density_levels``.
         sh_basis: (K, 48) float32, orthonormal basis vectors as rows. The spherical-harmonics coefficients of a point
             are ``sh_mean`` plus a weighted sum of the basis vectors. The weights of the sum are called factors, and
             the scene stores the factors of each point. The 48 numbers of a row are 16 coefficients for red, then 16 for

@@ -151,7 +151,7 @@ def _colours(mesh: Mesh, values: NDArray[np.float32]) -> NDArray[np.float32]:
     if mesh.texture is None:
         return values
     height, width = mesh.texture.shape[:2]
-    # OpenCV needs maps with sides below 32768.
+    # cv2.remap needs coordinate arrays with sides below 32768, so the list of positions is arranged in rows.
     padded = np.zeros((2, max(-(-len(values) // _MAP_COLUMNS), 1), _MAP_COLUMNS), np.float32)
     padded.reshape(2, -1)[:, : len(values)] = values.T * np.array([[width], [height]], np.float32) - np.float32(0.5)
     colours = cv2.remap(mesh.texture, padded[0], padded[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

@@ -2,10 +2,10 @@
 
 The cloud has N points in Morton order. All arithmetic on colours is modulo 256. The cloud has these members:
 
-- ``points``: differences of successive Morton codes as byte planes, then radius codes (two byte planes), then density
-  codes.
-- ``sh``: zigzag-coded int16 factors (K, N) of the K rows of ``sh_basis``: first the low bytes of all factors, then the
-  high bytes of all factors.
+- ``points``: differences of successive Morton codes as byte planes (the lowest byte of all values, then the next byte
+  of all values, and so on), then radius codes (two byte planes), then density codes.
+- ``sh``: zigzag-coded int16 factors (K, N), which are the weights of the K rows of ``sh_basis`` in units of
+  ``sh_step``: first the low bytes of all factors, then the high bytes of all factors.
 - ``colour``: mean colour of each point over the source views, as three planes: green, red - green and blue - green.
   Each plane stores the differences between successive points.
 - ``views/VVV``: codes of the blend weights of source view V, then the colours of the points. A colour is stored as the
@@ -194,7 +194,7 @@ def _decode_points(member: bytes, points: int, encoding: CloudEncoding) -> dict[
     content = decompress_exactly(member, size)
     code_end, radius_end = points * encoding.code_bytes, points * (encoding.code_bytes + 2)
     radius_codes = join_planes(content[code_end:radius_end], 2, np.uint16).astype(np.float32)
-    # The reader refuses infinite radii.
+    # A radius that overflows is infinite, and the reader refuses infinite radii.
     with np.errstate(over="ignore"):
         radius = np.exp2((radius_codes - 1) / encoding.radius_steps) * np.float32(encoding.radius_lower)
         halves = np.where(radius_codes > 0, radius, 0).astype(np.float16)
@@ -232,7 +232,7 @@ def _encode_weights(weights: NDArray[np.float16], encoding: CloudEncoding) -> ND
 
 
 def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray[np.uint8]:
-    """Check the size of a view's member, and return its content."""
+    """Decompress a view's member (a file inside the ZIP), and check the size of the content."""
     content = decompress(member, 4 * points)
     colours = points if encoding.every_point_has_colours else int(np.count_nonzero(content[:points]))
     if len(content) != points + 3 * colours:
@@ -243,8 +243,8 @@ def _decode_view(member: bytes, points: int, encoding: CloudEncoding) -> NDArray
 def _sample_view(
     member: bytes, xyz: NDArray[np.float32], mean: NDArray[np.uint8], camera: Camera, scale: float
 ) -> NDArray[np.uint8]:
-    """Return the content of a view's member, with the image replaced by the colours of the points. The colour step is
-    1.
+    """Return the content of a view's member, with the image replaced by the colours that the points have in the image.
+    These colours are stored with the colour step 1.
 
     ``mean`` has the mean colours as planes (3, N).
     """

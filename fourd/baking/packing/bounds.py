@@ -62,7 +62,7 @@ def check_bounds(
     _check("xyz", np.abs(decoded["xyz"] - cloud.xyz), 0.5001 * encoding.position_step + 2e-7 * span)
     radius = cloud.radius.astype(np.float64)
     factor = 2 ** (0.5001 / encoding.radius_steps) - 1 + 2 * HALF_PRECISION
-    # The summand 1e-7 allows for subnormal float16 numbers, whose relative error is larger.
+    # The summand 1e-7 allows for subnormal float16 numbers, whose relative error is larger than HALF_PRECISION.
     _check("radius", np.abs(decoded["radius"] - radius), factor * radius + 1e-7)
     density = np.abs(decoded["density"] - cloud.density.astype(np.float64))
     _check("density", density, 0.5001 / encoding.density_levels + HALF_PRECISION)

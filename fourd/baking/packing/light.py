@@ -1,4 +1,4 @@
-"""Light scenes: all colours are stored as low-degree spherical harmonics, which are fitted to the colours of the full
+"""Light scenes: all colours are stored as low-degree spherical harmonics, which are fitted to the colours of the source
 scene."""
 
 from __future__ import annotations

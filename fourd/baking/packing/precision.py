@@ -15,7 +15,7 @@ class Precision:
     for the undocumented fields.
 
     Attributes:
-        positions_per_radius: number of position steps per median radius.
+        positions_per_radius: number of quantisation steps of the positions within the median radius of the points.
         colour_step: quantisation step of colours, in units of 1/255. The step is at least 2, because colour
             differences, which range from -255 to 255, are divided by the step and stored as signed bytes.
         mean_colour_step: step to which mean colours are rounded, in units of 1/255.
@@ -25,7 +25,8 @@ class Precision:
             :func:`fourd.baking.colour_fit.viewpoints`. The visibility of a point is in [0, 1].
         crf: constant quality of the images of the source views, from 0 (best) to 63. If None, the colours are stored
             for each point instead of in images.
-        texels_per_radius: number of image texels that the median radius of the points spans.
+        texels_per_radius: number of image texels that the median radius of the points spans, in the source view with
+            the largest median radius in pixels.
     """
 
     positions_per_radius: int

@@ -16,7 +16,7 @@ from fourd.errors import UserError
 from fourd.progress import Track, untracked
 
 SAMPLED_FRAMES = 3
-"""Number of frames from which the bytes of a level are estimated."""
+"""Number of frames from which the bytes per frame of a level (a set of quantisation steps) are estimated."""
 MARGIN = 0.95
 """Maximum estimated data rate of a level, as a share of the connection's data rate. The remaining data rate is for
 frames that are larger than the mean."""
@@ -26,7 +26,7 @@ WEB_MARGIN = 0.9
 
 @dataclass(frozen=True)
 class Choice:
-    """The chosen level of a tier, and the data rates on which the choice is based.
+    """The chosen level (set of quantisation steps) of a tier, and the data rates on which the choice is based.
 
     Attributes:
         tier, level: see :data:`fourd.baking.packing.precision.LEVELS`.

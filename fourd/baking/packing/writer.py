@@ -1,4 +1,4 @@
-"""Writes packed scenes. The first member of the file is the manifest. The manifest contains the offsets of all other
+"""Writes packed scenes. The first member (file inside the ZIP) is the manifest, which contains the offsets of all other
 members.
 
 A player on a network can therefore fetch any frame as soon as it has the manifest.
@@ -113,7 +113,7 @@ class PackedWriter:
             return
         with disk_errors(self.path), self._stack:
             manifest = self._complete_manifest()
-            # The central directory of the ZIP repeats the checksum of the manifest.
+            # The central directory of the ZIP, which close() writes, repeats the checksum of the manifest.
             self._zip.getinfo(MANIFEST_NAME).CRC = zlib.crc32(manifest)
             self._zip.close()
             self._overwrite_manifest(manifest)

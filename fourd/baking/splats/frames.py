@@ -27,7 +27,8 @@ MAX_PIECES = 8
 _SAMPLES = 4096
 """Number of coloured points that are sampled to measure the spacing of the points."""
 _POINT_SCALE = 0.9
-"""Standard deviation of the splat of a coloured point, as a multiple of the distance to the nearest point."""
+"""Standard deviation of the splats of coloured points, as a multiple of the median distance between a point and its
+nearest point."""
 MAX_HALF = float(np.finfo(np.float16).max)
 _SPREAD = 2.4
 """Distance between the first and the last of the points that replace an elongated splat, as a multiple of the splat's

@@ -130,7 +130,7 @@ class StyledPlayer:
 
     @property
     def line_strength(self) -> NDArray[np.uint8]:
-        """(H, W) strength of the lines in the last picture, without specks."""
+        """(H, W) strength of the lines in the last picture, without specks (very short lines, which are not drawn)."""
         if self._last is None:
             raise RuntimeError("line_strength: expected a picture, got none; call draw first")
         return remove_specks((self._last.lines & 255).astype(np.uint8), speck_reach(self._last.thickness))

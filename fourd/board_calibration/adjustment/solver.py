@@ -213,7 +213,8 @@ def standard_deviations(state: RigState, corners: Corners, free: Free, errors: E
     scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
     inverse = np.linalg.pinv(reduced * np.outer(scale, scale), rcond=1e-14, hermitian=True) * np.outer(scale, scale)
     scores = plain.gradients - np.einsum("fij,fj->fi", eliminated, plain.rhs_boards)
-    # The prior's mean is uncertain too. The prior's gradient thus has the covariance ``precision``, which is added.
+    # The prior's gradient is ``precision`` times the offset from the prior's mean. This mean is uncertain, so the
+    # gradient has the covariance ``precision``, which is added.
     precision, _ = _prior(state, free)
     covariance = inverse @ (scores.T @ scores / _curvature(weights.corner) ** 2 + precision) @ inverse
     variance = np.diag(covariance)[: free.cameras.size].reshape(free.cameras.shape)

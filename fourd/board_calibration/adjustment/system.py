@@ -120,7 +120,7 @@ def build_system(
         if extra:
             padded = np.concatenate([_shape_columns(by_corner, corners, views, free, which), padded], axis=2)
         _add_views(system, _eliminate(padded, std, weights.view[which]), views.camera[which], views.board[which], extra)
-    # A board without observations would make its block singular.
+    # Without this summand, the block of a board without observations would be singular.
     system.boards[:] += 1e-9 * np.eye(BOARD_PARAMETERS)
     return system
 
@@ -173,7 +173,8 @@ def _add_views(system: System, grams: Array, cameras: NDArray[np.intp], boards: 
         system.shared[tail, tail] += total[shape, shape]
         system.rhs_shared[place] += total[own, last]
         system.rhs_shared[tail] += total[shape, last]
-        # A camera sees each position of the board at most once, so no index occurs twice.
+        # A camera sees each position of the board at most once, so no index occurs twice in ``some``. With repeated
+        # indices, += would drop summands.
         system.coupling[some, place] += grams[rows, own, pose]
         system.coupling[some, tail] += grams[rows, shape, pose]
         system.boards[some] += grams[rows, pose, pose]

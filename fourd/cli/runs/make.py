@@ -80,7 +80,7 @@ def run(arguments: Arguments) -> None:
     config = options.train_config(DEFAULT_SECONDS)
     # The LPIPS weights are loaded here so that invalid weights are reported before any stage runs.
     load_lpips(options.lpips_weights)
-    # The nodes of a cluster are chosen by their cores, and several segments can share a node.
+    # Ray chooses nodes by their CPU cores only, so several segments (ranges of frames) could share the GPU of a node.
     if arguments.ray is not None and options.device == "cuda":
         raise UserError("--device, --ray: expected --device cpu or auto with --ray, got cuda; nodes use their CPUs")
     choose_device(options.device)  # A missing GPU is reported before any stage runs.

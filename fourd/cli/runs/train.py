@@ -52,7 +52,7 @@ class Arguments:
 
 def run(arguments: Arguments) -> None:
     """Run the stages that training needs, then train."""
-    # Rank 0 prepares the run. The other ranks only take part in training.
+    # The first process (rank 0) prepares the run. The other processes only take part in training.
     with join_process_group() as group, locked_folder(arguments.out) if group.is_first else nullcontext():
         if group.is_first:
             remove_leftovers(arguments.out)

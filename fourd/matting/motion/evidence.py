@@ -180,8 +180,8 @@ def _add_hull(
     else:
         scores = grid.scores(own)
         priors = [scores.prior(index) for index in range(len(own))]
-    # The evidence of reliable voxels is estimated from all views together. An estimate from a single view that misses a
-    # part of the subject would be biased.
+    # The log-odds of pixels in the reliable part of the hull (priors above RELIABLE_SCORE) are estimated from all views
+    # together. An estimate from a single view that misses a part of the subject would be biased.
     reliable_own = [
         odds[(prior > RELIABLE_SCORE) & each.region] for odds, prior, each in zip(own, priors, appearances, strict=True)
     ]

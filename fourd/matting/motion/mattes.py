@@ -73,9 +73,9 @@ class MatteMaker:
             small.append(reduce_picture(pictures[-1], camera))
             motions.append(None)
             if other is not None:
-                # The frames between the two frames from which optical flow is computed are also read, in ascending
-                # order, so that they are cached. Reading these frames later would require seeking backwards in the
-                # video and decoding from the previous keyframe.
+                # Optical flow is computed from the frames ``frame`` and ``other``. The frames between them are also
+                # read, in ascending order, so that they are cached. Reading these frames later would require seeking
+                # backwards in the video and decoding from the previous keyframe.
                 ahead = [capture.image(index, number) for number in range(frame + 1, other + 1)]
                 second = ahead[-1] if ahead else capture.image(index, other)
                 motions[-1] = flow_length_px(small[-1], reduce_picture(second, camera))

@@ -25,7 +25,8 @@ MAX_OFFSET_CELLS = 0.4
 grid position. Without offsets, neighbouring vertices are at least 0.87 cube sides apart."""
 
 DEPTH_STEPS = 20
-"""Number of steps between two renderings of the depth images. The depth images determine which points are visible."""
+"""Number of gradient steps between two renderings of the depth images of all views. The depth images determine which
+points are visible."""
 
 NO_DEPTH = 1e9
 """Depth that is used for pixels without a surface."""
@@ -38,7 +39,7 @@ class FittedMesh:
     Attributes:
         xyz: (N, 3) float32 vertices in world units.
         triangles: (M, 3) int64 vertex indices, counter-clockwise seen from outside.
-        losses: (S,) float64 weighted sum of the losses in each step.
+        losses: (S,) float64 total loss in each of the S gradient steps: the weighted sum of all loss terms.
     """
 
     xyz: NDArray[np.float32]

@@ -118,9 +118,9 @@ class _RemovedParts:
         """Amount (N,) by which the signed distance at points (3, N) decreases because of the removed parts.
 
         The amount is at most ``2 * limit``, which changes the distance ``limit`` to ``-limit``. At a flat surface, the
-        occupancy, smoothed with a Gaussian, changes by 1 / (sigma * sqrt(2 * pi)) per unit of distance. Here, sigma is
-        SMOOTHING_CELLS times the side of a cell. The removed share of a neighbourhood is divided by this slope to get a
-        distance.
+        occupancy (1 inside the hull, 0 outside), smoothed with a Gaussian, changes by 1 / (sigma * sqrt(2 * pi)) per
+        unit of distance. Here, sigma is the standard deviation of the Gaussian: SMOOTHING_CELLS times the side of a
+        cell. The removed share of a neighbourhood is divided by this slope to get a distance.
         """
         index = (xyz.astype(np.float64) - self.hull.lower[:, None]) / self.hull.side
         share = map_coordinates(self.share, index, order=1, mode="nearest", prefilter=False)
@@ -144,8 +144,9 @@ def _removed_parts(views: Silhouettes, lower: Array, upper: Array, side: float) 
 
 
 def surface_band(centres: Array, anchor: Array, side: float) -> tuple[NDArray[np.int64], Array]:
-    """Integer positions (N, 3) of the cubes in a band around the points ``centres`` (P, 3), and the world position of
-    the lower corner of the cube (0, 0, 0).
+    """Integer positions (N, 3) of the cubes in a band, and the world position (3,) of the lower corner of the cube at
+    (0, 0, 0). A cube is in the band if it is at most BAND_CELLS cubes away, along each axis, from a cube that contains
+    one of the points ``centres`` (P, 3).
 
     The lattice of cubes is placed such that ``anchor`` (3,) is the centre of a cube.
     """

@@ -21,8 +21,8 @@ class Pairs:
     Attributes:
         image: (N,) index of the pair's image in the batch.
         owner, other: (N,) indices of the two pixels in the flattened (batch, height, width) array.
-        triangle: (N,) triangle of the owner.
-        other_triangle: (N,) triangle of the other pixel, or -1.
+        triangle: (N,) index of the triangle that the owner shows.
+        other_triangle: (N,) index of the triangle that the other pixel shows, or -1 for the background.
         centre: (N, 2) centre of the owner in normalised device coordinates: first the coordinate along the pair, then
             the coordinate across the pair.
         step: (N, 2) steps between neighbouring pixel centres in normalised device coordinates: first along the pair,
@@ -78,7 +78,7 @@ def find_pairs(rast: Tensor, triangles: int, axis: int) -> Pairs:
 
 def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
     """Return the clip coordinates (along, across, w), (N, K, 3), of the vertices with the indices (N, K). The origin is
-    the centre of the pair's owner."""
+    the centre of the pair's owner (the pixel whose triangle is nearer)."""
     x, y, w = clip[pairs.image[:, None], vertices].unbind(-1)
     along, across = (x, y) if pairs.axis == 0 else (y, x)
     return torch.stack((along - pairs.centre[:, :1] * w, across - pairs.centre[:, 1:] * w, w), -1)
@@ -87,8 +87,9 @@ def see(pairs: Pairs, clip: Tensor, vertices: Tensor) -> Tensor:
 def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """For each pair, return a linear function of the image position that is 0 on the edge from p to q.
 
-    The first result is the value (N,) of the function at the owner. The second and third results are the decreases (N,)
-    of the function per pixel, along the pair and across the pair.
+    The first result is the value (N,) of the function at the centre of the pair's owner (the pixel whose triangle is
+    nearer). The second result is the decrease (N,) of the function per pixel along the pair, from the owner to the
+    other pixel. The third result is the decrease (N,) per pixel across the pair.
     """
     value = p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]
     along = pairs.step[:, 0] * (p[:, 2] * q[:, 1] - p[:, 1] * q[:, 2])
@@ -97,8 +98,8 @@ def line_of(pairs: Pairs, p: Tensor, q: Tensor) -> tuple[Tensor, Tensor, Tensor]
 
 
 def crossed_edge(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor) -> Tensor:
-    """For each pair, find the edge of the owner's triangle that is a silhouette edge and crosses the pair. Return the
-    number of this edge (0 to 2), or -1 if no edge is found."""
+    """For each pair of pixels, find the silhouette edge of the nearer triangle that crosses the segment between the two
+    pixel centres. Return the index of this edge in the triangle (0 to 2), or -1 if there is no such edge."""
     seen = see(pairs, clip, tri.long()[pairs.triangle])
     lines = [line_of(pairs, seen[:, one], seen[:, two]) for one, two in EDGES]
     value, along, across = (torch.stack(parts, 1) for parts in zip(*lines, strict=True))
@@ -131,7 +132,8 @@ def _is_silhouette(pairs: Pairs, clip: Tensor, tri: Tensor, opposite: Tensor, ed
 
 
 def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
-    """Return the determinant of p, q and r. Its sign tells on which side of the edge from p to q the point r lies."""
+    """Return the determinants (N,) of the clip coordinates p, q and r, (N, 3) each. The sign of a determinant shows on
+    which side of the edge from p to q the point r lies."""
     e, d = q - p, r - p
     x = e[:, 1] * d[:, 2] - e[:, 2] * d[:, 1]
     y = e[:, 2] * d[:, 0] - e[:, 0] * d[:, 2]
@@ -140,8 +142,9 @@ def _side(p: Tensor, q: Tensor, r: Tensor) -> Tensor:
 
 
 def crossing_of_edge(pairs: Pairs, clip: Tensor, tri: Tensor, edge: Tensor) -> Tensor:
-    """Return the distance (N,), in pixels, from the owner to the crossing of the edge with the given number (0 to 2).
-    The distance is differentiable."""
+    """Return the distance (N,), in pixels, from the centre of each owner (the pixel whose triangle is nearer) to the
+    point where an edge of this triangle crosses the pair. ``edge`` (N,) is the index of the edge, 0 to 2. The distance
+    is differentiable."""
     ends = torch.tensor(EDGES, device=tri.device)[edge]
     seen = see(pairs, clip, tri.long()[pairs.triangle[:, None], ends])
     value, fall, _ = line_of(pairs, seen[:, 0], seen[:, 1])

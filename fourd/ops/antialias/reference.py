@@ -26,8 +26,9 @@ def antialias_reference(
         pairs, edge = pairs[edge >= 0], edge[edge >= 0]
         crossing = crossing_of_edge(pairs, clip, tri, edge)
         crossing = crossing + (crossing.clamp(0, 1) - crossing).detach()
-        # If the crossing is at a distance below 0.5, the owner's triangle ends inside the owner's pixel, so the colour
-        # of the other pixel is blended into the owner.
+        # ``crossing`` is the distance, in pixels, from the centre of the owner (the pixel whose triangle is nearer) to
+        # the edge. If it is below 0.5, the triangle ends inside this pixel, so the colour of the pair's other pixel is
+        # blended into the owner.
         changes_owner = crossing < 0.5
         changed = torch.where(changes_owner, pairs.owner, pairs.other)
         source = torch.where(changes_owner, pairs.other, pairs.owner)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 NO_VERTEX = -1
-"""Value for edges with no neighbour or with several neighbours."""
+"""Value of the opposite vertex for edges that belong to only one triangle, or to more than two triangles."""
 
 
 @torch.no_grad()
@@ -26,7 +26,7 @@ def opposite_vertices(tri: Tensor) -> Tensor:
     ends = corners[:, [[1, 2], [2, 0], [0, 1]]].reshape(3 * count, 2).sort(1).values
     key = (ends[:, 0] << 32) | ends[:, 1]
     key, order = key.sort()
-    # An edge has exactly one neighbour if the edge's key occurs twice.
+    # An edge belongs to exactly two triangles if its key (its two vertex indices) occurs exactly twice.
     same = torch.zeros(3 * count + 1, dtype=torch.bool, device=tri.device)
     same[1:-1] = key[1:] == key[:-1]
     before, after = same[:-1], same[1:]

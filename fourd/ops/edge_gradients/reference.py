@@ -34,10 +34,11 @@ def add_edge_gradients_reference(color: Tensor, rast: Tensor, pos: Tensor, tri: 
 class _MovingEdges(torch.autograd.Function):
     """Returns ``color`` unchanged.
 
-    The backward pass treats each crossing as an edge that moves between two pixel centres. The owner is the pixel whose
-    triangle is nearer. If the edge moves away from the owner by dt pixels, the colour of one of the two pixels changes
-    by ``dt * (c_owner - c_other)``. It is not known which pixel changes, so the gradient is the mean of the gradients
-    of the two cases.
+    The backward pass treats each crossing as the position of a visibility edge that moves between the centres of two
+    neighbouring pixels. The owner is the pixel whose triangle is nearer. If the edge moves away from the owner by dt
+    pixels, the colour of one of the two pixels changes by ``dt * (c_owner - c_other)``, where c_owner and c_other are
+    the colours of the two pixels. It is not known which pixel changes, so the gradient is the mean of the gradients of
+    the two cases.
     """
 
     @staticmethod
@@ -64,12 +65,13 @@ def _finite(crossing: Tensor) -> Tensor:
 @dataclass(frozen=True)
 class _Planes:
     """For each of N pairs of pixels, the depth z/w of one triangle as a linear function of the image position. The
-    origin is the centre of the pair's owner.
+    origin is the centre of the pair's owner (the pixel whose triangle is nearer).
 
     Attributes:
         contains_pair: (N,) whether the triangle contains the centres of both pixels.
-        depth: (N,) z/w at the owner.
-        fall, fall_across: (N,) decrease of z/w per pixel along and across the pair.
+        depth: (N,) z/w at the centre of the owner.
+        fall, fall_across: (N,) decreases of z/w per pixel: along the pair, from the owner to the other pixel, and
+            across the pair.
     """
 
     contains_pair: Tensor
@@ -116,8 +118,9 @@ def _intersect(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
 
 
 def _crossing_of_intersection(pairs: Pairs, clip: Tensor, tri: Tensor) -> Tensor:
-    """Return the distance in pixels from the owner to the point where both triangles have the same z/w. The depth z/w
-    of a triangle is a linear function of the image position."""
+    """Return the distance (N,), in pixels, from the centre of the owner (the pixel whose triangle is nearer) to the
+    point where the triangles of both pixels have the same z/w. The depth z/w of a triangle is a linear function of the
+    image position."""
     one = _planes_of(pairs, clip, tri, pairs.triangle)
     two = _planes_of(pairs, clip, tri, pairs.other_triangle)
     return (one.depth - two.depth) / (one.fall - two.fall)

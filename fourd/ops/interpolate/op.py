@@ -56,8 +56,8 @@ def interpolate_attributes_backward(
     needed: Sequence[bool],
     threads: int,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the gradients of attr, rast and rast_db. ``needed`` tells which gradients are needed. The other gradients
-    are empty tensors."""
+    """Compute the gradients of attr, rast and rast_db. The three bools ``needed`` are true for the gradients that are
+    needed. Gradients that are not needed are empty tensors."""
     gradients = _empty_gradients(attr, rast, needed)
     targets = [gradient if is_needed else None for gradient, is_needed in zip(gradients, needed, strict=True)]
     if uses_gpu_kernels(attr):

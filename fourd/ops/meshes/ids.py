@@ -1,7 +1,8 @@
 """Triangle ids as values of a float32 image. ``csrc/common/triangle_id.h`` has the same functions for the kernels.
 
-The value 0 is the background. Triangle i has the number n = i + 1. Numbers up to 2^24 are stored as floats. Above 2^24,
-float32 cannot represent every integer, so n is stored as the float with the bit pattern 0x4a800000 + n.
+The value 0 is the background. The triangle with the index i is stored as the integer n = i + 1. If n is at most 2^24,
+the pixel has the value n. Above 2^24, float32 cannot represent every integer, so n is stored as the float with the bit
+pattern 0x4a800000 + n.
 """
 
 from __future__ import annotations

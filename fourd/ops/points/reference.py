@@ -94,7 +94,8 @@ def _project(xyz: Tensor, radius: Tensor, density: Tensor, camera: Camera) -> Sp
 
 
 def _alpha(splats: Splats, pixels: Tensor) -> Tensor:
-    """Return density * (1 - distance_px^2 / radius_px^2), not clamped.
+    """Return density * (1 - distance_px^2 / radius_px^2), not clamped, where distance_px is the distance from the pixel
+    to the splat's centre.
 
     The arrays of ``splats`` have the shape (P, K), or (1, M) to evaluate all M splats at every pixel. ``pixels`` are
     the pixel centres, (P, 2).

@@ -27,7 +27,7 @@ class Pieces:
 
     Attributes:
         corners: (P, 3, 2) int64 x and y of the vertices, in units of 1/256 pixel.
-        triangle: (P,) int64 triangle of each piece, in ascending order.
+        triangle: (P,) int64 index of the triangle that each piece is a part of, in ascending order.
         reference: (P, 2) int64 column and row of the reference pixel. This pixel is the origin of the linear functions
             in :class:`fourd.ops.rasterize.reference.Planes`.
     """
@@ -42,7 +42,7 @@ def cut_triangles(pos: Tensor, tri: Tensor, first: int, height: int, width: int)
 
     Args:
         pos: (V, 4) float32 clip coordinates.
-        tri: (T, 3) vertices.
+        tri: (T, 3) vertex indices.
         first: index that the first triangle of ``tri`` has in the whole mesh.
         height, width: size of the image in pixels.
     """
@@ -84,8 +84,8 @@ def covered(pieces: Pieces, height: int, width: int) -> Tensor:
 
 
 def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list[list[int]], bool]:
-    """Clip a triangle at the guard band. Return the rounded corners of the clipped polygon, and whether the triangle
-    was clipped."""
+    """Clip a triangle at the guard band, a rectangle that contains the image and is at least 4 times as wide and as
+    high. Return the rounded corners of the clipped polygon, and whether the triangle was clipped."""
     guard_x, guard_y = _guard(width), _guard(height)
     x, y, w = (points[:, axis].astype(np.float64) for axis in (0, 1, 3))
     is_inside = (w > 0) & (np.abs(x) <= guard_x * w) & (np.abs(y) <= guard_y * w)
@@ -98,8 +98,8 @@ def _polygon(points: NDArray[np.float32], width: int, height: int) -> tuple[list
 
 
 def _guard(side: int) -> int:
-    """Return the size of the guard band, divided by the size ``side`` of the image (both in pixels). The result is a
-    power of two.
+    """Return the ratio of the side length of the guard band to the side length ``side`` of the image (in pixels). The
+    guard band is the rectangle around the image at which triangles are clipped. The ratio is a power of two.
 
     The guard band ends within 2^16 pixels of the image's centre.
     """
@@ -146,8 +146,8 @@ def _area(piece: list[list[int]]) -> int:
 
 
 def _bounds(piece: list[list[int]], width: int, height: int) -> list[int] | None:
-    """Return the column and row of the first pixel whose centre is in the bounding box, or None if the box contains no
-    pixel centre."""
+    """Return the column and row of the first pixel of the image whose centre is in the piece's bounding box, or None if
+    the box contains no pixel centre of the image."""
     first = []
     for axis, side in ((0, width), (1, height)):
         values = [corner[axis] for corner in piece]

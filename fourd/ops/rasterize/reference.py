@@ -26,7 +26,7 @@ class Planes:
             x and y.
         depth: (T, 3) z/w: the value at the reference pixel, and the slopes per pixel along x and y.
         low, high: (T,) smallest and largest z/w of the vertices. The depth is clamped to this range.
-        reference: (T, 2) column and row of the reference pixel.
+        reference: (T, 2) column and row of the reference pixel, which is the origin of the linear functions.
         is_valid: (T,) whether the triangle is not degenerate.
     """
 
@@ -102,7 +102,7 @@ def make_planes(pos: Tensor, corners: Tensor, reference: Tensor, size: tuple[int
 
     Args:
         pos: (V, 4) clip coordinates.
-        corners: (T, 3) vertices.
+        corners: (T, 3) vertex indices.
         reference: (T, 2) column and row of the reference pixels.
         size: height and width of the image in pixels.
     """

@@ -16,8 +16,9 @@ class DiscTree:
     """An immutable tree of boxes over N discs, which several threads can use at the same time.
 
     Attributes:
-        nodes, blocks: the tree. Each row has the bytes of one struct of csrc/rays/discs.h, viewed as float32.
-        magnitude: largest absolute coordinate of the discs, in world units.
+        nodes, blocks: the boxes of the tree, and groups of discs at its leaves. Each row has the bytes of one struct
+            Node of csrc/rays/rays.h or DiscBlock of csrc/rays/discs.h, viewed as float32.
+        magnitude: largest absolute coordinate of the discs' boxes, in world units.
     """
 
     nodes: Array

@@ -21,8 +21,9 @@ def build_tree(xyz: Tensor, tri: Tensor, threads: int) -> tuple[Tensor, Tensor, 
     """Build a tree over the triangles ``tri`` (T, 3) of the positions ``xyz`` (V, 3), on the CPU.
 
     Returns:
-        nodes (N, 64) and blocks (B, 80) on the device of ``xyz``, and the largest absolute coordinate of the triangles.
-        Each row of the nodes and blocks has the bytes of one struct of csrc/rays/rays.h, viewed as float32.
+        N tree nodes (N, 64), B blocks of up to eight triangles (B, 80), both on the device of ``xyz``, and the largest
+        absolute coordinate of the triangles. Each row of the nodes and blocks has the bytes of one struct Node or Block
+        of csrc/rays/rays.h, viewed as float32.
     """
     nodes, blocks, magnitude = load_native().build_rays(as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads))
     return torch.from_numpy(nodes).to(xyz.device), torch.from_numpy(blocks).to(xyz.device), magnitude

@@ -40,9 +40,9 @@ def splat(
     """Render triangles. ``camera`` is the result of ``pack_camera``.
 
     Returns:
-        features (H, W, C), alpha (H, W), transmittance (H, W) = 1 - alpha, normal (H, W, 3), depth (H, W) and weight
-        (T,). If ``geometry`` is false, normal and depth are empty tensors. The transmittance and the weight have no
-        gradient.
+        features (H, W, C), alpha (H, W), transmittance (H, W) = 1 - alpha, normal (H, W, 3), depth (H, W), and weight
+        (T,), the largest compositing weight of each triangle over all pixels. If ``geometry`` is false, normal and
+        depth are empty tensors. The transmittance and the weight have no gradient.
     """
     out = _empty_image(features, geometry, width, height)
     inputs = (xyz, tri, features, opacity, sigma)

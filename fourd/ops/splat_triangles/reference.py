@@ -26,8 +26,8 @@ CHUNK = 1 << 21
 class Projected(NamedTuple):
     """M triangles projected to the image. All arrays have the shape (M,), except ``slope_x`` and ``slope_y`` (M, 3).
     (``x``, ``y``) is the incentre in pixels. ``slope_x`` and ``slope_y`` are the slopes, per pixel along x and y, of
-    the signed distances from the three edges, scaled to 1 at the incentre. ``smallest`` is the value of the smallest
-    scaled distance at which alpha is 1/255, but at least SMALLEST_WINDOW."""
+    the signed distances from the three edges, scaled to 1 at the incentre. The alpha of a triangle is 1/255 where the
+    smallest of its three scaled distances equals ``smallest``, which is limited to at least SMALLEST_WINDOW."""
 
     x: Tensor
     y: Tensor
@@ -48,7 +48,8 @@ def splat_triangles_reference(
     layers: int,
     near: float,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Compute the composited features (H, W, C), the alpha (H, W) and the weight (T,)."""
+    """Compute the composited features (H, W, C), the alpha (H, W), and the largest compositing weight (T,) of each
+    triangle over all pixels."""
     kept = _cull(project_corners(xyz.detach(), tri, camera), opacity.detach(), sigma.detach(), near)
     projected = _project(project_corners(xyz, tri[kept], camera), opacity[kept], sigma[kept])
     colours, alphas, best = [], [], xyz.new_zeros(len(kept))
@@ -118,7 +119,7 @@ def _project(corners: Tensor, opacity: Tensor, sigma: Tensor) -> Projected:
     centre_x = u[:, 0] + (length[:, 1] * x[:, 2] - length[:, 2] * x[:, 1]) / perimeter
     centre_y = v[:, 0] + (length[:, 1] * y[:, 2] - length[:, 2] * y[:, 1]) / perimeter
     scale = perimeter[:, None] / (area[:, None] * length)
-    # Value of the window at which alpha is exactly 1/255, computed in float64.
+    # Value of the window function at which alpha = opacity * window^sigma is exactly 1/255, computed in float64.
     power = torch.exp2(-torch.log2(opacity.detach().double() * 255) / sigma.detach().double())
     smallest = power.clamp(min=SMALLEST_WINDOW).to(opacity)
     return Projected(centre_x, centre_y, -y * scale, x * scale, smallest, opacity, sigma)

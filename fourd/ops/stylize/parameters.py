@@ -19,8 +19,8 @@ vector towards the camera, and L is the unit vector towards the light. The styli
   counts as at rest at a pixel if the sum of the inverse depths at the filter's nine taps differs by at most 3% between
   the previous and the new picture.
 - Lines near holes. The back of a surface is visible only through holes in the points. Because depths around holes are
-  irregular, a line is removed if a tap of the filter shows the back of a surface. The line stays if another tap shows
-  no surface.
+  irregular, a line is removed if a tap of the filter shows the back of a surface. The line stays if another tap of the
+  filter shows no surface.
 - Specks. Very short lines are not drawn. Each pixel is the centre of several squares, whose sides are 2, 4, 8, ..., 2 *
   r pixels long, where r is the result of ``speck_reach``. The line at the pixel is drawn only if each of these squares
   has a line of at least the strength LEAST_STRENGTH on its sides. The state for the next picture still contains the
@@ -47,7 +47,8 @@ TONES = 256
 MAX_ROWS = 64
 """Maximum number of rows of a shade table."""
 GAP = 3
-"""A pixel in a gap is filled if both surfaces beside the gap are at most this number of pixels away."""
+"""A pixel in a gap is filled if the surfaces on both sides of the gap are at most this number of pixels away from the
+pixel."""
 MAX_THICKNESS = 8
 """Maximum number of pixels between the taps of a line filter."""
 
@@ -59,8 +60,9 @@ BACK_WEIGHT = 0.1
 """The depth and the normal of a visible surface are weighted means over points. Points whose normals face away from the
 camera have this weight, and points whose normals face the camera have the weight 1."""
 FRONT_SLOPE = 8.0
-"""Slope with which lines fade near the backs of surfaces. Let m be the largest dot product of a tap's normal and the
-pixel's ray. A line has full strength at m = 0 and strength 0 at m = 1 / FRONT_SLOPE."""
+"""Slope with which lines fade near the backs of surfaces. Let m be the largest dot product, over the filter's taps, of
+a tap's normal and the pixel's ray. A dot product is positive if the normal points away from the camera. A line has full
+strength at m = 0 and strength 0 at m = 1 / FRONT_SLOPE."""
 
 
 def speck_reach(thickness: int) -> int:
@@ -144,15 +146,16 @@ class Numbers:
             is below angle_threshold. The share of angle_colour changes gradually within angle_softness on both sides of
             the threshold.
         depth_threshold: relative jump of the inverse depth at which a line begins, above 0.
-        normal_threshold: change of the cosine between normals at which a line begins, above 0.
+        normal_threshold: change, over the filter's taps, of the cosine between the normal at the tap and the normal at
+            the pixel. A line begins where the change exceeds this number. Above 0.
         line_opacity, line_colour: opacity and colour of the strongest line.
         hysteresis: where the previous picture has a line, the thresholds are multiplied by ``1 - hysteresis``. At least
             0 and below 1.
         persistence: at least 0 and below 1. Where the surface is at rest and a line becomes stronger, this number is
             the weight of the line's previous strength.
         hatch_spacing, hatch_levels, hatch_width, hatch_colour: hatching. Layer k, 0 or 1, has lines where the light
-            sqrt(t * g) is below hatch_levels[k]. hatch_width is the largest share of a layer's area that is ink. With
-            hatch_width 0, there is no hatching.
+            sqrt(t * g) is below hatch_levels[k]. hatch_width is the width of the lines where the light is 0, as a
+            fraction of hatch_spacing. With hatch_width 0, there is no hatching.
         paper: the colour behind the surface.
     """
 

@@ -151,7 +151,8 @@ def find_lines(surface: Surface, parameters: StyleParameters, line_state: NDArra
 
 
 def _seen_bits(surface: Surface, thickness: int) -> NDArray[np.uint32]:
-    """The upper 16 bits (H, W) of the sums of the inverse depths at the nine taps of the line filter."""
+    """For each pixel, the float32 sum of the inverse depths at the nine taps of the line filter, as uint32 (H, W) with
+    the lower 16 bits set to 0."""
     depth, shift = surface.inverse_depth, _Shift(thickness)
     corners = (shift(depth, -1, -1) + shift(depth, -1, 1)) + (shift(depth, 1, -1) + shift(depth, 1, 1))
     arms = (shift(depth, -1, 0) + shift(depth, 1, 0)) + (shift(depth, 0, -1) + shift(depth, 0, 1))
@@ -179,7 +180,8 @@ def _fresh_lines(surface: Surface, parameters: StyleParameters, scale: Image) ->
     most = np.maximum(np.max([taps[at][0] for at in ((0, 0), *arms)], axis=0), 1e-20)
     bends = [np.abs(taps[a][0] + taps[b][0] - 2 * depth) for a, b in ((arms[0], arms[3]), (arms[1], arms[2]))]
     for axis, bend in enumerate(bends):
-        # Taps outside the image are excluded: they repeat the border, which would look like a bend of the surface.
+        # Taps (neighbouring depths) outside the image repeat the border, which would look like a bend of the surface.
+        # Pixels with such taps are therefore excluded.
         bend.swapaxes(0, axis)[: parameters.thickness] = 0
         bend.swapaxes(0, axis)[max(bend.shape[axis] - parameters.thickness, 0) :] = 0
     flat = 1 - _ramp((bends[0] + bends[1]) / (2 * most), numbers.depth_threshold * scale)
@@ -211,7 +213,8 @@ def look_up(table: NDArray[np.uint8], tone: Image, detail: Image) -> Image:
 
 
 def hatching(light: Image, numbers: Numbers) -> Image:
-    """Share of ink (H, W) in [0, 1]. ``light`` (H, W) is sqrt(t * g), as in :mod:`fourd.ops.stylize.parameters`."""
+    """Opacity (H, W), in [0, 1], of the hatching lines. ``light`` (H, W) is sqrt(t * g), as in
+    :mod:`fourd.ops.stylize.parameters`."""
     height, width = light.shape
     y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
     ink = np.zeros(light.shape, np.float32)

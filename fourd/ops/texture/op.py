@@ -190,7 +190,8 @@ def _threads(threads: int) -> int:
 
 
 def _pixel_rows(uv: Tensor, uv_da: Tensor | None, bias: Tensor | None) -> tuple[Tensor | None, ...]:
-    """Return contiguous tensors of shape (pictures, pixels, numbers), or (pictures, pixels) for the bias."""
+    """Flatten the rows and columns of images. Return contiguous tensors of shape (B, H' * W', channels), or (B, H' *
+    W') for the bias."""
     return tuple(None if value is None else contiguous(value).flatten(1, 2) for value in (uv, uv_da, bias))
 
 

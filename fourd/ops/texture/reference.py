@@ -11,7 +11,8 @@ from torch.nn import functional
 from fourd.ops.texture.cubes import face_axes, face_of, pad_cube, project
 
 MIN_SQUARE = 1e-36
-"""Squared length in texels below which a footprint is treated as a point."""
+"""Squared length of the longer axis of a footprint, in squared texels, below which the footprint is treated as a
+point."""
 
 
 def build_mips_reference(tex: Tensor, level_count: int) -> list[Tensor]:

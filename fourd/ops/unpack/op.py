@@ -20,8 +20,8 @@ def unpack_positions(
     Args:
         content: (B * N,) differences between successive codes, as B planes of N bytes. The first plane contains the
             lowest bytes. The differences are added modulo 2^64.
-        lower: (3,) position of cell 0.
-        step: side length of a cell.
+        lower: (3,) position that the Morton code 0 stands for.
+        step: distance between two positions whose codes differ by 1 on one axis.
         points: N.
 
     Raises:
@@ -43,7 +43,8 @@ def unpack_harmonics(
     """Return ``mean + factors @ basis`` (N, 48), rounded to float16.
 
     Args:
-        content: (2 * K * N,) zigzag-coded factors: the low bytes (K, N), then the high bytes (K, N).
+        content: (2 * K * N,) zigzag-coded factors, the weights of the basis vectors: the low bytes (K, N), then the
+            high bytes (K, N).
         basis: (K, 48) basis vectors, already multiplied by the quantization step of the factors.
         mean: (48,) mean coefficients.
         points: N.
@@ -70,9 +71,9 @@ def unpack_views(
     """Return the blend weights (N, V) and the colours (N, V, 3) of V source views.
 
     Args:
-        contents: for each view, N weight codes, then the colour levels of M points as three planes: green, red - green
-            and blue - green, modulo 256. The M points are the points whose weight code is not 0, or all points if
-            ``every_point_has_colours`` is true.
+        contents: for each view, N weight codes, then the colour levels of M points. A level is the quantised difference
+            from the mean colour. The levels are three planes: green, red - green and blue - green, modulo 256. The M
+            points are the points whose weight code is not 0, or all points if ``every_point_has_colours`` is true.
         mean: (N, 3) mean colours. A colour is the mean colour plus ``colour_step`` times the level, read as a signed
             8-bit number. If ``colour_step`` is 1, the sum is taken modulo 256. If ``colour_step`` is larger, the sum is
             clamped to [0, 255]. Points without levels have the mean colour.

@@ -56,8 +56,8 @@ def splat_along_rays(
     least 1/255 are composited in ascending order of t, and in the order of their indices at equal t. Compositing stops
     when the transmittance is at most 1e-4.
 
-    Edge lengths and barycentric weights are computed in the image of ``camera``, or in space if ``camera`` is None.
-    With ``camera``, rays through its pixel centres give the image of
+    Edge lengths and barycentric weights are those of the triangle projected to the image of ``camera``, or those of the
+    triangle in 3D if ``camera`` is None. With ``camera``, rays through its pixel centres give the image of
     :func:`fourd.raster.triangles.splat_triangles`, except that triangles are sorted by t, not by their centres' depths.
 
     Args:
@@ -95,8 +95,8 @@ def splat_along_rays(
 
 
 class _Window:
-    """Computes min_k a_k, the base of the window function of :func:`splat_along_rays`, from barycentric weights: in the
-    image of ``camera``, or in space if ``camera`` is None."""
+    """Computes min_k a_k, the base of the window function of :func:`splat_along_rays`, from the barycentric weights of
+    hits. The triangle is projected to the image of ``camera``, or used in 3D if ``camera`` is None."""
 
     def __init__(self, corners: Tensor, camera: Camera | None) -> None:
         if camera is None:
@@ -111,8 +111,8 @@ class _Window:
         self.scale = length.sum(1, keepdim=True) / length
 
     def at(self, triangle: Tensor, weights: Tensor) -> Tensor:
-        """Return min_k a_k (M,) for M hits, given the triangle indices (M,) and the barycentric weights (M, 3) in
-        space."""
+        """Return min_k a_k (M,) for M hits, given the triangle indices (M,) and the barycentric weights (M, 3) of the
+        hits in the 3D triangles."""
         if self.depths is not None:
             # Barycentric weights in the image are proportional to the weights in space multiplied by the depths of the
             # vertices.
@@ -186,8 +186,8 @@ class _State:
         triangle = hits.triangle[ray, layer].long()
         colour = weights[ray, layer, None] * soup.features[triangle]
         self.colour = self.colour.index_add(0, active[ray], colour)
-        # The transmittance is computed by subtracting the weights, because ``products`` also contains hits behind the
-        # last composited triangle.
+        # The transmittance is computed by subtracting the weights and not from ``products``, because ``products`` also
+        # contains hits behind the last composited triangle.
         remaining = transmittance - weights.sum(1)
         self.transmittance = self.transmittance.index_put((active,), remaining)
         self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)

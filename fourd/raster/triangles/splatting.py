@@ -31,8 +31,8 @@ class TriangleRender:
         depth: (H, W) weighted mean of the camera depths of the composited triangles' centres, in world units. The
             weight of a triangle is the triangle's alpha times the transmittance in front of the triangle. The depth is
             0 where ``alpha`` is 0. None if ``geometry`` is false.
-        normal: (H, W, 3) weighted sum of the unit normals of the composited triangles, with the same weights. The
-            normals are in world coordinates and point towards the camera. None if ``geometry`` is false.
+        normal: (H, W, 3) weighted sum of the unit normals of the composited triangles, with the weights of ``depth``.
+            The normals are in world coordinates and point towards the camera. None if ``geometry`` is false.
         weight: (T,) largest compositing weight of each triangle over all pixels, not differentiable. The weight is 0 if
             the triangle is not visible.
     """

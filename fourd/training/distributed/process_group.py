@@ -87,7 +87,7 @@ class ProcessGroup:
         if self.size == 1:
             return
         listed = list(parameters)
-        # gloo sends tensors of the CPU. Gradients of a GPU are therefore copied.
+        # The backend gloo sends only tensors in CPU memory. Gradients on a GPU are therefore copied to the CPU.
         parts = [(torch.zeros_like(each) if each.grad is None else each.grad).cpu() for each in listed]
         has_gradient = torch.tensor([each.grad is not None for each in listed]).to(parts[0])
         sums = torch.cat([*(part.flatten() for part in parts), has_gradient])

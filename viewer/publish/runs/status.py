@@ -13,7 +13,8 @@ from fourd.viewer.publish.runs.history import RunHistory
 MAX_PICTURES = 24
 """Number of validation pictures that the page offers."""
 _LEAST_SHARE = 1e-6
-"""The remaining time is estimated only after this fraction of the budget has been spent."""
+"""The remaining time is estimated only after this fraction of the step or time budget of the training has been
+spent."""
 _DIGITS = 12
 """Maximum number of digits of the step in the file name of a validation picture."""
 
@@ -24,7 +25,8 @@ means that the run has no state."""
 
 @dataclass(frozen=True)
 class ActiveRun:
-    """The part of a run that is training, or that trained last. The part is the run itself or one of its segments.
+    """The part of a run that is training, or that trained last. The part is the run itself, or one of its segments
+    (ranges of frames with separate models).
 
     Attributes:
         folder: the folder of the run or the segment.
