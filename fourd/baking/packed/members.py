@@ -50,8 +50,9 @@ class ColourRounding:
 
     Attributes:
         mean_step: mean colours are rounded to multiples of this number, in units of 1/255.
-        unseen_step: in views with a blend weight of 0, the differences from the mean colours are rounded to multiples
-            of this number, in units of 1/255. The number is a multiple of the encoding's ``colour_step``.
+        unseen_step: if the blend weight of a point in a view is 0, the difference between the point's colour in this
+            view and the point's mean colour is rounded to a multiple of this number, in units of 1/255. The number is a
+            multiple of the encoding's ``colour_step``.
     """
 
     mean_step: int
