@@ -59,9 +59,9 @@ def open_regular(path: Path | str) -> BufferedReader:
     """
     # The kind of the file is checked before the file is opened, because opening a device can have side effects. It is
     # checked again after the file is opened, because another process may have replaced the file in between. The stream
-    # is created together with the descriptor, and only the stream closes the descriptor. With two owners, a Ctrl-C
-    # could make both of them close the descriptor. The second close could then close a file that another thread has
-    # opened in the meantime.
+    # is created together with the descriptor, and only the stream closes the descriptor. If other code could close it
+    # too, a Ctrl-C could cause the descriptor to be closed twice. The second close could then close a file that another
+    # thread has opened in the meantime.
     _require_regular_mode(path, os.stat(path).st_mode)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0) | getattr(os, "O_BINARY", 0)
     # Opening raises IsADirectoryError for folders.

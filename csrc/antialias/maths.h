@@ -1,11 +1,11 @@
 // Finds silhouette edges, and the points where these edges cross the segment between two neighbouring pixel centres.
 //
 // Relative to the centre f = (f_x, f_y) of a pixel in normalised device coordinates, a vertex (x, y, z, w) in clip
-// space has the coordinates (a, b, w), where a = x - f_x * w and b = y - f_y * w. The edge from vertex j to vertex k
-// goes through the point f where N = a_j b_k - b_j a_k is 0. N is a linear function of f, also where w <= 0. Let s be
-// the distance between neighbouring pixel centres along x. If f moves by t * s along x, N decreases by t * D, where
-// D = s * (w_j b_k - b_j w_k). The segment from f to the centre of the right neighbour therefore crosses the edge at
-// t = N / D. Along y, the same formulas hold with a and b exchanged.
+// space has the coordinates (a, b, w), where a = x - f_x * w and b = y - f_y * w. The point f lies on the line of the
+// edge from vertex j to vertex k if N = a_j b_k - b_j a_k is 0. N is a linear function of f, even if a vertex has
+// w <= 0. Let s be the distance between neighbouring pixel centres along x. If f moves by t * s along x, N decreases by
+// t * D, where D = s * (w_j b_k - b_j w_k). The segment from f to the centre of the right neighbour therefore crosses
+// the line at t = N / D. Along y, the same formulas hold with a and b exchanged.
 #pragma once
 
 #include <cstddef>

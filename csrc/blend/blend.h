@@ -1,7 +1,7 @@
 // Computes the logits for blending source views with a small MLP. The logit of a point in a view is
-// range * tanh((out . relu(point + weight^T sample) + bias) / range), where `sample` is the vector of the channels that
-// the point has in the view. The kernel never stores the hidden layer for all views and points at once. Callers check
-// shapes, and arrays are dense.
+// range * tanh((out . relu(point + weight^T sample) + bias) / range). The vector `point` is the point's contribution to
+// the hidden layer. The vector `sample` has the channels of the point in the view. The kernel never stores the hidden
+// layer for all views and points at once. Callers check shapes, and arrays are dense.
 #pragma once
 
 #include <cstddef>

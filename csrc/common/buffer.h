@@ -15,8 +15,8 @@
 namespace fourd {
 
 // Arrays start at the beginning of a cache line. An element whose size divides the size of a cache line therefore never
-// lies in two cache lines. Tiles read elements of 32 bytes in scattered order. With the 16-byte alignment of `new`,
-// half of these reads would need two cache lines.
+// lies in two cache lines. A renderer reads elements of 32 bytes in scattered order. With the 16-byte alignment of
+// `new`, half of these reads would need two cache lines.
 template <typename T>
 class Buffer {
     static_assert(std::is_trivially_copyable<T>::value, "elements stay uninitialised");
@@ -27,7 +27,7 @@ class Buffer {
         prefer_huge_pages(data_.get(), size * sizeof(T));
     }
 
-    // Makes the array larger, and discards its contents, if it has fewer than `size` elements.
+    // If the array has fewer than `size` elements, makes it larger and discards its contents.
     void require(std::size_t size) {
         if (size > size_) *this = Buffer(size + size / 2);
     }

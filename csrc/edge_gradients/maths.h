@@ -3,11 +3,12 @@
 // this point with respect to the vertices.
 //
 // N_i is the linear function (antialias/maths.h) that is 0 on the edge opposite to vertex i of a triangle. At a pixel,
-// z/w of a triangle is the sum of b_i z_i, where b_i = N_i / V. The number V is the sum of N_i w_i, which is the same
-// at all pixels. Let f = (f_a, f_b) be the pixel centre along and across the pair of pixels. N_i is linear in f, so z/w
-// is also a linear function of f, with constant coefficients p_a, p_b and p_w: D(f) = p_a f_a + p_b f_b + p_w. If
-// vertex i moves by (da, db, dz, dw), D(f) changes by b_i * (dz - p_a da - p_b db - p_w dw). The crossing is the point
-// of the segment at which both triangles have the same D(f).
+// z/w of a triangle is the sum of b_i z_i, where b_i = N_i / V. V is the sum of all N_i w_i, and is the same at all
+// pixels. Let f_a and f_b be the coordinates of a pixel centre f along and across the direction from one pixel of the
+// pair to the other. N_i is linear in f, so z/w is also a linear function of f, with constant coefficients p_a, p_b and
+// p_w: D(f) = p_a f_a + p_b f_b + p_w. If vertex i moves by (da, db, dz, dw), D(f) changes by
+// b_i * (dz - p_a da - p_b db - p_w dw). The crossing is the point of the segment at which both triangles have the same
+// D(f).
 #pragma once
 
 #include "antialias/maths.h"
@@ -96,9 +97,10 @@ struct Plane {
     }
 };
 
-// Returns true if the two triangles intersect between the two pixel centres and the owner's triangle is nearer at the
-// owner. An intersection line is ignored if its angle to the segment between the pixel centres is below 45 degrees.
-// antialias::crossed_edge() ignores silhouette edges by the same rule.
+// Returns true if the line along which two triangles intersect crosses the segment between the centres of two pixels.
+// The owner is the pixel whose triangle is nearer. Both triangles must contain both centres. At the owner's centre, the
+// owner's triangle (of_owner) must not be behind the other triangle. The function ignores an intersection line whose
+// angle to the segment is below 45 degrees. antialias::crossed_edge() ignores silhouette edges by the same rule.
 FOURD_HD static inline bool intersect(const Mesh& mesh, std::size_t first_vertex, const Sight& sight, int of_owner,
                                       int of_other) {
     const Outline second(mesh, first_vertex, sight, of_other);

@@ -23,10 +23,10 @@ FOURD_HD static inline int vertices_of(Code code, int axis) {
     return is_intersection(code, axis) ? kMaxVertices : (antialias::edge_of(code, axis) != 0 ? 2 : 0);
 }
 
-// The derivative of the loss with respect to the distance of the edge from the pixel `owner`. If the edge moves by dt
-// pixels away from the owner, the colour of one of the two pixels changes by dt * (colour of the owner - colour of the
-// other pixel). Either pixel can be the one that changes, so the function returns the mean of the derivatives for both
-// cases.
+// The derivative of the loss with respect to the distance of the edge from the pixel `owner`, whose triangle is nearer.
+// If the edge moves by dt pixels away from the owner, the colour of one of the two pixels changes by
+// dt * (colour of the owner - colour of the other pixel). Either pixel can be the one that changes, so the function
+// returns the mean of the derivatives for both cases.
 FOURD_HD static inline float change(const View& view, std::size_t owner, std::size_t other, const float* gradient) {
     const std::size_t one = owner * view.channels, two = other * view.channels;
     const float* colours = view.plan.images.colours;

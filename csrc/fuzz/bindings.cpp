@@ -115,7 +115,8 @@ bool try_call(const Function& function, const Rules& rules, Bytes& bytes) {
     return false;
 }
 
-// Finds outdated rules. A rule is outdated if the function has changed so that every call with the rule fails.
+// Finds outdated rules for argument sizes (shapes.h). A rule is outdated if the function has changed so that every
+// call with the rule fails.
 void check_rules() {
     for (const Function& function : state->functions) {
         for (const Rules& rules : function.rules) {

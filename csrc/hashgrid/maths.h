@@ -73,8 +73,8 @@ FOURD_HD static FOURD_INLINE std::uint32_t entry_of(const Level& level, std::uin
     return level.hashed ? (x ^ y ^ z) & (level.entries - 1u) : x + y + z;
 }
 
-// The eight vertices around a point. Corners 2e and 2e + 1 form edge e, which is parallel to x. Corners 2e and 2e + 1
-// have the weights weight[e] * (1 - fraction) and weight[e] * fraction.
+// The grid cell that contains a point, with eight corners. Corners 2e and 2e + 1 form edge e, which is parallel to x.
+// Their interpolation weights are weight[e] * (1 - fraction) and weight[e] * fraction.
 struct Cell {
     std::uint32_t entry[kCorners];
     float weight[kCorners / 2];

@@ -24,7 +24,7 @@ struct InterpolateArguments {
 
     interpolate::Query query;
 
-    // `diff` has indices of channels, which must be below the number of channels. For arrays on a GPU, only op.py
+    // `diff` has channel indices. Each index must be below the number of channels. For arrays on a GPU, only op.py
     // checks the indices in `diff`.
     InterpolateArguments(const Attributes<const float>& attr, const Image<const float>& rast, const Triangles& tri,
                          const std::optional<Image<const float>>& rast_db, const Channels& diff, int threads,

@@ -21,7 +21,7 @@ struct Query {
     const float* rast;         // Shape (images, height, width, 4): u, v, an unused number, and the encoded triangle id.
     const float* rast_db;      // Shape (images, height, width, 4): du/dX, du/dY, dv/dX, dv/dY; null if diff_count is 0.
     int images, height, width;
-    // Shape (diff_count,): indices, below `channels`, of the channels whose derivatives are computed.
+    // Shape (diff_count,): the channels whose derivatives are computed. All indices are below `channels`.
     const std::int32_t* diff;
     std::size_t diff_count;
     int threads;  // At least 1. The result is the same for any number of threads.

@@ -15,7 +15,8 @@ namespace fourd::meshes {
 
 constexpr int kTile = 32;  // Side of a tile in pixels.
 constexpr int kTilePixels = kTile * kTile;
-// Number of rows to prefetch. The rows of a tile are far apart in memory, so the processor does not prefetch them.
+// While a row of a tile is read, the row that lies kRowsAhead rows below is prefetched. The rows are far apart in
+// memory, so the processor does not prefetch them by itself.
 constexpr int kRowsAhead = 4;
 
 // An image whose fourth channel has encoded triangle ids (common/triangle_id.h).

@@ -31,8 +31,8 @@ struct PlaneArguments {
     std::vector<planes::Plane> planes;
     planes::Query query;
 
-    // `axes` has two coordinate indices (0 to 3) per plane: of the coordinate that selects the column, then of the
-    // coordinate that selects the row.
+    // For each plane, `axes` has the indices (0 to 3) of two coordinates: first the coordinate that selects the column,
+    // then the coordinate that selects the row.
     PlaneArguments(const Coordinates& coordinates, const std::vector<Values>& values_, const std::vector<int>& axes,
                    int threads, Simd simd)
         : values(values_) {

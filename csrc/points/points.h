@@ -70,7 +70,7 @@ struct CloudGradient {
     float* density;
 };
 
-struct Workspace;  // Reusable memory, which cpu/workspace.h defines.
+struct Workspace;  // Reusable memory. This type is defined in cpu/workspace.h.
 
 void render(const Cloud& cloud, const Settings& settings, Workspace& workspace, const Image& out);
 

@@ -4,9 +4,9 @@
 // gradient with respect to b, the gradient with respect to p_k is therefore -b_k M^-T g. M is the same at all pixels of
 // a triangle, so only the products b_k g are summed over pixels. Let b_x and b_y be the derivatives of b along x and y.
 // A gradient g with respect to b_x adds -(b_x)_k M^-T g to the gradient with respect to p_k, and likewise for b_y.
-// Below, g0 and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to the sum s = 1/w of
-// all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this scale, so
-// that the products of gradients and elements of b do not depend on the scale.
+// Below, g0 and g1 are gradients with respect to b_0 and b_1, and gs is the gradient with respect to s = 1/w, which is
+// the sum of all b_k. The struct Planes stores b multiplied by a scale. The gradients g0, g1 and gs are divided by this
+// scale, so that the products of gradients and elements of b do not depend on the scale.
 #pragma once
 
 #include "rasterize/maths.h"

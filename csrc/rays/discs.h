@@ -40,8 +40,8 @@ struct DiscTreeView {
     float magnitude;
 };
 
-// Builds a tree, which is the same for any number of threads. A disc is never hit if one of its numbers is not finite,
-// or if its radius or density is not positive.
+// Builds a tree, which is the same for any number of threads. A disc is never hit if its centre, radius or density is
+// not finite, or if its radius or density is not positive.
 DiscTree build_discs(const Discs& discs, int threads);
 
 struct DiscPicture {

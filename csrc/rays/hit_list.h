@@ -11,7 +11,7 @@
 
 namespace fourd::rays {
 
-// The nearest hits of one ray among those found so far, at most `layers`, in the order of (t, triangle). The list is
+// Up to `layers` hits of one ray: the nearest hits found so far, in ascending order of (t, triangle). The list is
 // stored in the arrays of Hits.
 struct HitList {
     int layers, found;

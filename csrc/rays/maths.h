@@ -59,8 +59,8 @@ FOURD_HD FOURD_INLINE float inverse_power_of(float a) {
     return out;
 }
 
-// Prepares a ray. Returns false if the ray cannot hit anything. The result is also false if a number is NaN, because
-// all comparisons with NaN are false.
+// Prepares a ray. Returns false if the ray cannot hit anything. The result is also false if an argument is NaN,
+// because all comparisons with NaN are false.
 FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, float t_min, float t_max,
                                    float magnitude, Ray* out) {
     float largest = 0.0f, farthest = magnitude;
@@ -102,8 +102,8 @@ FOURD_HD FOURD_INLINE bool prepare(const float* origin, const float* direction, 
     return true;
 }
 
-// first_of() returns the lower limit t_min as t', and last_of() returns an upper limit t as t'. Both functions enlarge
-// the interval slightly, because the conversion of a tiny t is rounded.
+// first_of() converts the lower limit t_min to t', and last_of() converts an upper limit t to t'. Both functions
+// enlarge the interval slightly, because the conversion of a tiny t is rounded.
 FOURD_HD FOURD_INLINE float first_of(const Ray& ray) {
     return ray.t_min * ray.inverse_scale - kTiny * ray.inverse_scale;
 }

@@ -2,7 +2,7 @@
 //
 // The tree is a bounding volume hierarchy (BVH). Its nodes have up to eight children. Its leaves, called blocks, have
 // up to eight triangles. The index of a child node is larger than the index of its parent. A traversal skips only
-// triangles that the ray does not hit, so a ray has the same hits as with a test of all triangles (maths.h).
+// triangles that the ray does not hit, so it finds the same hits as the test in maths.h on all triangles.
 #pragma once
 
 #include <cstddef>
@@ -105,8 +105,8 @@ void trace(const TreeView& tree, const Rays& rays, const Hits& hits);
 // Writes 1 for each ray that has a hit with t in [t_min, t_max], and 0 for all other rays.
 void occluded(const TreeView& tree, const Rays& rays, std::uint8_t* out);
 
-// The arguments of trace_backward(), for `count` rays with `layers` hits each. The inputs up to `triangle` have the
-// shapes in Rays and Hits.
+// The arguments of trace_backward(), for `count` rays with `layers` hits each. The arrays from `origins` to
+// `triangle` have the shapes in Rays and Hits.
 struct HitGradients {
     const float* origins;
     const float* directions;

@@ -38,8 +38,7 @@ struct Settings {
 // Writes the colours to `out` (count, 3). The colours have the same bits for any number of threads.
 void shade(const Points& points, const Settings& settings, float* out);
 
-// Computes the colours of points [begin, end) on the thread of the caller. `out` is indexed by point, starting with
-// point 0.
+// Computes the colours of points [begin, end) on the thread of the caller. Row i of `out` is the colour of point i.
 void shade_some(const Points& points, const Settings& settings, std::size_t begin, std::size_t end, float* out);
 
 }  // namespace fourd::shade

@@ -44,8 +44,9 @@ using tiles::tile_span;
 
 struct Softness {
     bool barycentric;        // Whether d is the smallest barycentric coordinate.
-    // The ratio |x| / d^2: 1 / sigma for barycentric d. Otherwise, the code computes d in pixels, and the ratio is
-    // s^2 / sigma. s is the side of a pixel, in a unit in which the shorter side of the image has the length 2.
+    // The ratio |x| / d^2. If d is a barycentric coordinate, the ratio is 1 / sigma. Otherwise, the code computes d in
+    // pixels, and the ratio is s^2 / sigma, where s is the side of a pixel in a unit in which the shorter side of the
+    // image has the length 2.
     float sharpness;
     float cut;               // A triangle hits the pixels where x >= -cut.
     float reach;             // Largest |d| at which a triangle hits a pixel outside the triangle.
@@ -61,8 +62,8 @@ struct alignas(64) Face {
     float inverse_z[3];  // Reciprocals of the camera depths of the corners.
     float inverse_area;  // Equal to 1 / (2 * signed area).
     float inverse_square[3];     // Reciprocals of the squared lengths of the edges.
-    // Derivatives, with respect to x and y, of the signed distance from edge k (of the barycentric coordinate k, if
-    // Softness::barycentric is true).
+    // Derivatives with respect to x and y. If Softness::barycentric is true, element k is the derivative of barycentric
+    // coordinate k. Otherwise, element k is the derivative of the signed distance from edge k.
     float slope_x[3], slope_y[3];
     tiles::TileRange range;
 };
@@ -126,8 +127,8 @@ struct Coverage {
     Number depth;              // Camera depth, or kNoHit where the triangle does not hit the pixel.
     Number total;              // Sum of the barycentric coordinates above 0.
     Number inverse_depth;
-    // Let q be the point on the edges that is nearest to the pixel p. The members are the position of q along its edge,
-    // from 0 to 1, and the vector p - q in pixels. If `barycentric` is true, the members are 0.
+    // Let q be the point on the edges that is nearest to the pixel p. `along` is the position of q along its edge, from
+    // 0 to 1, and (off_x, off_y) is the vector p - q in pixels. If `barycentric` is true, all three members are 0.
     Number along, off_x, off_y;
     Condition nearest[3];      // Whether edge k (or coordinate k, if `barycentric` is true) determines d.
     Condition inside;

@@ -45,7 +45,7 @@ struct MeshGradient {
     float* features;
 };
 
-struct Workspace;  // Reusable memory, which cpu/workspace.h defines.
+struct Workspace;  // Reusable memory. This type is defined in cpu/workspace.h.
 
 void render(const Mesh& mesh, const Settings& settings, Workspace& workspace, const Image& out);
 

@@ -136,7 +136,8 @@ FOURD_HD static inline PixelCoverage pixel_coverage(const Splat& splat, float x,
     return out;
 }
 
-// Computes the gradients of the vertex positions of a triangle from its sums, and writes the gradients to `out` (3, 3).
+// Computes the gradients with respect to the three vertex positions of a triangle from `sums`, the sums over the pixels
+// of the triangle. Writes these gradients to `out` (3, 3).
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at, const Splat& splat,
                                              const ShapeGradient& sums, float* out) {
     const Edges<float> edges = edges_of(at);

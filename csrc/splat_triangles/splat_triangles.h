@@ -58,7 +58,7 @@ struct MeshGradient {
     float* sigma;
 };
 
-struct Workspace;  // Reusable memory, which cpu/workspace.h defines.
+struct Workspace;  // Reusable memory. This type is defined in cpu/workspace.h.
 
 // Renders the triangles. For each triangle, also writes its largest compositing weight over all pixels to `weight`
 // (count,).

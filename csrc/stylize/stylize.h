@@ -13,9 +13,9 @@ constexpr int kTones = 256;       // Number of columns of the shade table.
 constexpr int kMaxRows = 64;      // Maximum number of rows of the shade table.
 constexpr int kMaxThickness = 8;  // Maximum distance, in pixels, between adjacent taps (samples) of a line filter.
 
-// Lines that are very short, called specks, are not drawn. The line at a pixel is drawn only if each square around the
-// pixel with a side of 2, 4, 8, ... pixels has a line on its border. Returns half the side of the largest of these
-// squares, in pixels, which is at most 32.
+// Lines that are very short, called specks, are not drawn. Consider the squares around a pixel with sides of 2, 4, 8,
+// ... pixels. The line at the pixel is drawn only if each of these squares has a line on its border. Returns half the
+// side of the largest square, in pixels. The result is at most 32.
 constexpr int speck_reach(int thickness) {
     int reach = 8;
     while (2 * reach <= 4 * (thickness + 1)) reach *= 2;

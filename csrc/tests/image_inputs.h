@@ -1,4 +1,4 @@
-// Random and invalid inputs of the stylizer, the drawing of visible surfaces, and the pixel filter.
+// Random and invalid inputs for the stylizer, for drawing visible surfaces, and for the pixel filter.
 #pragma once
 
 #include <cstdint>

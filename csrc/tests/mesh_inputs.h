@@ -53,7 +53,7 @@ struct MeshInputs {
         from_rast.resize(4 * pixels), from_db.resize(4 * pixels);
     }
 
-    // Replaces the triangle of each pixel by a random index, which may be -1 (no triangle) or one that is too large.
+    // Replaces the triangle of each pixel by a random index, which may be -1 (no triangle) or too large.
     void invent_triangles(Random& random) {
         for (std::size_t i = 3; i < rast.size(); i += 4) {
             rast[i] = value_of_triangle(random_int(random, -1, static_cast<int>(query.triangles)));

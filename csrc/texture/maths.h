@@ -145,8 +145,8 @@ FOURD_HD FOURD_INLINE float clamp_to(float x, float low, float high) {
 }
 
 // Converts a finite coordinate for linear_axis and nearest_axis. With Boundary::wrap, the result is the fractional part
-// of u, in [0, 1]. With any other boundary mode, it is u. At magnitudes of 2^23 and above, every float is an integer,
-// so the fractional part is 0.
+// of u, in [0, 1]. If |u| is at least 2^23, the fractional part is 0, because every such float is an integer. With any
+// other boundary mode, the result is u.
 template <Boundary boundary>
 FOURD_HD FOURD_INLINE float wrapped(float u) {
     if (boundary != Boundary::wrap) return u;
@@ -215,7 +215,7 @@ struct Texels {
 };
 
 // Combines the texels along two independent axes. `first` is the index of the first texel of the image or cube face.
-// `is_used` is 0 for a position that is not finite, so that all weights are 0, and 1 for all other positions.
+// All weights are multiplied by `is_used`, which is 0 for a position that is not finite, and 1 for all other positions.
 FOURD_HD FOURD_INLINE Texels texels_of(const Axis& s, const Axis& t, int first, int width, float is_used) {
     Texels out;
     for (int k = 0; k < 4; ++k) {

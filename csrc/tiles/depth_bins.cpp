@@ -34,7 +34,8 @@ std::vector<DepthBins::Run> DepthBins::split(std::size_t count, int parts) {
     return runs;
 }
 
-// Projects all primitives, and returns spans of items. Only visible primitives have items.
+// Projects all primitives, and writes one item for each visible primitive to items_. Returns the spans of items_ that
+// have been written.
 std::vector<DepthBins::Run> DepthBins::project_all(std::size_t count, const Project& project, Team& team) {
     std::vector<Run> runs = split(count, team.size());
     team.run(static_cast<int>(runs.size()), [&](int part, int) {
@@ -98,8 +99,8 @@ void DepthBins::radix_sort(std::vector<Run> runs, Team& team) {
     }
 }
 
-// Counts, for each span of ranks, the entries of every tile. The function also copies the tile ranges to
-// ranked_tile_ranges_, in the order of ranks.
+// The rank of a primitive is its position in depth order. For each span of ranks, counts the entries of every tile. The
+// function also copies the tile ranges to ranked_tile_ranges_, in the order of ranks.
 std::vector<std::size_t> DepthBins::count_entries(const std::vector<Run>& runs, Team& team) {
     constexpr std::size_t kAhead = 32;
     const std::size_t count = static_cast<std::size_t>(tiles());

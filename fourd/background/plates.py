@@ -167,8 +167,8 @@ def _view(capture: Capture, name: str, camera: Camera, lenses: dict[str, Camera]
             f"got {width} x {height}; {fix}"
         )
     if file.made:
-        # In plates that fourd made, pixels outside the lens's field of view are black and opaque. To find these pixels,
-        # a fully opaque matte is undistorted: the pixels outside the field of view become transparent.
+        # In background plates that fourd made, pixels outside the lens's field of view are black and opaque. To find
+        # these pixels, a fully opaque matte is undistorted: the pixels outside the field of view become transparent.
         seen = np.minimum(opaque, _undistort(capture, name, lens, file.path, rgb, np.full_like(opaque, 255))[1])
     else:
         rgb, seen = _undistort(capture, name, lens, file.path, rgb, opaque)

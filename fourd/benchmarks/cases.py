@@ -56,8 +56,8 @@ def cases(resources: ExitStack, *, steps: bool) -> Iterator[Case]:
     Args:
         steps: whether to include whole training steps. A synthetic capture is created for training steps.
     """
-    # The reference is timed only in this small case, because its memory is proportional to the number of points times
-    # the number of pixels.
+    # The reference implementation is timed only in this small case, because its memory is proportional to the number of
+    # points times the number of pixels.
     yield _composite(2_048, make_camera(96, 96), 15, True, reference=True)
     for backward in (False, True):
         yield _composite(65_536, make_camera(512, 512), 15, backward)

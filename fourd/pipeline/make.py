@@ -234,8 +234,8 @@ def _run_graph(request: SceneRequest, source: RunRequest, work: Path, out: Path,
         runner.run((still_stage(capture, work / STILL),))
         capture = work / STILL
     run = replace(source, capture=capture, train=train, still=is_still)
-    # A capture with masks may be on a read-only disk. The folder .fourd/ of the capture is therefore locked only if
-    # mattes are made.
+    # For a capture with the user's masks, no mattes are made, and the capture may be on a read-only disk. The folder
+    # .fourd/ of the capture is therefore locked only if there are no masks.
     with nullcontext() if has_masks(capture) else locked_folder(capture / DERIVED):
         runner.run(stages_to_scene(run, request.mattes.settings_for(capture, context), out))
 

@@ -68,8 +68,8 @@ def create_background(
         contraction,
     )
     if config.background.planes.reduction != "product":
-        # The K-Planes start at zero, not at random values. Cells that no plate observes get no gradient, so random
-        # values would remain there as noise.
+        # The K-Planes start at zero, not at random values. Cells that no plate (background image) shows get no
+        # gradient, so random values would remain there as noise.
         for plane in model.planes.planes:
             torch.nn.init.zeros_(plane)
     cloud = FramePoints.initial(xyz, spacing, config.model.radius_start, explicit_sh=False, rgb=rgb)

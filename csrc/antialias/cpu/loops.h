@@ -25,8 +25,8 @@ struct Loops {
     // writes two contributions for each crossing: one for each end of the edge.
     void (*blend_backward)(const Plan&, const Rows&, const Gradients&, Contribution* contributions);
 
-    // Overwrites `positions` at the vertices [begin, end) with the sums of their contributions, added in the order of
-    // the array.
+    // Overwrites `positions`, the gradient of the positions, at the vertices [begin, end). The gradient of a vertex is
+    // the sum of its contributions, which are added in the order in which they are stored.
     void (*scatter)(const Contribution*, std::size_t count, std::size_t begin, std::size_t end, float* positions);
 };
 

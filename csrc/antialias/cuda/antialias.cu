@@ -23,8 +23,8 @@ struct FindCrossings {
     }
 };
 
-// Calls body(blend) for each crossing in the four pairs that a pixel forms with its neighbours, in the order of the CPU
-// kernel.
+// A pixel forms four pairs with its neighbours. Calls body(blend) for each of these pairs that a silhouette edge
+// crosses, in the order of the CPU kernel.
 template <typename Body>
 FOURD_DEVICE static inline void for_crossings(const View& view, const Place& place, const std::uint8_t* codes,
                                               const Body& body) {

@@ -1,6 +1,6 @@
 // The filter is separable. A run (kRun consecutive pixels of a row), with one more pixel on each side, is first
-// filtered along columns. The run is then filtered along the row. A run is copied if it and all its neighbours have one
-// colour, for example in the background.
+// filtered along columns. The run is then filtered along the row. If the pixels of a run and all their neighbours have
+// the same colour, for example in the background, the run is copied without filtering.
 #include "pixel_filter/cpu/loops.h"
 
 #include <cstddef>

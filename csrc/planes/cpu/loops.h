@@ -10,8 +10,9 @@ namespace fourd::planes {
 
 constexpr int kRun = 64;  // Number of points per batch. The positions of a batch stay in the L1 cache.
 
-// The index (0 to 3) of a coordinate, and the number of samples of a plane along this coordinate. Planes for which both
-// are equal share an axis, so the sample indices of a point are computed once per axis, not once per plane.
+// The index (0 to 3) of a coordinate, and the number of samples of a plane along this coordinate. Planes with the same
+// coordinate and the same number of samples share an axis, so the sample indices of a point are computed once per axis,
+// not once per plane.
 struct Axis {
     int coordinate;
     int size;

@@ -38,8 +38,8 @@ struct Visits {
 constexpr std::uint64_t kNoVisit = ~std::uint64_t{0};
 
 // Number of features of a point for draw_surface: its colour (3), its normal times its weight (3), its weight
-// (front_weight in points/front_weight.h), and its depth times its weight. The features of a point are adjacent in
-// memory. A tile reads scattered points, so each point then needs only one cache line.
+// (front_weight in points/front_weight.h), and its depth times its weight. The points of a tile are scattered in
+// memory, but the features of a point are adjacent. Reading a point therefore needs only one cache line.
 constexpr int kSurfaceFeatures = 8;
 constexpr std::size_t kJoinedPoints = 64;
 
@@ -69,8 +69,8 @@ struct Loops {
     void (*render_backward)(const Tile& tile, const ImageGradient& gradient, const Visits& visits,
                             const std::size_t* slots, float* sums);
 
-    // Writes the largest weight (transmittance * alpha) of each entry over the pixels of the tile to the slot of the
-    // entry in `weights`. The caller initialises these slots to 0.
+    // For each entry, finds the largest weight (transmittance * alpha) over the pixels of the tile. Writes this weight
+    // to `weights`, at the slot of the entry. The caller initialises these elements to 0.
     void (*visibility)(const Tile& tile, const std::size_t* slots, float* weights);
 };
 

@@ -29,7 +29,7 @@ points::cuda::EntryBuffer checked_buffer(const EntryBufferArguments& buffer, con
         points::cuda::workspace_bytes(cloud.count, cloud.channels, camera.width, camera.height, buffer.entries));
 }
 
-// Returns the number of entries to allocate and the size of the workspace in bytes.
+// Returns the number of (point, tile) entries to allocate, and the size of the workspace in bytes.
 std::pair<std::size_t, std::size_t> plan(device::EntryEstimator& estimator, std::size_t count, int channels, int width,
                                          int height) {
     const std::size_t entries = estimator.entries(count);

@@ -5,8 +5,8 @@
 
 namespace fourd::points::cuda {
 
-// The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula, and
-// why the term for alpha is not part of the value of a layer.
+// The gradient of the loss with respect to the image, at one pixel. points/cpu/gradient.inc explains the formula. It
+// also explains why the value of a layer does not include the gradient with respect to alpha.
 template <int kCapacity>
 struct Upstream {
     float colour[kCapacity];
@@ -52,7 +52,7 @@ struct GradientPixel {
         const Upstream<kCapacity> upstream(gradient, pixel, channels);
         const float per_weight = seen ? upstream.depth / depth.weight : 0.0f;
         const float mean_behind = seen ? depth.mean_behind() : 0.0f;
-        // The numbers `value` (below) of the layers behind the current layer, composited front to back.
+        // The values (variable `value` below) of all layers behind the current layer, composited front to back.
         float behind = 0.0f;
         float transmittance_behind = 1.0f;  // Transmittance of the layers behind the current layer.
         while (true) {

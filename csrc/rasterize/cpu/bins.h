@@ -43,9 +43,11 @@ class Bins {
     // Number of images that have their own vertex positions, or 1 if all images share the positions.
     std::size_t vertex_images_ = 0;
     Buffer<Snapped> vertices_;
-    std::vector<std::size_t> first_item_;          // Index of each image's first item (triangle of an image).
-    std::vector<std::vector<Entry>> entries_;      // Pieces of each part of the items. Each worker cuts one part.
-    std::vector<std::vector<std::uint32_t>> counts_;  // For each part of the items, the number of pieces in every tile.
+    std::vector<std::size_t> first_item_;  // Index of each image's first item (triangle of an image).
+    // The items are divided into parts, one per worker. For each part, entries_ has the pieces, and counts_ has the
+    // number of these pieces in every tile.
+    std::vector<std::vector<Entry>> entries_;
+    std::vector<std::vector<std::uint32_t>> counts_;
     Buffer<Piece> pieces_;
     // Index of the first piece of each tile. The last element is the number of all pieces.
     std::vector<std::size_t> begin_;

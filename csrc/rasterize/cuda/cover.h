@@ -15,8 +15,8 @@ FOURD_DEVICE static inline bool is_small(const Bounds& bounds) {
     return (bounds.right - bounds.left + 1) * (bounds.bottom - bounds.top + 1) <= kSmallPixels;
 }
 
-// The triangles of all images. An item is one triangle of one image. Every image has longest_range items, of which the
-// last may have no triangle.
+// The triangles of all images. An item is one triangle of one image. Every image has longest_range items. In an image
+// with fewer triangles, the last items have no triangle.
 struct Items {
     Query query;
     std::size_t longest_range;

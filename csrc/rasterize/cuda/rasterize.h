@@ -1,5 +1,5 @@
 // The rasterizer (rasterize/rasterize.h) on a GPU. Functions queue work on a stream and do not wait for the GPU. All
-// arrays are in GPU memory. `longest_range` is the largest number of triangles of an image.
+// arrays are in GPU memory. `longest_range` is the largest number of triangles that any image has.
 #pragma once
 
 #include "rasterize/rasterize.h"

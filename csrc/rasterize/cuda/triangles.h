@@ -71,7 +71,7 @@ struct Target {
         return (image * screen.height + row) * screen.width + column;
     }
 
-    // Tests whether a piece covers a pixel, and records the triangle if it is the nearest so far.
+    // Tests whether a piece covers a pixel, and records the piece's triangle if it is the nearest so far.
     FOURD_DEVICE void test(const Piece& piece, const Planes& planes, std::size_t image, int column, int row) const {
         for (int k = 0; k < 3; ++k) {
             if (edge_of(piece, k, column, row).value < 0) return;

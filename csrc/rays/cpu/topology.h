@@ -25,7 +25,7 @@ inline void extend(Box* box, const Box& by) {
     }
 }
 
-// The index of a primitive and its box. build_topology() reorders the references, so that each leaf has a contiguous
+// The box and the index of a primitive. build_topology() reorders the references, so that each leaf has a contiguous
 // range of them.
 struct alignas(16) Reference {
     Box box;

@@ -9,7 +9,7 @@ namespace fourd::shade {
 constexpr int kBlock = 64;  // Number of points per batch. Intermediate values of a batch stay in the L1 cache.
 
 struct Loops {
-    // Computes the colours of points [begin, end). `out` is indexed by point, starting with point 0.
+    // Computes the colours of points [begin, end). Row i of `out` is the colour of point i.
     void (*shade)(const Points& points, std::size_t begin, std::size_t end, const Settings& settings, float* out);
 };
 

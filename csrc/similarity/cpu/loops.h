@@ -26,8 +26,8 @@ struct Plan {
     explicit Plan(const Pictures& pictures);
 };
 
-// Number of window means per pixel: of the picture, the truth, the square of the picture, the square of the truth, and
-// the product of picture and truth.
+// Number of weighted means over the window of a pixel. The means are those of the picture, the truth, the square of the
+// picture, the square of the truth, and the product of picture and truth.
 constexpr int kMeans = 5;
 
 // Number of derivatives of the similarity. The derivatives are with respect to the mean of the picture, the mean of its

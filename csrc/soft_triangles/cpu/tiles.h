@@ -29,10 +29,10 @@ struct Tile {
 };
 
 // Scratch memory. An entry is a triangle in the list of the tile. A visit is an (entry, block) pair in which the
-// triangle hits at least one pixel of the block.
+// triangle hits at least one pixel of the block. All arrays except `blocks` have the visits of one block at a time.
 struct Visits {
     std::uint16_t* blocks;   // Shape (count,): mask of the blocks that each entry may hit.
-    std::uint32_t* entries;  // Shape (count,): index of the entry of each visit of a block.
+    std::uint32_t* entries;  // Shape (count,): index of the entry of each visit.
     float* x;                // Shape (count, 16): log-odds of the coverage D (maths.h).
     float* depth;            // Shape (count, 16): depth of the triangle, or kNoHit at pixels that do not use it.
 };

@@ -24,7 +24,7 @@ tiles::cuda::EntryBuffer checked_buffer(const EntryBufferArguments& buffer, cons
                                                                 buffer.entries));
 }
 
-// Returns the number of entries (triangle, tile pairs) to allocate, and the size of the workspace in bytes.
+// Returns the number of (triangle, tile) entries to allocate, and the size of the workspace in bytes.
 std::pair<std::size_t, std::size_t> plan(device::EntryEstimator& estimator, std::size_t count, int channels, int width,
                                          int height) {
     const std::size_t entries = estimator.entries(count);

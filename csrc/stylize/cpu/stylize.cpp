@@ -10,12 +10,13 @@
 namespace fourd::stylize {
 namespace {
 
-// With 8 rows, the pixels that a task reads for one column of runs (kRun pixels wide) fit into the L1 cache. The next
-// column also reads some of these pixels, and finds them in the cache.
+// A task divides its rows into columns that are kRun pixels wide, and shades one column after another. With 8 rows, the
+// pixels that one column reads fit into the L1 cache. The next column reads some of these pixels again, from the cache.
 constexpr int kRowsPerTask = 8;
 
-// Decides when the lines of a task's rows can be drawn: all tasks with rows at most `reach` rows away must have
-// finished. Lines are drawn soon after shading, while the rows are still in the L2 cache.
+// Decides when the lines (strokes at depth and normal edges) in a task's rows can be drawn: all tasks with rows at most
+// `reach` rows away must have finished shading. Lines are drawn soon after shading, while the rows are still in the L2
+// cache.
 class Progress {
   public:
     Progress(int tasks, int reach) : tasks_(tasks), neighbours_((reach + kRowsPerTask - 1) / kRowsPerTask), missing_(tasks) {

@@ -15,8 +15,8 @@ namespace {
 
 // A band has about 16 rows of texels, so that few pixels read texels of two bands. A band also fits into the L2 cache.
 constexpr std::size_t kRowsPerBand = 16, kMinBandTexels = 1 << 12, kMaxBandFloats = 1 << 18;
-// If more than kMaxEntriesPerPart entries (pixels) read texels of a band, these entries are divided into parts. The
-// parts are summed separately and in parallel.
+// An entry records that a pixel reads texels of a band (loops.h). If a band has more than kMaxEntriesPerPart entries,
+// the entries are divided into parts, which are summed separately and in parallel.
 constexpr std::size_t kMaxEntriesPerPart = 1 << 15;
 
 Bands bands_of(const Shape& shape) {

@@ -38,7 +38,7 @@ struct EntryList {
     std::size_t count;
 };
 
-// The sums of the gradients of the texels [begin, end) of a level, which all belong to one band.
+// The sums of the gradients of the texels [begin, end) of a level. All of these texels belong to one band.
 struct BandSums {
     int level;
     int begin, end;
@@ -55,7 +55,7 @@ struct Loops {
     // entries.
     void (*pixel_gradients)(const Query&, const Task&, const float* gradient, const Gradients& out, float* levels,
                             const Bands&, EntryList* entries);
-    // Adds the contributions of `count` entries (pixels that read texels of the band) to the sums of a band.
+    // Adds to the sums of a band the contributions of `count` entries (pixels that read texels of the band).
     void (*scatter)(const Query&, const Task&, const Entry* entries, std::size_t count, const float* gradient,
                     const float* levels, const BandSums&);
     // Computes some rows of a level from the next finer level. If halves_rows is true, the finer level has two rows for

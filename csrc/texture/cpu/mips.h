@@ -39,7 +39,8 @@ FOURD_INLINE void spread_row(const float* coarse, int fine_width, float share, i
     }
 }
 
-// If the finer level has only one row, each mean is over two texels of this row.
+// Computes rows of the coarser level. A texel is the mean of 2 x 2 texels of the finer level, or of two texels if the
+// finer level has only one row or one column.
 void halve(const float* fine, int fine_width, bool halves_rows, int channels, std::size_t rows, float* out) {
     const std::size_t fine_row = static_cast<std::size_t>(fine_width) * static_cast<std::size_t>(channels);
     const std::size_t row = fine_width == 1 ? fine_row : fine_row / 2;

@@ -120,8 +120,8 @@ struct SampleBackward {
 };
 
 // A float of the coarser level is the mean of up to four floats of the finer level. Mean computes the offsets of these
-// floats in the finer level. The finer level has exactly `rows` rows for each row of the coarser level, so the rows of
-// all faces of all textures can be numbered consecutively.
+// floats in the finer level. The finer level has exactly `rows` rows for each row of the coarser level, so one
+// row index can run over all faces of all textures.
 struct Mean {
     std::size_t first, next_column, next_row;
     float share;

@@ -37,7 +37,7 @@ struct Entries {
     // primitive.
     std::uint32_t* values;
     std::uint32_t* depths;       // Bits of the depth of each primitive, indexed by rank.
-    std::uint32_t* indices;      // Primitives, indexed by rank.
+    std::uint32_t* indices;      // Index of the primitive of each rank.
     std::uint64_t* tile_counts;  // Number of tiles that the primitive of each rank covers. The last element is 0.
     // For each rank, the index of the first entry of its primitive, before entries are sorted by tile. The last element
     // is the count of all entries.
@@ -113,8 +113,8 @@ struct GatherRank {
     }
 };
 
-// This kernel has one thread per entry. A primitive covers from one tile to all tiles, so threads per primitive would
-// have very unequal work.
+// This kernel has one thread per entry. Threads per primitive would have very unequal work, because one primitive may
+// cover a single tile, and another primitive may cover all tiles.
 template <typename Splat>
 struct EmitEntry {
     Entries<Splat> to;

@@ -13,8 +13,8 @@ struct Pixel {
     std::size_t tile;
 };
 
-// Finds the pixel of a thread. `index` is the index of the thread. It numbers the pixels tile by tile, including pixels
-// outside the image.
+// Finds the pixel of a thread. `index` is the index of the thread. Threads are numbered tile by tile. Each pixel of a
+// tile has a thread, even if the pixel is outside the image.
 FOURD_DEVICE static inline Pixel pixel_of(std::size_t index, const Tiles& tiles, int width, int height) {
     constexpr int kAcross = 8, kDown = device::kWarpSize / kAcross;
     const std::size_t tile = index / kTilePixels;

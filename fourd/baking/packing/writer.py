@@ -122,7 +122,7 @@ class PackedWriter:
         assert self._zip is not None
         total = 0
         views = [view_member(view) for view in self._storage.view_order]
-        # Optional attributes follow the views, because most players do not fetch optional attributes.
+        # Optional attributes are stored after the views, because most players do not fetch optional attributes.
         optional = [name for name in members if name.startswith(optional_member(""))]
         base = [name for name in members if name not in {*views, *optional}]
         names = [*base, *(name for name in views if name in members), *optional]

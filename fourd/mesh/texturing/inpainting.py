@@ -36,7 +36,7 @@ def fill_vertices(rgb: Floats, known: NDArray[np.bool_], triangles: NDArray[np.i
     columns = np.concatenate([triangles[:, a] for a in (1, 2, 0, 0, 1, 2)])
     adjacency = coo_array((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
     adjacency.data[:] = 1
-    # A small weight towards grey keeps the linear system regular in parts without a known colour.
+    # A small weight towards grey keeps the linear system regular if a connected part of the mesh has no known colour.
     grey_weight = 1e-6
     degree = np.asarray(adjacency.sum(axis=1)).ravel() + grey_weight
     unknown = np.flatnonzero(~known)

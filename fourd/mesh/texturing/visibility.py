@@ -67,9 +67,9 @@ class Occluder:
             height = (towards * normal).sum(axis=1)
             with np.errstate(divide="ignore", invalid="ignore"):
                 t = ((start - centre) * normal).sum(axis=1) / height
-            # Near the contour, the ray through a corner of the pixel meets the tangent plane far away or not at all.
-            # The ray starts at ``centre + t * towards``, which has the depth of ``start`` if t is 1. Limiting t keeps
-            # the start of the ray near the point.
+            # Near the contour, the line from the camera through a corner of the pixel meets the tangent plane far away
+            # or not at all. The traced ray starts on this line, at ``centre + t * towards``, which has the depth of
+            # ``start`` if t is 1. Limiting t keeps the start of the traced ray near the point.
             t = np.where(np.isfinite(t), t, 1).clip(0.5, 2).astype(np.float32)
             origins = centre + t[:, None] * towards
             rays = torch.from_numpy(origins), torch.from_numpy(centre - origins)

@@ -35,7 +35,7 @@ def structural_similarity_reference(prediction: Tensor, target: Tensor) -> Tenso
         )
     x, y = _to_planes(prediction), _to_planes(target)
     planes = x.shape[1]
-    # In a loss, the target needs no gradient. The target's two window means are therefore computed in a separate call
+    # In a loss, the target needs no gradient. The window means of y and y * y are therefore computed in a separate call
     # of _blur, for which the backward pass has no work.
     mean_x, square_x, product = _blur(torch.cat([x, x * x, x * y], dim=1)).split(planes, dim=1)
     mean_y, square_y = _blur(torch.cat([y, y * y], dim=1)).split(planes, dim=1)

@@ -186,8 +186,8 @@ class _State:
         triangle = hits.triangle[ray, layer].long()
         colour = weights[ray, layer, None] * soup.features[triangle]
         self.colour = self.colour.index_add(0, active[ray], colour)
-        # The transmittance is computed by subtracting the weights and not from ``products``, because ``products`` also
-        # contains hits behind the last composited triangle.
+        # The weights are subtracted from the transmittance. Multiplying by ``products`` would be wrong, because
+        # ``products`` also contains hits behind the last composited triangle.
         remaining = transmittance - weights.sum(1)
         self.transmittance = self.transmittance.index_put((active,), remaining)
         self.taken[active] += ((alpha.detach() > 0) & ~is_behind).sum(1)
