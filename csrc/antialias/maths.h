@@ -81,9 +81,9 @@ struct Pair {
 };
 
 // Describes, as bits of a byte, the silhouette edges that cross the two pairs of a pixel. Bits 0 to 2 describe the pair
-// with the right neighbour. Bits 0 and 1 are 0 if no edge crosses the pair, and otherwise 1 plus the index (0 to 2) of
-// the edge in its triangle. Bit 2 is 1 if the edge belongs to the triangle of the right neighbour. Bits 3 to 5 describe
-// the pair with the lower neighbour in the same way.
+// with the right neighbour. Bits 0 and 1 together are a number: 0 if no edge crosses the pair, otherwise the index (0 to
+// 2) of the edge in its triangle, plus 1. Bit 2 is set if the edge belongs to the triangle of the right neighbour. Bits
+// 3 to 5 describe the pair with the lower neighbour in the same way.
 using Code = unsigned;
 constexpr int kBitsPerPair = 3;
 

@@ -266,7 +266,8 @@ FOURD_HD static inline void add_gradient(const Face& face, const Softness& softn
     }
 }
 
-// Computes the gradients of the vertex positions of a triangle from its sums, and writes the gradients to `out` (3, 3).
+// Computes the gradients of a triangle's vertex positions and writes them to `out` (3, 3). `sums` are the gradients of
+// the triangle's projected shape, summed over all pixels.
 FOURD_HD static inline void project_backward(const Pinhole& camera, const Corners<float>& at,
                                              const ShapeGradient& sums, float* out) {
     float to_z[3];

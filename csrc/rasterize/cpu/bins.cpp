@@ -94,7 +94,8 @@ void Bins::fill(const Query& query, int first, int last, Team& team) {
     for (int image = first; image < last; ++image) {
         first_item_.push_back(first_item_.back() + triangle_range(query, image).count);
     }
-    // Each worker cuts one part, which has consecutive items. The parts are merged in order, so the result does not
+    // The items are divided into parts of consecutive items, one part per worker. Each worker cuts the triangles of its
+    // part into pieces, one piece per tile. The pieces are merged in the order of the parts, so the result does not
     // depend on the number of parts.
     const int parts = team.size();
     const std::size_t items = first_item_.back();

@@ -30,8 +30,8 @@ def build_tree(xyz: Tensor, tri: Tensor, threads: int) -> tuple[Tensor, Tensor, 
 
 
 def refit_tree(xyz: Tensor, tri: Tensor, nodes: Tensor, blocks: Tensor, threads: int) -> tuple[Tensor, Tensor, float]:
-    """Copy ``nodes`` and ``blocks``, and move their triangles to the positions ``xyz``. Return the copies and the
-    largest absolute coordinate."""
+    """Copy ``nodes`` and ``blocks``, and refit the copies to triangles with the vertex positions ``xyz``. Return the
+    copies and the largest absolute coordinate."""
     moved_nodes, moved_blocks = nodes.cpu().clone(), blocks.cpu().clone()
     magnitude = load_native().refit_rays(
         as_array(xyz.cpu()), as_array(tri.cpu()), _threads(threads), moved_nodes.numpy(), moved_blocks.numpy()
