@@ -106,7 +106,7 @@ def connect_triangles(points: OrientedPoints, hull: Silhouettes, side: float) ->
 
 def plane_distance(points: OrientedPoints, xyz: Array, side: float) -> NDArray[np.float64]:
     """Weighted mean (N,) of the signed distances, positive inside, of ``xyz`` (N, 3) to the planes of the NEAREST
-    nearest points. The weight of a point in the mean is the product of its weight in ``points`` and of a Gaussian of its
+    nearest points. The weight of a point in the mean is the product of its weight in ``points`` and a Gaussian of its
     distance to the position in ``xyz``."""
     tree = cKDTree(points.xyz)
     away, index = tree.query(xyz, k=min(NEAREST, len(points.xyz)))
