@@ -66,8 +66,7 @@ def render_points(
         camera: a pinhole camera without lens distortion.
         layers: maximum number of points that are composited per pixel.
         near: points with a camera depth below ``near`` world units are culled. Points are also culled if radius or
-            density is not positive, or if xyz, radius, density or the projection is not finite. Culled points have zero
-            gradients.
+            density is not positive, or if a value or the projection is not finite. Culled points have zero gradients.
         background: (C,) or (H, W, C) features, weighted by 1 - alpha and added behind the points. None means 0.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.

@@ -55,8 +55,7 @@ def rasterize_soft(
         camera: a pinhole camera without lens distortion.
         sigma: softness of the edges, greater than 0. The unit of sigma is the unit of d_ij squared.
         gamma: temperature of the softmax over depths, greater than 0.
-        layers: maximum number of nearest triangles that a pixel uses, or None for all. At equal depth, the triangle
-            with the smaller index counts as nearer.
+        layers: number K of nearest triangles per pixel, or None for all. At equal depth, the smaller index is nearer.
         distance: "euclidean": d_ij is the distance from the nearest edge, in units of half of the image's shorter side.
             "barycentric": d_ij is the smallest barycentric coordinate.
         cutoff: triangles are skipped at pixels where D_ij is below ``cutoff``. The cutoff is in (0, 0.5).

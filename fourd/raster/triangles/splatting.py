@@ -84,8 +84,7 @@ def splat_triangles(
         layers: maximum number of triangles that are composited per pixel, or None for no limit.
         near: camera depth of the near plane, in world units. Triangles with a vertex nearer than this depth are culled.
             Triangles are also culled if their inradius is at most 1e-4 pixels, if their opacity is below 1/255, if
-            their sigma is not positive, or if a vertex, the opacity or sigma is not finite. Culled triangles have zero
-            gradients.
+            their sigma is not positive, or if one of their values is not finite. Culled triangles have zero gradients.
         geometry: whether to render depths and normals. Without depths and normals, rendering takes about 40% less time.
         backend: "reference" for an implementation in plain torch (slow, float32 or float64), "cpu" or "cuda" for the
             float32 kernels, or "auto" for the kernel of the tensors' device.
