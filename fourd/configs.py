@@ -19,7 +19,7 @@ from typing import Any, Literal, TypeVar, Union
 
 import yaml
 
-from fourd.errors import UserError
+from fourd.errors import UserError, one_line
 from fourd.files import write_text_atomically
 from fourd.limits import MAX_CONFIG_BYTES, read_limited
 
@@ -148,7 +148,7 @@ def _parse_file(path: Path) -> yaml.Node | None:
         line = f", line {mark.line + 1}" if mark else ""
         raise UserError(f"{path}{line}: expected YAML, got an error: {error.problem}; fix the line") from error
     except (yaml.YAMLError, RecursionError) as error:
-        reason = " ".join(str(error).split())
+        reason = one_line(error)
         raise UserError(f"{path}: expected YAML, got an error: {reason}; fix the file") from error
 
 

@@ -1,6 +1,9 @@
-"""The exception for errors that the user can fix."""
+"""The exception for errors that the user can fix, and quotation of other errors in its message."""
 
 from __future__ import annotations
+
+MAX_REASON = 200
+"""Maximum number of characters of another program's error message that an error message quotes."""
 
 
 class UserError(Exception):
@@ -8,3 +11,8 @@ class UserError(Exception):
 
     The error message names the file or argument, the expected value, the value found, and the fix.
     """
+
+
+def one_line(error: Exception, max_length: int | None = None) -> str:
+    """Return the message of an error on one line, cut after ``max_length`` characters."""
+    return " ".join(str(error).split())[:max_length]

@@ -10,9 +10,10 @@ import sys
 from rich.console import Console
 
 from fourd.benchmarks.gpu_cases import gpu_cases
-from fourd.benchmarks.machine import has_gpu, this_machine
+from fourd.benchmarks.machine import this_machine
 from fourd.benchmarks.report import Row, markdown
 from fourd.benchmarks.timing import Clock
+from fourd.ops.gpu import has_gpu
 
 
 def main() -> int:

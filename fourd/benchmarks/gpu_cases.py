@@ -12,11 +12,11 @@ import torch
 
 from fourd.baking.gpu_player import GpuFrame, GpuPlayer
 from fourd.benchmarks.cases import Case, composite, plane_case, sampling_case
-from fourd.benchmarks.machine import has_gpu
 from fourd.benchmarks.peers import gsplat_rasterizer
 from fourd.benchmarks.timing import Work
 from fourd.benchmarks.workloads import make_baked_frame, make_camera, make_cloud
 from fourd.cameras import Camera
+from fourd.ops.gpu import has_gpu
 
 REPEATS = 20
 """Number of times that a computation runs between two synchronizations with the device."""

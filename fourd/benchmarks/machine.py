@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from fourd.ops.gpu import cuda_unavailable_reason
+from fourd.ops.gpu import has_gpu
 from fourd.ops.loading import load_native, simd_name, thread_count
 
 
@@ -49,11 +49,6 @@ def this_machine() -> Machine:
         fourd=version("fourd"),
         commit=_commit(),
     )
-
-
-def has_gpu() -> bool:
-    """Return whether CUDA kernels can run on this machine."""
-    return torch.cuda.is_available() and not cuda_unavailable_reason()
 
 
 def _processor() -> str:

@@ -15,6 +15,7 @@ from fourd.cli.usage import one_line_of_usage
 from fourd.errors import UserError
 from fourd.limits import printable
 from fourd.processes import handle_termination
+from fourd.processes.torchrun import rank_count
 from fourd.progress import Terminal
 
 COMMANDS = {
@@ -146,7 +147,7 @@ def console_main() -> int:
     afterwards."""
     # torchrun ends its processes (ranks) with SIGTERM. A rank that waits for other ranks could not run a Python
     # handler, so ranks keep the default action.
-    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+    if rank_count() == 1:
         handle_termination()
     try:
         return main()

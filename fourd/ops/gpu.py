@@ -19,6 +19,7 @@ from torch import Tensor
 
 from fourd.errors import UserError
 from fourd.ops.loading import simd_name
+from fourd.processes.torchrun import local_rank
 
 CPU = torch.device("cpu")
 
@@ -81,19 +82,25 @@ def cuda_unavailable_reason() -> str:
     return ""
 
 
-def choose_device(name: DeviceName, local_rank: int = 0) -> torch.device:
-    """Return the device with the given name. If several processes of this machine train together, the processes are
-    distributed over the machine's GPUs. ``local_rank`` is the index of this process among the processes of the machine.
+def has_gpu() -> bool:
+    """Return whether CUDA kernels can run on this machine."""
+    return torch.cuda.is_available() and not cuda_unavailable_reason()
+
+
+def choose_device(name: DeviceName) -> torch.device:
+    """Return the device with the given name. If torchrun has started several processes on this machine, the processes
+    are distributed over the machine's GPUs.
 
     Raises UserError for "cuda" if fourd cannot use a GPU.
     """
     if name == "cpu":
         return CPU
-    has_device = torch.cuda.is_available()
-    if has_device and not cuda_unavailable_reason():
-        return torch.device("cuda", local_rank % torch.cuda.device_count())
+    if has_gpu():
+        return torch.device("cuda", local_rank() % torch.cuda.device_count())
     if name == "cuda":
-        got = cuda_unavailable_reason() if has_device else f"no GPU that torch {torch.__version__} can use"
+        got = (
+            cuda_unavailable_reason() if torch.cuda.is_available() else f"no GPU that torch {torch.__version__} can use"
+        )
         raise UserError(f"--device: expected an NVIDIA GPU for 'cuda', got {got}; use --device cpu")
     return CPU
 

@@ -16,15 +16,13 @@ from typing import Any
 from rich.console import Console
 
 from fourd import __version__
-from fourd.errors import UserError
+from fourd.errors import MAX_REASON, UserError, one_line
 from fourd.pipeline.runner import AnyStage
 from fourd.pipeline.stage import Context
 
 RETRIES = 3
 """Maximum number of restarts of a stage. A stage is restarted if its worker or its node is lost. A restarted stage
 resumes its work."""
-MAX_REASON = 200
-"""An error message quotes at most this number of characters of Ray's message."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ class Cluster:
                 return Outcome("of the task", error=f"expected fourd {__version__}, got '{error.cause}'; install it")
             raise error.cause from error
         except self._ray.exceptions.RayError as error:
-            reason = " ".join(str(error).split())[:MAX_REASON]
+            reason = one_line(error, MAX_REASON)
             return Outcome(
                 "of the task",
                 error=f"expected a worker that finishes, got '{reason}' after {RETRIES} retries; check the memory of "
@@ -193,7 +191,7 @@ def join_cluster(address: str, segment_cores: int) -> Iterator[Cluster]:
             include_dashboard=False if address == "auto" else None,
         )
     except (ConnectionError, RuntimeError, ValueError, OSError) as error:
-        reason = " ".join(str(error).split())[:MAX_REASON]
+        reason = one_line(error, MAX_REASON)
         raise UserError(
             f"--ray: expected a Ray cluster at {address}, got '{reason}'; start one with ray start --head, or use "
             "--ray auto"

@@ -14,13 +14,11 @@ from importlib import import_module
 from threading import Event
 from typing import Any
 
-from fourd.errors import UserError
+from fourd.errors import MAX_REASON, UserError, one_line
 from fourd.storage.url import StorageUrl
 
 CONNECTIONS = 8
 """Number of objects that are read or written at the same time."""
-MAX_REASON = 200
-"""An error message quotes at most this number of characters of the store's own message."""
 LIBRARIES = ("aiobotocore", "aiohttp", "asyncio", "botocore", "builtins", "fsspec", "gcsfs", "google", "s3fs")
 """Packages whose exceptions count as errors of the store in a :func:`storage_errors` block. Exceptions of other
 packages are bugs."""
@@ -90,7 +88,7 @@ def _is_answer(error: Exception) -> bool:
 
 
 def _describe(url: StorageUrl, error: Exception) -> str:
-    reason = " ".join(str(error).split())[:MAX_REASON] or type(error).__name__
+    reason = one_line(error, MAX_REASON) or type(error).__name__
     kind = type(error).__name__
     if kind == "FileExpired":
         return str(changed(url)).removeprefix(f"{url}: ")

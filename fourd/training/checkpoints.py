@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
-from fourd.errors import UserError
+from fourd.errors import UserError, one_line
 from fourd.files import UNFINISHED, atomic_path
 from fourd.limits import open_regular, require_regular
 from fourd.training.run_layout import checkpoint_files, points_folder
@@ -177,7 +177,7 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, Tensor]]:
             tensors = {name: stream.get_tensor(name) for name in stream.keys()}  # noqa: SIM118
     except (OSError, SafetensorError) as error:
         raise UserError(
-            f"{path}: expected a complete checkpoint, got a file that cannot be read ({_one_line(error)}); "
+            f"{path}: expected a complete checkpoint, got a file that cannot be read ({one_line(error)}); "
             f"delete the file to resume from the previous checkpoint"
         ) from error
     if header.get("format") != FORMAT:
@@ -318,7 +318,7 @@ def _cannot_write(folder: Path, error: Exception) -> UserError:
     is_full = getattr(error, "errno", None) == errno.ENOSPC or f"os error {errno.ENOSPC})" in str(error)
     before = checkpoint_files(folder)
     kept = f"the previous checkpoint, {before[-1].name}, is intact" if before else "there is no previous checkpoint"
-    got = "a full disk" if is_full else _one_line(error)
+    got = "a full disk" if is_full else one_line(error)
     fix = "free some space" if is_full else "make the folder writable"
     return UserError(f"{folder}: expected free disk space for a checkpoint, got {got}; {kept}; {fix} and add --resume")
 
@@ -390,7 +390,3 @@ def _array_as_list(value: object) -> object:
     if isinstance(value, np.integer):
         return int(value)
     raise TypeError(f"expected arrays and numbers, got {type(value).__name__}")
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())

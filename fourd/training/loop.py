@@ -99,7 +99,7 @@ class Trainer:
             console.print(note, style="yellow")
         saved = None if found is None else points_folder(found)
         background = run.background(saved)
-        self.scene = build_scene(budget, model, run.view_store(device), background, device)
+        self.scene = build_scene(budget, model, run.view_store(device), background)
         self.refinement = run.new_refinement()
         self.stepper = Stepper(self.scene, budget, lpips if lpips is None else lpips.to(device), self.refinement, group)
         cameras, frames = run.capture.cameras, run.capture.frame_count

@@ -179,7 +179,7 @@ class Run:
         """
         train = self.config.train
         cache_mb = train.memory_mb if device.type != "cuda" else max(train.memory_mb, _free_gpu_mb(device) // 8)
-        return ViewStore(self.capture, train.crop == "mask", cache_mb)
+        return ViewStore(self.capture, train.crop == "mask", cache_mb, device)
 
     def frame_store(self, saved: Path | None, device: torch.device = CPU) -> FrameStore:
         """The store of the points of every frame, which returns points on ``device``.

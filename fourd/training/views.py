@@ -62,14 +62,15 @@ class ViewStore:
     Attributes:
         capture: the selected views and frames.
         rig: the current cameras. To change the cameras of all views, assign another rig.
-        device: device of the tensors that :meth:`sources` returns. Cached images stay in the memory of the CPU.
+        device: device on which the scene is trained, and of the tensors that :meth:`sources` returns. Cached images
+            stay in the memory of the CPU.
     """
 
-    def __init__(self, capture: Capture, crop: bool, memory_mb: int) -> None:
+    def __init__(self, capture: Capture, crop: bool, memory_mb: int, device: torch.device = CPU) -> None:
         """Open the store. If ``crop`` is true, views are crops around the matte; otherwise they are whole images."""
         self.capture = capture
         self.rig = Rig(capture.cameras)
-        self.device = CPU
+        self.device = device
         self._crop = crop
         max_bytes = memory_mb * 2**20
         # cachetools raises an error for a value that is larger than the whole cache.

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from fourd.errors import UserError
-from fourd.ops.gpu import CPU, choose_device, cuda_unavailable_reason
+from fourd.ops.gpu import CPU, choose_device, has_gpu
 from fourd.pipeline.make import create_run
 from fourd.pipeline.stage import Context
 from fourd.pipeline.stages.train import train_run
@@ -33,7 +33,7 @@ CONFIGS = {
 @pytest.fixture(params=["fake", "cuda"])
 def device(request: pytest.FixtureRequest) -> Iterator[torch.device]:
     if request.param == "cuda":
-        if not torch.cuda.is_available() or cuda_unavailable_reason():
+        if not has_gpu():
             pytest.skip("no CUDA device here, or no kernels for it")
         yield torch.device("cuda", 0)
     else:

@@ -11,7 +11,7 @@ import torch
 from fourd.background.contraction import contraction_around
 from fourd.carving import read_bounds
 from fourd.configs import save_config
-from fourd.errors import UserError
+from fourd.errors import MAX_REASON, UserError, one_line
 from fourd.files import resolved
 from fourd.formats.ply import read_ply
 from fourd.ops.gpu import choose_device, cuda_unavailable_reason
@@ -25,8 +25,6 @@ from fourd.training.points.spacing import mean_spacing
 from fourd.training.run import Run, RunConfig, SceneConfig, open_run
 from fourd.training.run_layout import CHECKPOINTS, CONFIG_NAME, HULL, PREPARATION
 
-MAX_REASON = 200
-"""Error messages quote at most this number of characters of torch's own message."""
 PREPARED_BY = ("adjust", "carve", "points", "background")
 """Names of the stages whose results training reads."""
 
@@ -70,7 +68,7 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
     lpips, group = load_lpips(lpips_weights), context.group or ALONE
     if lpips is None:
         context.log("LPIPS: no weights found; the loss uses 1 - SSIM instead (name the weights with --lpips-weights)")
-    device = _training_device(context, group)
+    device = _training_device(context)
     with open_run(folder) as run:
         require_frames(run.capture.frame_count, group)
         budget = replace(run.config.train, max_steps=config.max_steps, max_seconds=config.max_seconds)
@@ -79,7 +77,7 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
             with closing(trainer.frames):
                 summary = trainer.train()
         except torch.OutOfMemoryError as error:
-            reason = " ".join(str(error).split())[:MAX_REASON]
+            reason = one_line(error, MAX_REASON)
             raise UserError(
                 f"--device: expected a GPU with enough free memory, got '{reason}'; use fewer --points, a smaller "
                 "--scale or --device cpu, and add --resume if the run has a checkpoint"
@@ -87,9 +85,9 @@ def train_run(folder: Path, lpips_weights: Path | None, config: TrainConfig, con
     context.log(f"{folder}: {summary.steps} steps, {summary.seconds:.0f} s, {summary.psnr:.2f} dB on training views")
 
 
-def _training_device(context: Context, group: ProcessGroup) -> torch.device:
+def _training_device(context: Context) -> torch.device:
     """The device that trains. The choice is logged, unless there is no GPU."""
-    device = choose_device(context.device, group.local_rank)
+    device = choose_device(context.device)
     if device.type == "cuda":
         context.log(f"device: training on {torch.cuda.get_device_name(device)}")
     elif context.device == "auto" and torch.cuda.is_available():

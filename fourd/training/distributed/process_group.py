@@ -15,13 +15,12 @@ import torch
 import torch.distributed as dist
 from torch import Tensor
 
-from fourd.errors import UserError
+from fourd.errors import MAX_REASON, UserError, one_line
+from fourd.processes.torchrun import rank_count
 
 BACKEND = "gloo"
 JOIN_SECONDS = 120.0
 """Maximum time in seconds to wait for an answer from the address of rank 0."""
-MAX_REASON = 200
-"""Error messages quote at most this number of characters of torch's own message."""
 WAIT = timedelta(days=7)
 """Maximum time for which a rank waits for the other ranks. The time is long, because the other ranks wait while rank 0
 carves the visual hull. A rank that fails does not keep the others waiting, because torchrun then ends all ranks."""
@@ -51,11 +50,6 @@ class ProcessGroup:
 
     rank: int = 0
     size: int = 1
-
-    @property
-    def local_rank(self) -> int:
-        """Number of this rank among the ranks on the same machine, from 0."""
-        return int(os.environ.get("LOCAL_RANK", "0")) if self.size > 1 else 0
 
     @property
     def is_first(self) -> bool:
@@ -158,8 +152,8 @@ class ProcessGroup:
             yield
         except RuntimeError as error:
             raise UserError(
-                f"expected an answer from all {self.size} ranks, got '{_one_line(error)}'; see the message of the rank "
-                "that ended first, then continue with --resume"
+                f"expected an answer from all {self.size} ranks, got '{one_line(error, MAX_REASON)}'; see the message "
+                "of the rank that ended first, then continue with --resume"
             ) from error
 
     def _maximum(self, value: float) -> float:
@@ -197,7 +191,7 @@ def join_process_group() -> Iterator[ProcessGroup]:
         UserError: if the address of rank 0 does not answer. If the block raises a UserError on a rank other than 0, the
             message also contains the number of the rank and the name of its machine.
     """
-    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+    if rank_count() == 1:
         yield ALONE
         return
     address = f"{os.environ.get('MASTER_ADDR')}:{os.environ.get('MASTER_PORT')}"
@@ -206,8 +200,8 @@ def join_process_group() -> Iterator[ProcessGroup]:
         dist.init_process_group(BACKEND, store=store, rank=rank, world_size=size, timeout=WAIT)
     except (dist.DistError, ValueError, RuntimeError) as error:
         raise UserError(
-            f"{address}: expected rank 0 at this address, got no connection ({_one_line(error)}); start all ranks "
-            "with torchrun, with the same --rdzv-endpoint, and open this port"
+            f"{address}: expected rank 0 at this address, got no connection ({one_line(error, MAX_REASON)}); start all "
+            "ranks with torchrun, with the same --rdzv-endpoint, and open this port"
         ) from error
     try:
         yield ProcessGroup(rank, size)
@@ -217,7 +211,3 @@ def join_process_group() -> Iterator[ProcessGroup]:
         raise UserError(f"rank {rank} on {platform.node()}: {error}") from error
     finally:
         dist.destroy_process_group()
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:MAX_REASON]

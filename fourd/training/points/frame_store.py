@@ -12,7 +12,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from fourd.errors import UserError
+from fourd.errors import UserError, one_line
 from fourd.files import atomic_path
 from fourd.limits import require_regular
 from fourd.ops.gpu import CPU
@@ -107,7 +107,7 @@ class FrameStore:
         try:
             save_file(points.tensors(), file)
         except (OSError, SafetensorError) as error:
-            reason = " ".join(str(error).split())
+            reason = one_line(error)
             raise UserError(
                 f"{file}: expected free disk space for the points that do not fit in memory, got '{reason}'; "
                 "free some space and add --resume"
@@ -121,7 +121,7 @@ def load_points(file: Path) -> dict[str, Tensor]:
         require_regular(file)
         return load_file(file)
     except (OSError, SafetensorError) as error:
-        reason = " ".join(str(error).split())
+        reason = one_line(error)
         raise UserError(
             f"{file}: expected the points of a checkpoint, got a file that cannot be read ({reason}); "
             "delete the checkpoint to use the previous one"

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import torch
-
 from fourd.model import PointModel
-from fourd.ops.gpu import CPU
 from fourd.training.background import StaticBackground
 from fourd.training.config import TrainConfig
 from fourd.training.scenes.full_scene import FullScene
@@ -15,18 +12,12 @@ from fourd.training.views import ViewStore
 
 
 def build_scene(
-    config: TrainConfig,
-    model: PointModel,
-    views: ViewStore,
-    background: StaticBackground | None,
-    device: torch.device = CPU,
+    config: TrainConfig, model: PointModel, views: ViewStore, background: StaticBackground | None
 ) -> TrainingScene:
-    """Return a full scene if there is a background, and an object scene otherwise. Models, static points and the
-    tensors of training images are moved to ``device``."""
-    model.to(device)
-    views.device = device
-    if background is not None:
-        background.to(device)
+    """Return a full scene if there is a background, and an object scene otherwise. The model and the background are
+    moved to the device of ``views``."""
+    model.to(views.device)
     if background is None:
         return ObjectScene(config, model, views)
+    background.to(views.device)
     return FullScene(config, model, views, background)
