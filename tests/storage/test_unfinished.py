@@ -18,7 +18,7 @@ from fourd.errors import UserError
 from fourd.pipeline.stage import Context, Leftovers, NoSettings, Stage
 from fourd.pipeline.stored.cache import CACHE_VARIABLE, cache_folder
 from fourd.pipeline.stored.manifest import Manifest
-from fourd.pipeline.stored.unfinished import SUFFIX
+from fourd.pipeline.stored.unfinished import SUFFIX, _checkpoints
 from fourd.pipeline.stored.unit import UnitFiles, unit_stage
 from fourd.pipeline.stored.work_store import WorkStore
 from fourd.storage import StorageUrl, find_objects
@@ -181,6 +181,15 @@ def test_a_stage_continues_if_uploads_fail(machines: Machines, monkeypatch: pyte
             machines.execute("second", lost_after=3)
     assert failures == [UPLOADED]
     assert machines.execute("third") == "from step 3\n"
+
+
+def test_a_checkpoint_counts_when_it_is_complete() -> None:
+    """Catches an upload of a checkpoint whose points are written but whose model is not. If the machine is then lost,
+    another machine starts from the beginning."""
+    points = {"run/checkpoints/0000020.points/000000.safetensors": "a"}
+    model = {"run/checkpoints/0000020.safetensors": "b"}
+    assert _checkpoints(points) == {}
+    assert _checkpoints(points | model) == model
 
 
 @pytest.mark.slow

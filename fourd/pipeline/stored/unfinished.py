@@ -108,5 +108,6 @@ class Unfinished:
 
 
 def _checkpoints(states: States) -> dict[str, str]:
-    """The states of the files in folders of checkpoints."""
-    return {path: state for path, state in states.items() if CHECKPOINTS in PurePosixPath(path).parts}
+    """The states of the files that mark complete checkpoints. They are directly in a folder of checkpoints, and are
+    written after all other files of their checkpoint."""
+    return {path: state for path, state in states.items() if PurePosixPath(path).parent.name == CHECKPOINTS}
