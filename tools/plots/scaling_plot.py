@@ -24,6 +24,10 @@ POINTS = (16_384, 65_536, 262_144, 1_048_576, 2_097_152)
 SIZES = ((256, 256), (512, 512), (1024, 1024), (1920, 1080), (3840, 2160))
 LAYERS = (1, 2, 4, 8, 15, 30)
 KINDS = ("forward", "forward + backward", "play")
+CAPTION = """Times are in milliseconds. Each table varies the number of points, pixels or layers, and keeps the other two
+at these values: {base}. The last row of a table gives the exponent of the growth: the
+slope of log time over the log of the varied number. The slope is fitted to the rows with the largest numbers ("upper
+half"). An exponent of 1 means linear growth."""
 
 
 @dataclass(frozen=True)
@@ -75,9 +79,9 @@ def main(arguments: Arguments) -> None:
     for path in (picture, page):
         path.parent.mkdir(parents=True, exist_ok=True)
     plot(series, picture)
-    base_text = f"{base[0]:,} points, {base[1][0]} x {base[1][1]}, K = {base[2]}"
-    caption = "Times are in milliseconds. Each table varies one number and keeps the other numbers at these values:"
-    text = f"# Scaling\n\n{this_machine()}\n\n{caption}\n{base_text}.\n\n"
+    base_text = f"{base[0]:,} points, {base[1][0]} x {base[1][1]} pixels, K = {base[2]} layers"
+    caption = CAPTION.format(base=base_text)
+    text = f"# Scaling\n\n{this_machine()}\n\n{caption}\n\n"
     write_text_atomically(page, text + "\n".join(table(item) for item in series))
     print(f"{picture}, {page}")
 
