@@ -24,8 +24,8 @@ def primary_rays(side: int) -> tuple[Tensor, Tensor]:
 
 
 def random_rays(count: int) -> tuple[Tensor, Tensor]:
-    """Return incoherent rays: each ray connects two random points of the cube [-1, 1]^3,
-    which contains almost the whole mesh."""
+    """Return incoherent rays: each ray connects two random points of the cube [-1, 1]^3, which
+    contains almost the whole mesh."""
     generator = torch.Generator().manual_seed(count)
     ends = 2 * torch.rand(2, count, 3, generator=generator) - 1
     return ends[0], ends[1] - ends[0]
