@@ -56,7 +56,7 @@ class ModelConfig:
     `explicit`, training optimises 48 coefficients for each point of each frame."""
     sh_range: float = 0.25
     """Maximum absolute value of the colour from SH that is added to the image-based colour."""
-    high_sh_share: float = 0.6
+    high_sh_share: float = 0.8
     """Factor from 0 to 1 that multiplies the SH coefficients of degrees 2 and 3 in rendered and exported scenes, but
     not in training. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors of the image-based
     colours in single training views. In new views, these corrections are wrong, so a smaller factor gives a higher

@@ -53,7 +53,8 @@ class EvaluatedPoints:
         displacement: (N, 3) displacement by the residual field, which ``xyz`` already includes; None if the model has
             no residual field.
         features: outputs of the first layers of the heads.
-        explicit_sh: (N, 48) optimised SH coefficients; None if an MLP predicts the SH coefficients.
+        sh: (N, 3, 16) SH coefficients, from the MLP or optimised for each point; None if the model uses no SH. See
+            :meth:`PointModel.harmonics` for the coefficients outside training.
         rgb: (N, 3) the points' own colours, which are the same in all views. The colours of the views are mixed with
             ``rgb``; see ``mix_own_colours``. If ``rgb`` is None, only the colours of the views are used.
     """
@@ -64,7 +65,7 @@ class EvaluatedPoints:
     spacing: Tensor
     displacement: Tensor | None
     features: PointFeatures
-    explicit_sh: Tensor | None
+    sh: Tensor | None
     rgb: Tensor | None
 
 
@@ -156,7 +157,7 @@ class PointModel(nn.Module):
             xyz: (N, 3) optimised positions in world units.
             spacing: (N,) distance between neighbouring points in world units. Radii are proportional to the spacing.
             time: time of the frame in [0, 1].
-            explicit_sh: (N, 48) optimised SH coefficients; see :class:`EvaluatedPoints`.
+            explicit_sh: (N, 48) optimised SH coefficients; None if an MLP predicts the SH coefficients.
             rgb: (N, 3) the points' own colours; see :class:`EvaluatedPoints`.
         """
         features = self._point_features(xyz, time)
@@ -164,7 +165,8 @@ class PointModel(nn.Module):
         radius = radius * spacing
         displacement = None if self.residual is None else self.residual(self.coordinates(xyz, time))
         displaced = xyz if displacement is None else xyz + displacement
-        return EvaluatedPoints(displaced, radius, density, spacing, displacement, features, explicit_sh, rgb)
+        sh = self._sh(features, explicit_sh)
+        return EvaluatedPoints(displaced, radius, density, spacing, displacement, features, sh, rgb)
 
     def colour(
         self,
@@ -223,23 +225,15 @@ class PointModel(nn.Module):
         return None if self.image_encoder is None else self.image_encoder(images)
 
     def harmonics(self, points: EvaluatedPoints, *, is_training: bool) -> Tensor | None:
-        """SH coefficients (N, 3, 16) of the points, from the MLP or from ``explicit_sh``. The result is None if the
-        model uses no SH.
+        """SH coefficients (N, 3, 16) of the points. The result is None if the model uses no SH.
 
         Outside training, ``high_sh_share`` multiplies the coefficients of degrees 2 and 3, unless the model uses only
         SH.
         """
-        if self.config.appearance == "ibr":
-            return None
-        if self.harmonics_head is not None:
-            assert points.features.harmonics is not None
-            sh = self.harmonics_head(points.features.harmonics)
-        else:
-            assert points.explicit_sh is not None, "explicit spherical harmonics must be passed with the points"
-            sh = points.explicit_sh.reshape(-1, 3, SH_TERMS)
-        if is_training or self.config.appearance == "sh":
-            return sh
-        return torch.cat([sh[..., :LOW_SH_TERMS], self.config.high_sh_share * sh[..., LOW_SH_TERMS:]], dim=-1)
+        if points.sh is None or is_training or self.config.appearance == "sh":
+            return points.sh
+        low, high = points.sh[..., :LOW_SH_TERMS], points.sh[..., LOW_SH_TERMS:]
+        return torch.cat([low, self.config.high_sh_share * high], dim=-1)
 
     def blend_logits(
         self, points: EvaluatedPoints, samples: SourceSamples, sources: SourceViews, viewer: Camera | None
@@ -253,6 +247,16 @@ class PointModel(nn.Module):
             assert viewer is not None, "continuous blending requires a viewing camera"
             directions = _relative_directions(points.xyz, viewer, sources.cameras)
         return self.blend_head(points.features.blend, samples.channels, directions)
+
+    def _sh(self, features: PointFeatures, explicit_sh: Tensor | None) -> Tensor | None:
+        """SH coefficients (N, 3, 16) from the MLP or from ``explicit_sh``; None if the model uses no SH."""
+        if self.config.appearance == "ibr":
+            return None
+        if self.harmonics_head is None:
+            assert explicit_sh is not None, "explicit spherical harmonics must be passed with the points"
+            return explicit_sh.reshape(-1, 3, SH_TERMS)
+        assert features.harmonics is not None
+        return self.harmonics_head(features.harmonics)
 
     def _point_features(self, xyz: Tensor, time: float) -> PointFeatures:
         features = self.planes(self.coordinates(xyz.detach(), time))

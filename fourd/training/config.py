@@ -28,6 +28,9 @@ class LossConfig:
     residual: float = 1e-3
     """Weight of the mean squared displacement that the residual field adds to the points. The displacement is measured
     in point spacings."""
+    high_sh: float = 3e-3
+    """Weight of the mean squared SH coefficient of the degrees 2 and 3 of foreground points. The loss is used only with
+    `appearance: both`."""
     shadow: float = 1e-2
     """Weight of the mean of (f - 1)^2 over the shadow factors f of the background points. A factor of 1 means no
     shadow."""
@@ -36,7 +39,7 @@ class LossConfig:
     cameras."""
 
     def __post_init__(self) -> None:
-        for name in ("perceptual", "stand_in", "mask", "residual", "shadow", "closed"):
+        for name in ("perceptual", "stand_in", "mask", "residual", "high_sh", "shadow", "closed"):
             value = getattr(self, name)
             require(value >= 0, f"{name}: expected 0 or more, got {value}")
 

@@ -132,8 +132,11 @@ class Stepper:
         truth = target.rgb + (1 - target.known)[..., None] * background_colour
         if target.fills_picture:
             prediction = torch.where(target.known[..., None] > 0, prediction, truth)
-        displacement = evaluated[0].evaluated.displacement
-        return colour, RenderedStep(number, time, sample, prediction, truth, coverage, target.matte, displacement)
+        first = evaluated[0].evaluated
+        sh = None if target.matte is None else first.sh
+        return colour, RenderedStep(
+            number, time, sample, prediction, truth, coverage, target.matte, sh, first.displacement
+        )
 
     def _update(self, evaluated: Sequence[OptimizedPoints], terms: dict[str, Tensor], rate_factor: float) -> None:
         torch.stack(list(terms.values())).sum().backward()

@@ -233,6 +233,6 @@ def test_rendered_colours_have_a_share_of_the_high_sh_degrees(appearance: Litera
     assert torch.equal(rendered[..., :4], explicit.reshape(20, 3, 16)[..., :4])
     assert torch.equal(rendered[..., 4:], share * explicit.reshape(20, 3, 16)[..., 4:])
     sources, viewer = None if appearance == "sh" else views(), ring(7)[1]
-    shrunk = replace(evaluated, explicit_sh=rendered.reshape(20, 48))
+    shrunk = replace(evaluated, sh=rendered)
     expected = built.colour(shrunk, viewer, sources)
     torch.testing.assert_close(built.colour(evaluated, viewer, sources, is_training=False), expected)

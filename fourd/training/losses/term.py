@@ -25,6 +25,8 @@ class RenderedStep:
         coverage: (H, W) rendered alpha of the foreground. If the target is a plate, ``coverage`` is the rendered alpha
             of the background.
         matte: (H, W) true alpha of the foreground, or None if the target is a plate.
+        sh: (M, 3, 16) SH coefficients of the visible foreground points. ``sh`` is None if the target is a plate or the
+            model uses no SH.
         displacement: (M, 3) learnt displacement of the visible points in world units, or None without a residual field.
     """
 
@@ -35,6 +37,7 @@ class RenderedStep:
     truth: Tensor
     coverage: Tensor
     matte: Tensor | None
+    sh: Tensor | None
     displacement: Tensor | None
 
 

@@ -6,6 +6,7 @@ from fourd.training.background import StaticBackground
 from fourd.training.cameras.refinement import Refinement
 from fourd.training.config import TrainConfig
 from fourd.training.losses.background_opacity import BackgroundOpacityTerm
+from fourd.training.losses.high_sh import HighShTerm
 from fourd.training.losses.image import ImageTerm
 from fourd.training.losses.lpips import LPIPS
 from fourd.training.losses.mask import MaskTerm
@@ -36,6 +37,8 @@ def common_terms(
     terms.append(ResidualTerm(weights.residual, spacing))
     if refinement is not None:
         terms.append(RefinementTerm(config.refine.weight, refinement))
+    if config.model.appearance == "both":
+        terms.append(HighShTerm(weights.high_sh))
     return _enabled(terms)
 
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 
+from fourd.model.config import ModelConfig
 from fourd.training.config import LossConfig, TrainConfig
 from fourd.training.evaluation.metrics import ssim
+from fourd.training.losses.high_sh import HighShTerm
 from fourd.training.losses.image import ImageTerm
 from fourd.training.losses.lpips import LPIPS, expected_shapes
 from fourd.training.losses.mask import MaskTerm
@@ -27,7 +29,8 @@ def rendered(side: int = 16) -> RenderedStep:
     prediction, truth = torch.rand(2, side, side, 3, generator=generator)
     coverage, matte = torch.rand(2, side, side, generator=generator)
     displacement = torch.rand(5, 3, generator=generator)
-    return RenderedStep(0, 0.0, SAMPLE, prediction, truth, coverage, matte, displacement)
+    sh = torch.rand(5, 3, 16, generator=generator, requires_grad=True)
+    return RenderedStep(0, 0.0, SAMPLE, prediction, truth, coverage, matte, sh, displacement)
 
 
 def test_terms_equal_their_formulas() -> None:
@@ -35,6 +38,7 @@ def test_terms_equal_their_formulas() -> None:
     step = rendered()
     assert step.matte is not None
     assert step.displacement is not None
+    assert step.sh is not None
     difference = (step.prediction - step.truth).abs()
     huber = torch.where(difference < 0.1, difference.square() / 2, 0.1 * (difference - 0.05))
     expected = {
@@ -43,6 +47,7 @@ def test_terms_equal_their_formulas() -> None:
         SimilarityTerm(1.0): 1 - ssim(step.prediction, step.truth),
         MaskTerm(1.0): (step.coverage - step.matte).square().mean(),
         ResidualTerm(1.0, 0.1): (step.displacement / 0.1).square().mean(),
+        HighShTerm(1.0): step.sh[:, :, 4:].square().sum() / (5 * 3 * 12),
     }
     for term, value in expected.items():
         torch.testing.assert_close(term.value(step), value, rtol=1e-5, atol=1e-6)
@@ -51,9 +56,20 @@ def test_terms_equal_their_formulas() -> None:
 def test_terms_need_what_they_compare() -> None:
     """Catches a crash of a loss term for plates (which have no matte), for models without displacement, and for small
     images."""
-    step = replace(rendered(side=10), matte=None, displacement=None)
-    terms = (ImageTerm("mse"), SimilarityTerm(1.0), MaskTerm(1.0), ResidualTerm(1.0, 0.1))
+    step = replace(rendered(side=10), matte=None, sh=None, displacement=None)
+    terms = (ImageTerm("mse"), SimilarityTerm(1.0), MaskTerm(1.0), ResidualTerm(1.0, 0.1), HighShTerm(1.0))
     assert list(weighted_values(terms, step)) == ["image"]
+
+
+def test_high_sh_term_leaves_low_degrees_alone() -> None:
+    """Catches a penalty on the degrees 0 and 1, and a loss term for models whose whole colour comes from SH."""
+    step = rendered()
+    assert step.sh is not None
+    HighShTerm(1.0).value(step).backward()
+    torch.testing.assert_close(step.sh.grad[:, :, 4:], 2 * step.sh.detach()[:, :, 4:] / (5 * 3 * 12))
+    assert not step.sh.grad[:, :, :4].any()
+    only_sh = TrainConfig(model=ModelConfig(appearance="sh"))
+    assert "high_sh" not in [term.name for term in common_terms(only_sh, 0.1, None, None)]
 
 
 def test_values_are_weighted() -> None:
@@ -65,7 +81,7 @@ def test_values_are_weighted() -> None:
 
 def test_weight_zero_switches_a_term_off() -> None:
     """Catches loss terms with weight 0 that are computed."""
-    config = TrainConfig(loss=LossConfig(stand_in=0, mask=0))
+    config = TrainConfig(loss=LossConfig(stand_in=0, mask=0, high_sh=0))
     assert [term.name for term in common_terms(config, 0.1, None, None)] == ["image", "residual"]
 
 
@@ -74,5 +90,5 @@ def test_lpips_replaces_ssim() -> None:
     network = LPIPS({name: torch.zeros(shape) for name, shape in expected_shapes().items()})
     with_network = [term.name for term in common_terms(TrainConfig(), 0.1, network, None)]
     without = [term.name for term in common_terms(TrainConfig(), 0.1, None, None)]
-    assert with_network == ["image", "lpips", "mask", "residual"]
-    assert without == ["image", "ssim", "mask", "residual"]
+    assert with_network == ["image", "lpips", "mask", "residual", "high_sh"]
+    assert without == ["image", "ssim", "mask", "residual", "high_sh"]
