@@ -8,16 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import splu
 
 from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 
 CELL_DEG = 1.0
+ROWS_PER_DEGREE = 4
+"""Number of rows per degree of elevation in a fine grid. The resolution must be high, because the far half of a floor
+spans only a few degrees when the centre is low."""
 FAR_QUANTILE = 0.8
 """The distance assigned to a cell is this quantile of the distances of the points in the cell. Because the quantile is
 high, the distance is that of the farthest surface, and objects in front of it have no influence."""
+
+DISTANCE_WEIGHT = 100.0
+"""Weight of horizontal neighbours in the extrapolation of distances. Vertical neighbours have weight 1. A large weight
+keeps floors horizontal and walls vertical."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +58,21 @@ class DirectionGrid:
     def directions(self) -> Array:
         """(rows * columns, 3) unit vectors in world coordinates at the cells' centres. Cells in odd rows are offset by
         half a cell."""
-        elevation = ((np.arange(self.rows) + 0.5) / self.rows - 0.5) * np.pi
-        azimuth = ((np.arange(self.columns) + 0.5) / self.columns - 0.5) * 2 * np.pi
-        e, a = np.meshgrid(elevation, azimuth, indexing="ij")
-        a[1::2] += np.pi / self.columns * (1 - 1e-9)
-        local = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1).reshape(-1, 3)
+        row, column = (index.ravel().astype(np.float64) for index in np.indices((self.rows, self.columns)))
+        return self.directions_at(row, column + np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0))
+
+    def directions_at(self, row: Array, column: Array) -> Array:
+        """(N, 3) unit vectors in world coordinates at fractional rows (N,) and columns (N,). Integers are the centres
+        of cells."""
+        e = ((row + 0.5) / self.rows - 0.5) * np.pi
+        a = ((column + 0.5) / self.columns - 0.5) * 2 * np.pi
+        local = np.stack([np.cos(e) * np.cos(a), np.cos(e) * np.sin(a), np.sin(e)], axis=-1)
         return np.asarray(local @ self.R_world_sphere.T)
 
 
 def direction_grid(cameras: Sequence[Camera], centre: Array, rows_per_degree: int = 1) -> DirectionGrid:
     """Create a grid around a world point (3,). The grid has one column per degree, and its up direction is the mean up
-    direction of the cameras."""
+    direction of the cameras. A fine grid has ``rows_per_degree = ROWS_PER_DEGREE``."""
     up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
     up = up / max(float(np.linalg.norm(up)), 1e-12) if np.linalg.norm(up) > 1e-6 else np.array([0.0, 0.0, 1.0])
     side = np.cross(up, np.eye(3)[int(np.abs(up).argmin())])
@@ -106,8 +117,11 @@ def interpolate_harmonic(
         grid: the grid of directions.
         known: (cells,) bool, true for cells with a given value. Given values are not changed.
         values: (cells, C) values. The values of unknown cells are ignored.
-        horizontal_weight: weight of the neighbours in the same row. Neighbours in the same column have weight 1.
+        horizontal_weight: weight of a horizontal neighbour at a distance of one degree. A vertical neighbour at a
+            distance of one degree has weight 1.
     """
+    cells_per_degree = grid.rows * CELL_DEG / 180
+    horizontal_weight /= cells_per_degree**2
     number = np.arange(grid.rows * grid.columns).reshape(grid.rows, grid.columns)
     level = (number.ravel(), np.roll(number, -1, axis=1).ravel())
     down = (number[:-1].ravel(), number[1:].ravel())
@@ -120,6 +134,15 @@ def interpolate_harmonic(
     laplacian = sparse.diags(np.asarray(links.sum(axis=1)).ravel()) - links
     system = laplacian[free][:, free].tocsc()
     right = -laplacian[free][:, np.flatnonzero(known)] @ values[known]
+    solver = splu(system)
     out = values.copy()
-    out[free] = np.column_stack([spsolve(system, right[:, channel]) for channel in range(values.shape[1])])
+    out[free] = np.column_stack([solver.solve(right[:, channel]) for channel in range(values.shape[1])])
     return out
+
+
+def extrapolate_distances(grid: DirectionGrid, known: NDArray[np.bool_], inverse_distance: Array) -> Array:
+    """Extrapolate inverse distances (cells,) from the known cells (cells,) to all other cells, mainly in the horizontal
+    direction."""
+    if known.all():
+        return inverse_distance
+    return interpolate_harmonic(grid, known, inverse_distance[:, None], DISTANCE_WEIGHT)[:, 0]

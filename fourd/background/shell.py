@@ -9,15 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter1d
 
-from fourd.background.directions import CELL_DEG, DirectionGrid, direction_grid, interpolate_harmonic, summarize_cells
+from fourd.background.directions import (
+    CELL_DEG,
+    ROWS_PER_DEGREE,
+    DirectionGrid,
+    direction_grid,
+    extrapolate_distances,
+    interpolate_harmonic,
+    summarize_cells,
+)
+from fourd.background.height_profile import height_profile
 from fourd.cameras import Camera
 from fourd.formats.ply import ColouredPoints
 
 Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
-HORIZONTAL_WEIGHT = 6.0
-"""Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. Floors, walls and skies vary
-less in the horizontal direction than in the vertical direction."""
+COLOUR_WEIGHT = 16.0
+"""Weight of horizontal neighbours in the extrapolation of colours. Vertical neighbours have weight 1. Floors, walls and
+skies vary less in the horizontal direction than in the vertical direction."""
 SMALL_GAP_DEG = 1.5
 """Gaps of up to this many degrees are closed. Gaps of this size are common between neighbouring points of a surface."""
 RIM_FACTOR = 0.985
@@ -26,6 +36,9 @@ cells. The factor places the rim slightly behind the known points."""
 NEAR_GAP_DEG = 15.0
 """Every unknown cell whose angle to the nearest known cell is at most this many degrees gets a point. At larger angles,
 only one in sixteen unknown cells gets a point."""
+MIN_DETAIL = 8.0
+"""A shell point near known cells is split into four points if the extrapolated colours of the upper and the lower half
+of its cell differ by at least this many grey levels."""
 OCCLUSION_RATIO = 0.9
 """A shell point occludes a known point if the shell point's depth, divided by the known point's depth, is below this
 ratio."""
@@ -35,33 +48,71 @@ DEPTH_CELL_PX = 6.0
 def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
     """Build points in the directions in which there are no background points.
 
-    Inverse distance and colour are interpolated harmonically between the known directions. Horizontal neighbours have a
-    larger weight than vertical neighbours. The up direction is the mean up direction of the cameras. Points that would
-    occlude known points in a camera are dropped.
+    Inverse distances and colours are interpolated harmonically between the known directions. Horizontal neighbours have
+    a larger weight than vertical neighbours. The up direction is the mean up direction of the cameras. Colours that
+    depend only on the height, such as stripes of a wall, are extrapolated separately (:mod:`height_profile`). Points
+    that would occlude known points in a camera are dropped.
 
     Args:
         points: background points that were computed from the plates.
         cameras: cameras of the scene.
         centre: (3,) world point at which the directions start.
     """
-    sphere = direction_grid(cameras, centre)
-    cells, distance = sphere.cells(points.xyz.astype(np.float64))
-    known, inverse, rgb = summarize_cells(cells, distance, points.rgb, sphere.rows * sphere.columns)
+    grid = direction_grid(cameras, centre)
+    known = np.zeros(grid.rows * grid.columns, bool)
+    known[grid.cells(points.xyz.astype(np.float64))[0]] = True
     if known.all() or not known.any():
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
-    filled = interpolate_harmonic(sphere, known, np.column_stack([inverse, rgb]), HORIZONTAL_WEIGHT)
-    chosen = _select_cells(sphere, known)
+    fine = direction_grid(cameras, centre, ROWS_PER_DEGREE)
+    directions, inverse, rgb, is_rim = _sample(grid, known, *_extrapolate(fine, points))
     # The rim of the shell (shell points in known cells beside unknown cells) is placed slightly behind the known
     # points. Without this overlap, some viewpoints would show a slit between the shell and the known points.
-    filled[known, 0] *= RIM_FACTOR
-    xyz = sphere.centre + sphere.directions()[chosen] / filled[chosen, :1]
-    colours = np.clip(np.rint(filled[chosen, 1:]), 0, 255).astype(np.uint8)
+    inverse = np.where(is_rim, RIM_FACTOR, 1) * inverse
+    xyz = centre + directions / inverse[:, None]
     # A shell point is dropped if its distance from the centre is smaller than the median of the cameras' distances.
     # Some cameras see the space near the centre. Gaps in this space are therefore caused by sparse points and need no
     # shell.
     reach = float(np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]))
-    kept = (filled[chosen, 0] * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
-    return ColouredPoints(xyz[kept].astype(np.float32), colours[kept])
+    kept = (inverse * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
+    colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
+    return ColouredPoints(xyz[kept].astype(np.float32), colours)
+
+
+def _extrapolate(fine: DirectionGrid, points: ColouredPoints) -> tuple[Array, Array]:
+    """Inverse distances (cells,) and colours (cells, 3) for all cells of a fine grid."""
+    cells, distance = fine.cells(points.xyz.astype(np.float64))
+    known, inverse, rgb = summarize_cells(cells, distance, points.rgb, fine.rows * fine.columns)
+    inverse = extrapolate_distances(fine, known, inverse)
+    profile = height_profile(fine, known, inverse, rgb)
+    return inverse, profile + interpolate_harmonic(fine, known, rgb - profile, COLOUR_WEIGHT)
+
+
+def _sample(grid: DirectionGrid, known: Bools, inverse: Array, rgb: Array) -> tuple[Array, Array, Array, Bools]:
+    """Sample the extrapolated surface at the shell's points.
+
+    Args:
+        grid: the coarse grid, with one point per selected cell.
+        known: (cells,) bool, true for cells of the coarse grid with known points.
+        inverse: inverse distances in the cells of a grid with ROWS_PER_DEGREE rows per degree.
+        rgb: colours in the cells of the same grid.
+
+    Returns:
+        the points' directions (N, 3), inverse distances (N,), colours (N, 3), and whether the points are in known cells
+        (N,).
+    """
+    cells, step, is_near = _select_cells(grid, known)
+    row, column = cells // grid.columns, cells % grid.columns
+    values = np.column_stack([inverse, rgb]).reshape(grid.rows, 2, ROWS_PER_DEGREE // 2, grid.columns, 4).mean(axis=2)
+    lower, upper = values[row, 0, column], values[row, 1, column]
+    split = is_near & (np.abs(upper - lower)[:, 1:].max(axis=1) >= MIN_DETAIL)
+    shift = np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0)
+    places = [(row[~split].astype(np.float64), (column + shift)[~split], (lower + upper)[~split] / 2, cells[~split])]
+    for vertical, own in ((-0.25, lower), (0.25, upper)):
+        for side in (-0.25, 0.25):
+            across = (column + shift + side * step)[split]
+            places.append((row[split] + vertical, across, own[split], cells[split]))
+    rows, columns, sampled, cell = (np.concatenate(parts) for parts in zip(*places, strict=True))
+    return grid.directions_at(rows, columns), sampled[:, 0], sampled[:, 1:], known[cell]
 
 
 def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[Camera]) -> float:
@@ -88,11 +139,15 @@ def viewing_centre(cameras: Sequence[Camera]) -> Array:
     return np.asarray(np.linalg.solve(normal, np.einsum("nij,nj->i", projectors, centres)))
 
 
-def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _select_cells(sphere: DirectionGrid, known: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
     """Select the cells that get a shell point: unknown cells and a rim of known cells.
 
     Near known cells, the density of the selected cells is uniform over the sphere. Far from known cells, the density
     is lower than near known cells.
+
+    Returns:
+        flat indices (N,) of the selected cells, the distance (N,) in columns between selected cells of the same row,
+        and whether the cells (N,) are near known cells.
     """
     grid, degrees = _close_gaps(sphere, known)
     wider = np.pad(grid, ((1, 1), (1, 1)), mode="wrap")
@@ -106,10 +161,11 @@ def _select_cells(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np
     # Far from known cells, every second row with points is offset by half the distance between its points. The
     # resulting hexagonal layout covers the sphere most evenly.
     offset = np.where(degrees > NEAR_GAP_DEG, row // 4 % 2 * (step // 2), 0)
-    return np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
+    cells = np.flatnonzero(((~grid | rim) & ((column + offset) % step == 0) & level).ravel())
+    return cells, step.ravel()[cells], degrees.ravel()[cells] <= NEAR_GAP_DEG
 
 
-def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], Array]:
+def _close_gaps(sphere: DirectionGrid, known: Bools) -> tuple[Bools, Array]:
     """Close small gaps between known cells. Returns a mask (rows, columns) of the known cells after closing, and the
     angle in degrees between each cell and the nearest cell that was known before closing."""
     known = _dilate_rows(sphere, known)
@@ -121,7 +177,7 @@ def _close_gaps(sphere: DirectionGrid, known: NDArray[np.bool_]) -> tuple[NDArra
     return closed[middle], degrees[middle]
 
 
-def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _dilate_rows(sphere: DirectionGrid, known: Bools) -> Bools:
     """Known cells (rows, columns), dilated along the rows by one degree on the sphere. One degree spans more cells near
     the poles than at the equator."""
     wide = known.reshape(sphere.rows, sphere.columns).copy()
@@ -133,7 +189,7 @@ def _dilate_rows(sphere: DirectionGrid, known: NDArray[np.bool_]) -> NDArray[np.
     return wide
 
 
-def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> NDArray[np.bool_]:
+def _occludes(xyz: Array, seen: Array, cameras: Sequence[Camera]) -> Bools:
     """Mask (N,) of the points ``xyz`` that occlude at least one of the known points ``seen`` (M, 3) in at least one
     camera."""
     hides = np.zeros(len(xyz), np.bool_)

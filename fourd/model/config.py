@@ -60,7 +60,8 @@ class ModelConfig:
     """Factor from 0 to 1 that multiplies the SH coefficients of degrees 2 and 3 in rendered and exported scenes, but
     not in training. With `appearance: both`, coefficients of degrees 2 and 3 mainly correct errors of the image-based
     colours in single training views. In new views, these corrections are wrong, so a smaller factor gives a higher
-    PSNR. With `appearance: sh`, the key has no effect, because all colour comes from SH."""
+    PSNR. In training, `loss.high_sh` keeps these coefficients small. With `appearance: sh`, the key has no effect,
+    because all colour comes from SH."""
     own_colour: float = 0.6
     """Share of a point's own colour in the point's image-based colour, at least 0 and less than 1. Each point of each
     frame has its own colour, which is optimised and does not depend on the viewing direction. Source views give a point

@@ -162,7 +162,7 @@ def _prepare_folder(out: Path) -> None:
             shutil.rmtree(out / name)
 
 
-def _phase(frame: int, frames: int) -> float:
+def gait_phase(frame: int, frames: int) -> float:
     """Phase of a frame in gait cycles. The capture covers a whole number of cycles, so it can be played in a loop."""
     return frame * max(1, round(frames / CYCLE_FRAMES)) / frames
 
@@ -204,7 +204,7 @@ def _write_camera(
     plate = render_plate(camera, 2 * np.pi * figure.start)
     _write_image(out / "truth" / "bgs" / f"{name}.png", np.round(255 * plate).astype(np.uint8)[..., ::-1])
     for frame in range(settings.frames):
-        parts = pose_figure(figure, _phase(frame, settings.frames))
+        parts = pose_figure(figure, gait_phase(frame, settings.frames))
         _write_frame(out, f"{name}/{frame:06d}", render_figure(parts, camera, plate, settings.gloss))
         advance()
 

@@ -12,19 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourd.background.directions import DirectionGrid, direction_grid, interpolate_harmonic, summarize_cells
+from fourd.background.directions import (
+    ROWS_PER_DEGREE,
+    DirectionGrid,
+    direction_grid,
+    extrapolate_distances,
+    summarize_cells,
+)
 from fourd.background.stereo.fusion import Surface
 from fourd.background.stereo.patches import index_intrinsics
 from fourd.cameras import Camera
 
 Array = NDArray[np.float64]
 
-HORIZONTAL_WEIGHT = 100.0
-"""Weight of horizontal neighbours in the interpolation. Vertical neighbours have weight 1. A large weight keeps floors
-horizontal and walls vertical."""
-ROWS_PER_DEGREE = 4
-"""Number of grid rows per degree of elevation. The resolution must be high, because the far half of a floor spans only
-a few degrees when the centre is low."""
 NEAR, FAR = 0.02, 100.0
 """First and last depth of ray marching, as multiples of the camera's distance from the centre."""
 MIN_KNOWN = 0.1
@@ -63,11 +63,7 @@ class Room:
         cells, distance = sphere.cells(xyz)
         black = np.zeros((len(xyz), 3), np.uint8)
         known, inverse, _ = summarize_cells(cells, distance, black, sphere.rows * sphere.columns)
-        inverse_distance = inverse
-        if not known.all():
-            inverse_distance = interpolate_harmonic(
-                sphere, known, inverse[:, None], HORIZONTAL_WEIGHT / ROWS_PER_DEGREE**2
-            )[:, 0]
+        inverse_distance = extrapolate_distances(sphere, known, inverse)
         if np.mean([surface.known.mean() for surface in surfaces]) < MIN_KNOWN:
             reach = max(float(np.linalg.norm(surface.camera.centre - centre)) for surface in surfaces)
             floor = float(np.percentile((xyz - centre) @ sphere.R_world_sphere[:, 2], FLOOR_PERCENTILE))

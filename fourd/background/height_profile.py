@@ -1,0 +1,79 @@
+"""Colours that depend only on the height above the floor, such as rows of bricks, boards or shelves of a wall. Such
+colours can be extrapolated into directions that no camera sees."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from fourd.background.directions import DirectionGrid
+
+Array = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+BIN_DEG = 0.5
+"""Height of a bin of the profile, as the angle that the bin spans at the median distance of the unknown cells."""
+SMOOTHING_DEG = (4.0, 10.0)
+"""Standard deviations, in elevation and azimuth, of the filter that separates the profile from slow changes of
+colour."""
+SECTORS = 24
+"""Number of azimuth sectors in which the profile is measured independently."""
+MIN_SECTORS = 3
+"""Minimum number of sectors with known cells. With fewer sectors, the profile of a height is 0."""
+
+
+def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, rgb: Array) -> Array:
+    """Estimate the part of the colours that depends only on the height.
+
+    The colours of known cells are compared with a smoothed version of themselves. The profile at a height is the mean
+    of these differences over all azimuth sectors. The mean is multiplied by the positive-part James-Stein factor: if
+    the sectors agree, the factor is near 1, and if the mean is not larger than its standard error, the factor is 0.
+    Surfaces without horizontal structure therefore have a profile near 0.
+
+    Args:
+        grid: the grid of directions.
+        known: (cells,) bool, true for cells with a given colour.
+        inverse_distance: (cells,) inverse distance to the surface, extrapolated to unknown cells.
+        rgb: (cells, 3) colours in [0, 255]. The colours of unknown cells are ignored.
+
+    Returns:
+        (cells, 3) colour differences for all cells, which are added to slowly changing colours.
+    """
+    if known.all() or not known.any():
+        return np.zeros_like(rgb)
+    local = grid.directions() @ grid.R_world_sphere / np.maximum(inverse_distance, 1e-12)[:, None]
+    distance = np.linalg.norm(local, axis=1)
+    bins = np.floor(local[:, 2] / (np.radians(BIN_DEG) * np.median(distance[~known]))).astype(np.int64)
+    heights, height = np.unique(bins, return_inverse=True)
+    difference = (rgb - _smooth(grid, known, rgb))[known]
+    column = np.tile(np.arange(grid.columns), grid.rows)[known]
+    group = height[known] * SECTORS + column * SECTORS // grid.columns
+    size = np.bincount(group, minlength=len(heights) * SECTORS)
+    mean = np.stack([np.bincount(group, difference[:, channel], len(size)) for channel in range(3)], axis=-1)
+    mean = (mean / np.maximum(size, 1)[:, None]).reshape(len(heights), SECTORS, 3)
+    return np.asarray(_shrink(mean, (size > 0).reshape(len(heights), SECTORS))[height])
+
+
+def _smooth(grid: DirectionGrid, known: Bools, rgb: Array) -> Array:
+    """Colours (cells, 3) after smoothing over the known cells."""
+    shape = (grid.rows, grid.columns)
+    sigma = (SMOOTHING_DEG[0] * grid.rows / 180, SMOOTHING_DEG[1] * grid.columns / 360)
+
+    def smooth(values: Array) -> Array:
+        return np.asarray(gaussian_filter(values.reshape(shape), sigma, mode=("nearest", "wrap")).ravel())
+
+    weight = np.maximum(smooth(known.astype(np.float64)), 1e-6)
+    return np.stack([smooth(np.where(known, rgb[:, channel], 0)) / weight for channel in range(3)], axis=-1)
+
+
+def _shrink(means: Array, measured: Bools) -> Array:
+    """Mean (heights, 3) of the sectors' means (heights, sectors, 3) over the measured sectors (heights, sectors),
+    multiplied by the positive-part James-Stein factor."""
+    count = measured.sum(axis=1)
+    weight = (measured / np.maximum(count, 1)[:, None])[..., None]
+    mean = (weight * means).sum(axis=1)
+    variance = (weight * (means - mean[:, None]) ** 2).sum(axis=(1, 2)) / np.maximum(count - 1, 1)
+    power = np.maximum((mean**2).sum(axis=1), 1e-12)
+    factor = np.where(count >= MIN_SECTORS, np.maximum(1 - variance / power, 0), 0)
+    return np.asarray(factor[:, None] * mean)
