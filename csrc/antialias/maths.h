@@ -20,8 +20,8 @@ namespace fourd::antialias {
 // The rasterizer rounds vertices to a subpixel grid. An edge in the image can therefore be up to kTolerancePx pixels
 // away from the edge between the exact vertices.
 constexpr float kTolerancePx = 0.0625f;
-// Largest absolute derivative in Crossing::slope, in pixels per unit of clip space. Edges with a derivative above
-// kMaxSlope have no gradient.
+// Limit of the absolute values of the derivatives in Crossing::slope, in pixels per unit of clip space. Edges with a
+// larger derivative have no gradient.
 constexpr float kMaxSlope = 1.0e18f;
 
 struct Mesh {

@@ -270,8 +270,8 @@ class Trainer:
 
     def _save_points(self, folder: Path) -> None:
         is_first, count = self.group.is_first, self.run.capture.frame_count
-        # If an earlier checkpoint of the same step was damaged, its folder can contain a pipe or a folder in place of a
-        # file. The folder is then removed, because atomic writing does not replace pipes and folders.
+        # The folder may remain from an earlier, damaged checkpoint of the same step. It is removed if an entry is not a
+        # regular file but, for example, a named pipe or a subfolder, because atomic writing does not replace these.
         if is_first and any(path.is_symlink() or not path.is_file() for path in folder.glob("*")):
             shutil.rmtree(folder)
         self.group.barrier()

@@ -61,8 +61,8 @@ FOURD_INLINE void add(float weight, const Entry<Features>& from, Entry<Features>
     for (int part = 0; part < Entry<Features>::kParts; ++part) to->parts[part] += weight * from.parts[part];
 }
 
-// The grid cells that contain the points of a batch. Arrays are indexed by corner, or by the edges along x (see Cell),
-// then by point.
+// The grid cells that contain the points of a batch. The last index of each array is the point. The first index of
+// `entry` is the corner, and the first index of `weight` is the cell's edge along x (see Cell).
 struct Cells {
     std::uint32_t entry[kCorners][kRun];
     float weight[kCorners / 2][kRun];

@@ -46,9 +46,10 @@ class ColourHistogram:
 
 
 def log_density(shares: NDArray[np.floating], bins: int) -> Floats:
-    """Convert the bin shares (...) of an RGB histogram to log densities over 8-bit RGB space.
+    """Convert an RGB histogram to log probability densities over 8-bit RGB space.
 
-    The histogram has ``bins`` bins along each colour axis.
+    The histogram has ``bins`` bins along each colour axis. ``shares`` is an array of any shape, whose elements are the
+    fractions of all samples in the histogram's bins.
     """
     return np.log((1 - UNIFORM) * shares * (bins / 256) ** 3 + UNIFORM / 256**3).astype(np.float32)
 
