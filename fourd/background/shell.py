@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter1d
+from scipy.ndimage import binary_dilation, distance_transform_edt, maximum_filter, maximum_filter1d
 
 from fourd.background.directions import (
     CELL_DEG,
@@ -38,7 +38,8 @@ NEAR_GAP_DEG = 15.0
 only one in sixteen unknown cells gets a point."""
 MIN_DETAIL = 8.0
 """A shell point near known cells is split into four points if the extrapolated colours of the upper and the lower half
-of its cell differ by at least this many grey levels."""
+of its cell, or of an adjacent cell, differ by at least this many grey levels. Without the adjacent cells, large discs
+would cover small discs."""
 OCCLUSION_RATIO = 0.9
 """A shell point occludes a known point if the shell point's depth, divided by the known point's depth, is below this
 ratio."""
@@ -104,7 +105,9 @@ def _sample(grid: DirectionGrid, known: Bools, inverse: Array, rgb: Array) -> tu
     row, column = cells // grid.columns, cells % grid.columns
     values = np.column_stack([inverse, rgb]).reshape(grid.rows, 2, ROWS_PER_DEGREE // 2, grid.columns, 4).mean(axis=2)
     lower, upper = values[row, 0, column], values[row, 1, column]
-    split = is_near & (np.abs(upper - lower)[:, 1:].max(axis=1) >= MIN_DETAIL)
+    contrast = np.abs(values[:, 1, :, 1:] - values[:, 0, :, 1:]).max(axis=-1)
+    contrast = maximum_filter(contrast, 3, mode=("nearest", "wrap"))
+    split = is_near & (contrast[row, column] >= MIN_DETAIL)
     shift = np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0)
     places = [(row[~split].astype(np.float64), (column + shift)[~split], (lower + upper)[~split] / 2, cells[~split])]
     for vertical, own in ((-0.25, lower), (0.25, upper)):
