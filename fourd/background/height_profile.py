@@ -50,9 +50,9 @@ def height_profile(grid: DirectionGrid, known: Bools, inverse_distance: Array, r
     column = np.tile(np.arange(grid.columns), grid.rows)[known]
     group = height[known] * SECTORS + column * SECTORS // grid.columns
     size = np.bincount(group, minlength=len(heights) * SECTORS)
-    mean = np.stack([np.bincount(group, difference[:, channel], len(size)) for channel in range(3)], axis=-1)
-    mean = (mean / np.maximum(size, 1)[:, None]).reshape(len(heights), SECTORS, 3)
-    return np.asarray(_shrink(mean, (size > 0).reshape(len(heights), SECTORS))[height])
+    total = np.stack([np.bincount(group, difference[:, channel], len(size)) for channel in range(3)], axis=-1)
+    means = (total / np.maximum(size, 1)[:, None]).reshape(len(heights), SECTORS, 3)
+    return np.asarray(_shrink(means, (size > 0).reshape(len(heights), SECTORS))[height])
 
 
 def _smooth(grid: DirectionGrid, known: Bools, rgb: Array) -> Array:

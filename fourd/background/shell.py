@@ -108,12 +108,13 @@ def _sample(grid: DirectionGrid, known: Bools, inverse: Array, rgb: Array) -> tu
     contrast = np.abs(values[:, 1, :, 1:] - values[:, 0, :, 1:]).max(axis=-1)
     contrast = maximum_filter(contrast, 3, mode=("nearest", "wrap"))
     split = is_near & (contrast[row, column] >= MIN_DETAIL)
-    shift = np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0)
-    places = [(row[~split].astype(np.float64), (column + shift)[~split], (lower + upper)[~split] / 2, cells[~split])]
-    for vertical, own in ((-0.25, lower), (0.25, upper)):
+    rows, columns = row.astype(np.float64), column.astype(np.float64)
+    columns += np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0)
+    places = [(rows[~split], columns[~split], (lower + upper)[~split] / 2, cells[~split])]
+    for vertical, half in ((-0.25, lower), (0.25, upper)):
         for side in (-0.25, 0.25):
-            across = (column + shift + side * step)[split]
-            places.append((row[split] + vertical, across, own[split], cells[split]))
+            across = columns + side * step
+            places.append((rows[split] + vertical, across[split], half[split], cells[split]))
     rows, columns, sampled, cell = (np.concatenate(parts) for parts in zip(*places, strict=True))
     return grid.directions_at(rows, columns), sampled[:, 0], sampled[:, 1:], known[cell]
 
