@@ -22,7 +22,7 @@ class HighShTerm:
     name: str = "high_sh"
 
     def applies_to(self, step: RenderedStep) -> bool:
-        return step.sh is not None
+        return step.sh is not None and len(step.sh) > 0
 
     def value(self, step: RenderedStep) -> Tensor:
         assert step.sh is not None

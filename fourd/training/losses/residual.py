@@ -18,7 +18,7 @@ class ResidualTerm:
     name: str = "residual"
 
     def applies_to(self, step: RenderedStep) -> bool:
-        return step.displacement is not None
+        return step.displacement is not None and len(step.displacement) > 0
 
     def value(self, step: RenderedStep) -> Tensor:
         assert step.displacement is not None

@@ -72,6 +72,15 @@ def test_high_sh_term_leaves_low_degrees_alone() -> None:
     assert "high_sh" not in [term.name for term in common_terms(only_sh, 0.1, None, None)]
 
 
+def test_terms_are_finite_if_no_point_is_visible() -> None:
+    """Catches a training run that stops with NaN because the background occludes the whole foreground in one view."""
+    step = replace(rendered(), sh=torch.zeros(0, 3, 16), displacement=torch.zeros(0, 3))
+    terms = (ImageTerm("mse"), MaskTerm(1.0), ResidualTerm(1.0, 0.1), HighShTerm(1.0))
+    values = weighted_values(terms, step)
+    assert list(values) == ["image", "mask"]
+    assert all(value.isfinite() for value in values.values())
+
+
 def test_values_are_weighted() -> None:
     """Catches a weight of a loss term that is ignored or applied twice."""
     step = rendered()
