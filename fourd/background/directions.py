@@ -58,8 +58,13 @@ class DirectionGrid:
     def directions(self) -> Array:
         """(rows * columns, 3) unit vectors in world coordinates at the cells' centres. Cells in odd rows are offset by
         half a cell."""
-        row, column = (index.ravel().astype(np.float64) for index in np.indices((self.rows, self.columns)))
-        return self.directions_at(row, column + np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0))
+        return self.directions_at(*self.places(np.arange(self.rows * self.columns)))
+
+    def places(self, cells: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Rows (N,) and columns (N,) of the cells with the flat indices ``cells`` (N,). Columns of odd rows are offset
+        by half a cell."""
+        row, column = cells // self.columns, cells % self.columns
+        return row.astype(np.float64), column + np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0.0)
 
     def directions_at(self, row: Array, column: Array) -> Array:
         """(N, 3) unit vectors in world coordinates at fractional rows (N,) and columns (N,). Integers are the centres
@@ -120,8 +125,8 @@ def interpolate_harmonic(
         horizontal_weight: weight of a horizontal neighbour at a distance of one degree. A vertical neighbour at a
             distance of one degree has weight 1.
     """
-    cells_per_degree = grid.rows * CELL_DEG / 180
-    horizontal_weight /= cells_per_degree**2
+    width_over_height = grid.rows * CELL_DEG / 180
+    horizontal_weight /= width_over_height**2
     number = np.arange(grid.rows * grid.columns).reshape(grid.rows, grid.columns)
     level = (number.ravel(), np.roll(number, -1, axis=1).ravel())
     down = (number[:-1].ravel(), number[1:].ravel())

@@ -60,8 +60,7 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         centre: (3,) world point at which the directions start.
     """
     grid = direction_grid(cameras, centre)
-    known = np.zeros(grid.rows * grid.columns, bool)
-    known[grid.cells(points.xyz.astype(np.float64))[0]] = True
+    known = _known_cells(grid, points)
     if known.all() or not known.any():
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     fine = direction_grid(cameras, centre, ROWS_PER_DEGREE)
@@ -77,6 +76,13 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
     kept = (inverse * reach < 1) & ~_occludes(xyz, points.xyz.astype(np.float64), cameras)
     colours = np.clip(np.rint(rgb[kept]), 0, 255).astype(np.uint8)
     return ColouredPoints(xyz[kept].astype(np.float32), colours)
+
+
+def _known_cells(grid: DirectionGrid, points: ColouredPoints) -> Bools:
+    """(cells,) bool, true for cells that contain points."""
+    known = np.zeros(grid.rows * grid.columns, bool)
+    known[grid.cells(points.xyz.astype(np.float64))[0]] = True
+    return known
 
 
 def _extrapolate(fine: DirectionGrid, points: ColouredPoints) -> tuple[Array, Array]:
@@ -108,8 +114,7 @@ def _sample(grid: DirectionGrid, known: Bools, inverse: Array, rgb: Array) -> tu
     contrast = np.abs(values[:, 1, :, 1:] - values[:, 0, :, 1:]).max(axis=-1)
     contrast = maximum_filter(contrast, 3, mode=("nearest", "wrap"))
     split = is_near & (contrast[row, column] >= MIN_DETAIL)
-    rows, columns = row.astype(np.float64), column.astype(np.float64)
-    columns += np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0)
+    rows, columns = grid.places(cells)
     places = [(rows[~split], columns[~split], (lower + upper)[~split] / 2, cells[~split])]
     for vertical, half in ((-0.25, lower), (0.25, upper)):
         for side in (-0.25, 0.25):
@@ -123,10 +128,7 @@ def direction_coverage(points: ColouredPoints, centre: Array, cameras: Sequence[
     """Share, in [0, 1], of directions with points among all directions around ``centre``. Small gaps are treated as
     covered."""
     sphere = direction_grid(cameras, centre)
-    cells, _ = sphere.cells(points.xyz.astype(np.float64))
-    known = np.zeros(sphere.rows * sphere.columns, bool)
-    known[cells] = True
-    closed, _ = _close_gaps(sphere, known)
+    closed, _ = _close_gaps(sphere, _known_cells(sphere, points))
     elevation = ((np.arange(sphere.rows) + 0.5) / sphere.rows - 0.5) * np.pi
     weight = np.cos(elevation)[:, None]
     return float((closed * weight).sum() / (sphere.columns * weight.sum()))

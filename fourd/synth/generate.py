@@ -129,10 +129,10 @@ def make_synthetic(
 
 def is_finished(out: Path | str, settings: SynthSettings) -> bool:
     """Whether ``out`` contains a finished capture with these settings."""
-    return _read_settings(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
+    return read_settings(Path(out)) == {"version": VERSION, **asdict(settings), "finished": True}
 
 
-def _read_settings(out: Path) -> dict[str, object] | None:
+def read_settings(out: Path) -> dict[str, object] | None:
     """Read the content of synth.json. Returns None if the file is missing or invalid."""
     try:
         content = read_json(out / SETTINGS_NAME)
@@ -151,7 +151,7 @@ def _prepare_folder(out: Path) -> None:
     frames."""
     if out.exists() and not out.is_dir():
         raise UserError(f"{out}: expected a folder, got a file; name another folder")
-    if out.is_dir() and any(out.iterdir()) and _read_settings(out) is None:
+    if out.is_dir() and any(out.iterdir()) and read_settings(out) is None:
         raise UserError(
             f"{out}: expected an empty folder or a synthetic capture ({SETTINGS_NAME}), got other files; "
             "name another folder"

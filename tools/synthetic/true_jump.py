@@ -8,7 +8,6 @@ where the subject covers more pixels. The comparison shows which part of the val
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from rich.progress import track
 from fourd.cameras import Camera
 from fourd.errors import UserError
 from fourd.synth.figure import make_figure, pose_figure
-from fourd.synth.generate import SETTINGS_NAME, SynthSettings, gait_phase
+from fourd.synth.generate import SynthSettings, gait_phase, read_settings
 from fourd.synth.render import render_figure
 from fourd.training.evaluation.defects import jump_ratio
 from fourd.training.run import load_run
@@ -42,7 +41,10 @@ def main(arguments: Arguments) -> None:
     """Print both ratios."""
     torch.set_grad_enabled(False)
     trained = load_run(arguments.run)
-    settings = read_settings(trained.run.config.capture / SETTINGS_NAME)
+    content = read_settings(trained.run.config.capture)
+    if content is None:
+        raise UserError(f"{arguments.run}: expected a run on a capture of fourd synth, got another capture")
+    settings = SynthSettings(**{name: content[name] for name in SynthSettings.__dataclass_fields__})
     capture, layers = trained.run.capture, trained.run.config.train.layers
     frame = capture.frame_count // 2
     points = trained.frames.get(frame)
@@ -59,14 +61,6 @@ def main(arguments: Arguments) -> None:
     true = [true_image(camera) for camera in track(path, "true")]
     print(f"jump: rendered {jump_ratio(rendered):.3f}, true {jump_ratio(true):.3f}")
     trained.close()
-
-
-def read_settings(path: Path) -> SynthSettings:
-    """Read the settings of a synthetic capture."""
-    if not path.is_file():
-        raise UserError(f"{path}: expected a capture of fourd synth, got another capture; make one with fourd synth")
-    content = json.loads(path.read_text())
-    return SynthSettings(**{name: content[name] for name in SynthSettings.__dataclass_fields__})
 
 
 if __name__ == "__main__":
