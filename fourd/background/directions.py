@@ -63,8 +63,8 @@ class DirectionGrid:
     def places(self, cells: NDArray[np.intp]) -> tuple[Array, Array]:
         """Rows (N,) and columns (N,) of the cells with the flat indices ``cells`` (N,). Columns of odd rows are offset
         by half a cell."""
-        row, column = cells // self.columns, cells % self.columns
-        return row.astype(np.float64), column + np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0.0)
+        row, column = (index.astype(np.float64) for index in np.divmod(cells, self.columns))
+        return row, column + np.where(row % 2 == 1, 0.5 * (1 - 1e-9), 0.0)
 
     def directions_at(self, row: Array, column: Array) -> Array:
         """(N, 3) unit vectors in world coordinates at fractional rows (N,) and columns (N,). Integers are the centres
