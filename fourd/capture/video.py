@@ -39,9 +39,6 @@ PROBE_THREADS = 2
 several frames in memory."""
 FRACTIONS = ("start", "fps", "tick")
 """Fields of an index that are stored in JSON as text, for example "30000/1001"."""
-GAP = 1.5
-"""If the interval between two frames is longer than the median interval times this factor, frames between them were
-dropped."""
 
 
 @dataclass(frozen=True)
@@ -356,7 +353,7 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     evenly spaced.
 
     The container may have rounded the times to multiples of its time base, ``base`` seconds. If the times are uneven,
-    as in videos of phones, intervals with dropped frames are ignored.
+    as in videos of phones, an interval with dropped frames counts as several intervals.
 
     Raises:
         UserError: if several frames have the same time.
@@ -369,10 +366,13 @@ def _frame_rate(path: Path, pts: NDArray[np.int64], base: Fraction) -> tuple[Fra
     jitter = np.abs(pts - pts[0] - np.arange(len(pts)) * float(step))
     if jitter.max() <= MAX_JITTER * float(step) or jitter.max() <= 1:
         return _rounded_rate(path, 1 / (step * base)), True
-    usual = steps[steps <= GAP * np.median(steps)]
-    # The shorter the video, the more the jitter of its first and last frame changes the mean interval.
-    tolerance = min(max(2 * float(usual.std()) / float(usual.sum()), STANDARD_TOLERANCE), MAX_RATE_ERROR)
-    rate = 1 / (Fraction(int(usual.sum()), len(usual)) * base)
+    # A least-squares fit of the times over the frame numbers, in which dropped frames keep their numbers.
+    numbers = np.cumsum([0, *np.maximum(np.rint(steps / np.median(steps)), 1)])
+    (interval, _), covariance = np.polyfit(numbers, pts - pts[0], 1, cov=True)
+    # The shorter the video, the more the jitter of its frames changes the interval.
+    error = float(np.sqrt(covariance[0, 0])) / float(interval)
+    tolerance = min(max(3 * error, STANDARD_TOLERANCE), MAX_RATE_ERROR)
+    rate = 1 / (Fraction(float(interval)) * base)
     return standard_rate(rate, tolerance) if rate >= 1 else _rounded_rate(path, rate), False
 
 

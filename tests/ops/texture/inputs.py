@@ -63,7 +63,8 @@ def smooth_lookup(rng: np.random.Generator, boundary_mode: str, filter_mode: str
     cells = rng.integers(-3 * size, 3 * size, (pixels, 2)) if not is_cube else rng.integers(0, size, (pixels, 2))
     # Along an axis, a texel of level 2 covers four texels of level 0. The random offsets keep the positions away from
     # the texel centres of levels 0, 1 and 2.
-    st = (cells // 4 * 4 + rng.uniform(0.6, 1.4, (pixels, 2))) / size
+    offset = 1 + rng.choice([-1, 1], (pixels, 2)) * rng.uniform(0.1, 0.4, (pixels, 2))
+    st = (cells // 4 * 4 + offset) / size
     uv = _directions(rng, 2 * st - 1) if is_cube else st
     level = rng.uniform(0.1, 0.4, pixels) + (rng.integers(0, 2, pixels) if "linear-mipmap" in filter_mode else 0)
     angle, squeeze = rng.uniform(0, 6.3, pixels), rng.uniform(0.2, 0.8, pixels)
