@@ -156,11 +156,12 @@ class RunSite:
         used = time.process_time()
         try:
             self._scene.update()
+            used = time.process_time() - used
+            is_busy = find_active(self.run).phase == "training"
+            self._next_bake = time.monotonic() + (used / core_count() / BAKING_SHARE if is_busy else 0.0)
         finally:
+            # After the time of the next baking is known: a request in between would report that a new one has begun.
             self._is_baking = False
-        used = time.process_time() - used
-        is_busy = find_active(self.run).phase == "training"
-        self._next_bake = time.monotonic() + (used / core_count() / BAKING_SHARE if is_busy else 0.0)
 
     def _current(self) -> _Answers:
         """Return the answers, which are computed again at most once per second."""

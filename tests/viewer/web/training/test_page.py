@@ -17,6 +17,7 @@ from fourd.progress import Terminal
 from fourd.training.live.control import ControlReader
 from fourd.training.live.session import LiveSession, StepCount
 from fourd.training.live.state import read_state
+from fourd.viewer.publish.runs import site as run_site
 from fourd.viewer.publish.runs.access import Access
 from fourd.viewer.publish.runs.server import RunHandler, RunServer
 from fourd.viewer.publish.runs.site import RunSite
@@ -25,6 +26,12 @@ from tests.baking.scenes import write_scene as write_random_scene
 from tests.viewer.web.page import TIMEOUT_MS
 
 TOKEN = "abcdefghijklmnop_-0123"
+
+
+@pytest.fixture(autouse=True)
+def normal_priority(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bake with the priority of the tests: with the lowest one, other programs could delay it past the timeouts."""
+    monkeypatch.setattr(run_site, "_NICE", 0)
 
 
 @pytest.fixture
@@ -85,6 +92,12 @@ def wait_for(page: Any, selector: str, text: str) -> None:
     page.wait_for_function(script, arg=[selector, text], timeout=TIMEOUT_MS)
 
 
+def wait_for_curves(page: Any, chart: str, count: int) -> None:
+    """Wait until a chart draws this number of curves. The page requests the curves after the state of the run."""
+    script = "([selector, count]) => document.querySelectorAll(selector).length === count"
+    page.wait_for_function(script, arg=[f"{chart} path", count], timeout=TIMEOUT_MS)
+
+
 def test_a_run_is_watched_and_controlled(run: Path, tmp_path: Path, open_run: Callable[..., Any]) -> None:
     """Catches curves without values, a page that is wider than a phone, and buttons that send another request. Also
     catches a page that does not show the end of the training."""
@@ -100,15 +113,15 @@ def test_a_run_is_watched_and_controlled(run: Path, tmp_path: Path, open_run: Ca
                 wait_for(page, "#numbers", text)
             wait_for(page, "#pictures span", "Step 200")
             assert page.evaluate("document.documentElement.scrollWidth") <= 390
-            assert page.locator(".chart:first-child path").count() == 3
+            wait_for_curves(page, ".chart:first-child", 3)
             box = page.locator(".plot").first.bounding_box()
             page.mouse.move(box["x"] + box["width"] - 10, box["y"] + 50)
             wait_for(page, ".values", "step 400")
             wait_for(page, ".values", "held-out views: 21 (step 300)")
             losses = page.locator(".chart").last
-            assert losses.locator("path").count() == 1  # a logarithmic axis does not show zeros
+            wait_for_curves(page, ".chart:last-child", 1)  # a logarithmic axis does not show zeros
             losses.locator("input").last.uncheck()
-            assert losses.locator("path").count() == 2
+            wait_for_curves(page, ".chart:last-child", 2)
             page.locator("#pause").click()
             wait_for(page, "#note", "Waiting for the end of the step")
             assert getattr(requests.read(), "action", None) == "pause"
@@ -116,7 +129,7 @@ def test_a_run_is_watched_and_controlled(run: Path, tmp_path: Path, open_run: Ca
             wait_for(page, "#phase", "paused")
             page.reload()
             wait_for(page, "#pause", "Resume")
-            assert page.locator(".chart").last.locator("path").count() == 2  # the page keeps the choice of the axis
+            wait_for_curves(page, ".chart:last-child", 2)  # the page keeps the choice of the axis
             assert page.locator("#save").is_disabled()
             page.locator("#pause").click()
             wait_for(page, "#note", "Resuming")
