@@ -3,7 +3,7 @@ empty areas."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from fourd.background.directions import (
 from fourd.background.height_profile import height_profile
 from fourd.cameras import Camera
 from fourd.formats.ply import ColouredPoints
+from fourd.progress import Track, untracked
 
 Array = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -46,7 +47,9 @@ ratio."""
 DEPTH_CELL_PX = 6.0
 
 
-def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array) -> ColouredPoints:
+def build_shell(
+    points: ColouredPoints, cameras: Sequence[Camera], centre: Array, track: Track = untracked
+) -> ColouredPoints:
     """Build points in the directions in which there are no background points.
 
     Inverse distances and colours are interpolated harmonically between the known directions. Horizontal neighbours have
@@ -58,13 +61,15 @@ def build_shell(points: ColouredPoints, cameras: Sequence[Camera], centre: Array
         points: background points that were computed from the plates.
         cameras: cameras of the scene.
         centre: (3,) world point at which the directions start.
+        track: progress callback.
     """
     grid = direction_grid(cameras, centre)
     known = _known_cells(grid, points)
     if known.all() or not known.any():
         return ColouredPoints(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8))
     fine = direction_grid(cameras, centre, ROWS_PER_DEGREE)
-    directions, inverse, rgb, is_rim = _sample(grid, known, *_extrapolate(fine, points))
+    surface = track(_extrapolate(fine, points), 2, "background: unseen directions")
+    directions, inverse, rgb, is_rim = _sample(grid, known, *surface)
     # The rim of the shell (shell points in known cells beside unknown cells) is placed slightly behind the known
     # points. Without this overlap, some viewpoints would show a slit between the shell and the known points.
     inverse = np.where(is_rim, RIM_FACTOR, 1) * inverse
@@ -85,13 +90,14 @@ def _known_cells(grid: DirectionGrid, points: ColouredPoints) -> Bools:
     return known
 
 
-def _extrapolate(fine: DirectionGrid, points: ColouredPoints) -> tuple[Array, Array]:
-    """Inverse distances (cells,) and colours (cells, 3) for all cells of a fine grid."""
+def _extrapolate(fine: DirectionGrid, points: ColouredPoints) -> Iterator[Array]:
+    """Yield the inverse distances (cells,) and then the colours (cells, 3) of all cells of a fine grid."""
     cells, distance = fine.cells(points.xyz.astype(np.float64))
     known, inverse, rgb = summarize_cells(cells, distance, points.rgb, fine.rows * fine.columns)
     inverse = extrapolate_distances(fine, known, inverse)
+    yield inverse
     profile = height_profile(fine, known, inverse, rgb)
-    return inverse, profile + interpolate_harmonic(fine, known, rgb - profile, COLOUR_WEIGHT)
+    yield profile + interpolate_harmonic(fine, known, rgb - profile, COLOUR_WEIGHT)
 
 
 def _sample(grid: DirectionGrid, known: Bools, inverse: Array, rgb: Array) -> tuple[Array, Array, Array, Bools]:

@@ -96,7 +96,7 @@ def run_background(files: BackgroundFiles, settings: BackgroundSettings, context
         _log_unstable(find_changing_backgrounds(views.capture, views.training, plates), log)
     points = _find_points(plates, settings, context)
     cameras = [plate.camera for plate in plates]
-    shell = build_shell(points, cameras, viewing_centre(cameras))
+    shell = build_shell(points, cameras, viewing_centre(cameras), context.track)
     share = direction_coverage(points, viewing_centre(cameras), cameras)
     log(
         f"background: the plates cover {share:.0%} of all directions around the scene; "
